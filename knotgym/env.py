@@ -1,0 +1,164 @@
+"""The environments: `KnotEnv` for one rope, `KnotVectorEnv` for many in one batched simulation on all cores."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from knotgym.episodes import Episodes
+from knotgym.tasks import InvalidSetting, TaskConfig
+
+_FPS = 5  # an action lasts 0.192 s
+
+
+def observation_space(config: TaskConfig, beads: int = 100) -> spaces.Space[Any]:
+    """What one agent sees."""
+    pixels = spaces.Box(0, 255, (config.image_size, 2 * config.image_size, 3), np.uint8)
+    state = spaces.Box(-np.inf, np.inf, (6 * beads,), np.float32)
+    return {"pixels": pixels, "state": state, "both": spaces.Dict({"pixels": pixels, "state": state})}[config.observation]
+
+
+def action_space() -> spaces.Box:
+    """(x, y, z, fx, fy, fz): the bead nearest to the scaled point is pulled with the scaled force."""
+    return spaces.Box(-1.0, 1.0, (6,), np.float32)
+
+
+class KnotEnv(gym.Env[Any, NDArray[np.float32]]):
+    """One rope; see `TaskConfig` for the keywords and `Episodes.info` for what `info` holds."""
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": _FPS}
+
+    def __init__(self, task: str, render_mode: str | None = "rgb_array", **settings: Any) -> None:
+        self.config = _config(task, settings)
+        self.render_mode = _checked(render_mode)
+        self.episodes = Episodes(self.config)
+        self.observation_space = observation_space(self.config, self.episodes.simulation.rope.config.beads)
+        self.action_space = action_space()
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Start over; options `start` and `goal` pick rows of the state file."""
+        super().reset(seed=seed)
+        self.episodes.begin(0, self.np_random, options)
+        return self.episodes.observation(0), self.episodes.info(0)
+
+    def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Pull once; raises InvalidAction for NaN or numbers outside [-1, 1], and then nothing has moved."""
+        reward, terminated, truncated = self.episodes.step(np.asarray(action)[None], np.array([0]))
+        return self.episodes.observation(0), float(reward[0]), bool(terminated[0]), bool(truncated[0]), self.episodes.info(0)
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """The rope and its goal, uint8 (size, 2 size, 3)."""
+        return self.episodes.picture(0) if self.render_mode == "rgb_array" else None
+
+
+class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]):
+    """Many ropes, stepped together; rope i with seed s does what `KnotEnv` does with seed s + i.
+
+    Args:
+        task: as KnotEnv.
+        num_envs: ropes.
+        threads: of the simulation, 0 for every core.
+        autoreset_mode: Gymnasium's; "next_step" by default.
+        settings: as KnotEnv.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": _FPS, "autoreset_mode": AutoresetMode.NEXT_STEP}
+
+    def __init__(
+        self,
+        task: str,
+        num_envs: int = 1,
+        threads: int = 0,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        render_mode: str | None = "rgb_array",
+        **settings: Any,
+    ) -> None:
+        self.config = _config(task, settings)
+        self.render_mode = _checked(render_mode)
+        if num_envs < 1:
+            raise InvalidSetting(f"num_envs must be at least 1, got {num_envs}")
+        self.num_envs = num_envs
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
+        self.episodes = Episodes(self.config, num_envs, threads)
+        self.single_observation_space = observation_space(self.config, self.episodes.simulation.rope.config.beads)
+        self.single_action_space = action_space()
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._rngs = [np.random.default_rng() for _ in range(num_envs)]
+        self._done = np.zeros(num_envs, dtype=bool)
+
+    def reset(self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Start over; options as KnotEnv's, and Gymnasium's `reset_mask`, bool (num_envs,), for which ropes."""
+        wanted = dict(options or {})
+        mask = np.asarray(wanted.pop("reset_mask", np.ones(self.num_envs, dtype=bool)))
+        if mask.shape != (self.num_envs,) or mask.dtype != bool:
+            raise InvalidSetting(f"reset_mask must be {self.num_envs} booleans, got {mask.dtype} of shape {mask.shape}")
+        seeds = [None if seed is None else seed + i for i in range(self.num_envs)] if seed is None or isinstance(seed, int) else list(seed)
+        if len(seeds) != self.num_envs:
+            raise InvalidSetting(f"a list of seeds needs one for each of {self.num_envs} ropes, got {len(seeds)}")
+        for i in np.flatnonzero(mask):
+            if seeds[i] is not None:
+                self._rngs[i] = np.random.default_rng(seeds[i])
+            self.episodes.begin(int(i), self._rngs[i], wanted)
+        self._done[mask] = False
+        return self._observations(), self._infos({int(i): self.episodes.info(int(i)) for i in np.flatnonzero(mask)})
+
+    def step(self, actions: NDArray[np.float32]) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Pull every rope once; ended episodes start over as `autoreset_mode` says."""
+        done = self._done.copy()
+        if done.any() and self.autoreset_mode == AutoresetMode.DISABLED:
+            raise InvalidSetting(f"episodes {np.flatnonzero(done).tolist()} have ended: reset them (options reset_mask) before the next step")
+        rewards = np.zeros(self.num_envs)
+        terminated, truncated = np.zeros(self.num_envs, dtype=bool), np.zeros(self.num_envs, dtype=bool)
+        go_on = np.flatnonzero(~done)
+        if len(go_on):
+            rewards[go_on], terminated[go_on], truncated[go_on] = self.episodes.step(np.asarray(actions)[go_on], go_on)
+        for i in np.flatnonzero(done):
+            self.episodes.begin(int(i), self._rngs[i])
+        self._done = terminated | truncated
+        final: dict[int, dict[str, Any]] = {}
+        if self.autoreset_mode == AutoresetMode.SAME_STEP:
+            for i in np.flatnonzero(self._done):
+                final[int(i)] = {"final_obs": self.episodes.observation(int(i)), "final_info": self.episodes.info(int(i))}
+                self.episodes.begin(int(i), self._rngs[i])
+            self._done[:] = False
+        infos = self._infos({i: {**self.episodes.info(i), **final.get(i, {})} for i in range(self.num_envs)})
+        return self._observations(), rewards, terminated, truncated, infos
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """One picture a rope, uint8 (size, 2 size, 3) each."""
+        return tuple(self.episodes.picture(i) for i in range(self.num_envs)) if self.render_mode == "rgb_array" else None
+
+    def _observations(self) -> Any:
+        each = [self.episodes.observation(i) for i in range(self.num_envs)]
+        if isinstance(each[0], dict):
+            return {name: np.stack([one[name] for one in each]) for name in each[0]}
+        return np.stack(each)
+
+    def _infos(self, each: dict[int, dict[str, Any]]) -> dict[str, Any]:
+        infos: dict[str, Any] = {}
+        for i, info in each.items():
+            infos = self._add_info(infos, info, i)
+        return infos
+
+
+def _config(task: str, settings: dict[str, Any]) -> TaskConfig:
+    known = TaskConfig.__dataclass_fields__
+    unknown = [name for name in settings if name not in known]
+    if unknown:
+        raise InvalidSetting(f"no keyword {', '.join(map(repr, unknown))}; there is {', '.join(name for name in known if name != 'task')}")
+    return TaskConfig(task=task, **settings)
+
+
+def _checked(render_mode: str | None) -> str | None:
+    if render_mode not in (None, "rgb_array"):
+        raise InvalidSetting(f'no render_mode {render_mode!r}; there is "rgb_array" or None')
+    return render_mode

@@ -1,0 +1,147 @@
+"""The archive of the search: for every class of Gauss codes the shortest ways there and the best-looking states.
+
+Quality-diversity search in the line of MAP-Elites (niches) and Go-Explore (return, then explore). A niche is a class of
+codes under the rope's symmetries (`symmetry.class_of`), chirality kept: what is found for one code is found for all of its
+class.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from knotgym.datasets.files import whole
+from knotgym.errors import KnotgymError
+from knotgym.gauss import GaussCode
+from knotgym.generate.manoeuvres import NO_WAY, Way
+from knotgym.generate.symmetry import class_of, members
+from knotgym.rope import Array
+
+FORMAT = "knotgym-archive"
+FORMAT_VERSION = 1
+KEPT = 3  # elites kept for their short way, and as many for their looks
+
+
+class InvalidArchive(KnotgymError, ValueError):
+    """A file that isn't an archive this version can read."""
+
+
+@dataclass(frozen=True, eq=False)
+class Elite:
+    """A state the search has been in.
+
+    Attributes:
+        code: what it shows, with chirality.
+        way: from the plain loop at rest.
+        state: MuJoCo integration state at the end of the way, float64.
+        badness: how far from legible, see `Limits.badness`.
+    """
+
+    code: GaussCode
+    way: Way
+    state: Array
+    badness: float
+
+
+@dataclass
+class Archive:
+    """Elites by class, and how they came to be.
+
+    Attributes:
+        niches: class -> elites, the shortest way first.
+        visits: class -> how often the search set out from it.
+        growth: one row a round: actions taken so far, classes and codes known by then.
+        settings: of the search, JSON-able; a resumed search must agree with them.
+    """
+
+    niches: dict[GaussCode, list[Elite]] = field(default_factory=dict)
+    visits: dict[GaussCode, int] = field(default_factory=dict)
+    growth: list[dict[str, int]] = field(default_factory=list)
+    settings: dict[str, object] = field(default_factory=dict)
+
+    def offer(self, elite: Elite) -> bool:
+        """Keep an elite if it is among the KEPT shortest or the KEPT best-looking of its class; say whether the class is new."""
+        niche = class_of(elite.code)
+        new = niche not in self.niches
+        pool = [*self.niches.get(niche, []), elite]
+        short = sorted(pool, key=lambda one: (len(one.way), one.badness))[:KEPT]
+        pretty = sorted(pool, key=lambda one: (one.badness, len(one.way)))[:KEPT]
+        self.niches[niche] = short + [one for one in pretty if not any(one is other for other in short)]
+        return new
+
+    def codes(self, nx: int) -> list[GaussCode]:
+        """Every code with nx crossings, without chirality, of the classes known; in order."""
+        found = {member.plain for niche in self.niches if niche.nx == nx for member in members(niche)}
+        return sorted(found, key=lambda code: code.visits)
+
+    def leading_to(self, code: GaussCode) -> list[Elite]:
+        """Elites of every class that `code` is in: one class with chirality, several without."""
+        if code.chirality is not None and (code.nx or not code.visits):
+            return list(self.niches.get(class_of(code), []))
+        return [elite for niche, elites in self.niches.items() if niche.nx == code.nx for elite in elites if code in _plain_members(niche)]
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the archive; it appears whole or not at all."""
+        elites = list(self._elites())
+        with whole(path) as part, h5py.File(part, "w") as file:
+            file.attrs["format"], file.attrs["format_version"] = FORMAT, FORMAT_VERSION
+            file.attrs["settings"] = json.dumps(self.settings)
+            file.attrs["growth"] = json.dumps(self.growth)
+            file.attrs["visits"] = json.dumps({niche.chiral: count for niche, count in self.visits.items()})
+            squeezed = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+            file.create_dataset("code", data=[elite.code.chiral for elite in elites], dtype=h5py.string_dtype("utf-8"))
+            file.create_dataset("badness", data=[elite.badness for elite in elites])
+            file.create_dataset("length", data=[len(elite.way) for elite in elites])
+            file.create_dataset("beads", data=np.concatenate([elite.way.beads for elite in elites]), **squeezed)
+            file.create_dataset("forces", data=np.concatenate([elite.way.forces for elite in elites]), **squeezed)
+            file.create_dataset("state", data=np.stack([elite.state for elite in elites]), **squeezed)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Archive:
+        """Read an archive.
+
+        Raises:
+            FileNotFoundError: there is none.
+            InvalidArchive: the file is foreign, truncated, or of an unknown format.
+        """
+        if not Path(path).is_file():
+            raise FileNotFoundError(f"no archive at {path}")
+        try:
+            with h5py.File(path, "r") as file:
+                if (file.attrs.get("format"), file.attrs.get("format_version")) != (FORMAT, FORMAT_VERSION):
+                    raise InvalidArchive(f"{path} isn't an archive of format {FORMAT!r} version {FORMAT_VERSION}")
+                archive = cls(
+                    visits={GaussCode.parse(code): int(count) for code, count in json.loads(file.attrs["visits"]).items()},
+                    growth=json.loads(file.attrs["growth"]),
+                    settings=json.loads(file.attrs["settings"]),
+                )
+                ends = np.cumsum(file["length"][()])
+                beads, forces, states = file["beads"][()], file["forces"][()], file["state"][()]
+                for row, (text, badness) in enumerate(zip(file["code"].asstr()[()], file["badness"][()], strict=True)):
+                    code, start = GaussCode.parse(text), 0 if row == 0 else ends[row - 1]
+                    elite = Elite(code, Way(beads[start : ends[row]], forces[start : ends[row]]), states[row], float(badness))
+                    archive.niches.setdefault(class_of(code), []).append(elite)
+                return archive
+        except (OSError, KeyError, RuntimeError) as error:
+            raise InvalidArchive(f"{path} isn't a whole archive: {' '.join(str(error).split())}") from error
+
+    def _elites(self) -> Iterator[Elite]:
+        for elites in self.niches.values():
+            yield from elites
+
+
+def begun(state: Array, code: GaussCode, settings: dict[str, object]) -> Archive:
+    """An archive that knows only the state a search begins with."""
+    archive = Archive(settings=settings)
+    archive.offer(Elite(code, NO_WAY, state, 0.0))
+    return archive
+
+
+def _plain_members(niche: GaussCode) -> set[GaussCode]:
+    return {member.plain for member in members(niche)}

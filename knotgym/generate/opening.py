@@ -1,0 +1,89 @@
+"""Opening up: move a rope until it can be read, its Gauss code unchanged.
+
+A hill climb in the simulator itself: from where the rope lies, a handful of pulls are tried side by side on copies of it, and
+the one that leaves the code as it was and the picture most legible is kept.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from knotgym.crossings import find_crossings
+from knotgym.gauss import GaussCode
+from knotgym.generate.manoeuvres import NO_WAY, Way, pull
+from knotgym.generate.quality import Limits, Quality, measure
+from knotgym.rope import Array
+from knotgym.simulation import Simulation
+
+
+@dataclass(frozen=True, kw_only=True)
+class OpeningConfig:
+    """How hard to try.
+
+    Attributes:
+        pulls: rounds at most, a pull each.
+        tries: copies of the rope that try a pull in each round.
+        patience: rounds without a gain before giving up.
+        enough: badness (see `Limits.badness`) at which a state is open enough.
+    """
+
+    pulls: int = 16
+    tries: int = 12
+    patience: int = 3
+    enough: float = 0.3
+
+
+def open_up(simulation: Simulation, state: Array, limits: Limits, config: OpeningConfig, rng: np.random.Generator) -> tuple[Array, Way]:
+    """Pull a rope into a more legible configuration with the same code.
+
+    Args:
+        simulation: at least `config.tries` ropes, whose states are overwritten.
+        state: integration state to begin with.
+        limits: what is legible.
+        config: how hard to try.
+        rng: decides the pulls tried.
+
+    Returns:
+        The integration state reached and the way there, empty if nothing was better.
+    """
+    ids = np.arange(config.tries)
+    simulation.restore(np.repeat(state[None], config.tries, axis=0), ids)
+    code, quality = _seen(simulation.points[0])
+    best, way, idle = limits.badness(quality, code.nx), NO_WAY, 0
+    for _ in range(config.pulls):
+        if best <= config.enough or idle >= config.patience:
+            break
+        beads, forces = _proposals(simulation.points[0], config.tries, rng)
+        _, held = pull(simulation, beads, forces, ids)
+        scores = np.full(config.tries, np.inf)
+        for i in ids[held]:
+            seen, quality = _seen(simulation.points[i])
+            if seen == code:
+                scores[i] = limits.badness(quality, code.nx)
+        choice = int(np.argmin(scores))
+        if scores[choice] < best - 0.01:
+            best, idle = float(scores[choice]), 0
+            state = simulation.states([choice])[0]
+            way += Way(beads[[choice]].astype(np.int16), forces[[choice]].astype(np.float32))
+        else:
+            idle += 1
+        simulation.restore(np.repeat(state[None], config.tries, axis=0), ids)
+    return state, way
+
+
+def _seen(points: Array) -> tuple[GaussCode, Quality]:
+    crossings = find_crossings(points)
+    return crossings.code, measure(points, crossings)
+
+
+def _proposals(points: Array, tries: int, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Pulls that may open the rope: any bead, mostly outwards or along where its neighbours push it, a little up or down."""
+    beads = rng.integers(len(points), size=tries)
+    outward = points[beads, :2] - points[:, :2].mean(axis=0)
+    heading = np.arctan2(outward[:, 1], outward[:, 0]) + np.where(rng.random(tries) < 0.5, rng.normal(0, 0.4, tries), rng.uniform(-np.pi, np.pi, tries))
+    strength = rng.uniform(0.3, 1.0, tries)
+    lift = np.where(rng.random(tries) < 0.3, rng.uniform(-0.5, 0.5, tries), 0.0)
+    level = np.sqrt(1 - lift**2)
+    return beads, np.stack([strength * level * np.cos(heading), strength * level * np.sin(heading), strength * lift], axis=1)

@@ -1,0 +1,269 @@
+"""How well a rope state can be read off its picture, and how far from over-twisted it is.
+
+Every measure has a unit that a person can check with a ruler. Pixels are those of the 128 x 128 picture, 5.2 mm each; the
+rope is two of them wide. `Limits` holds what a curated state must keep to, each with its reason.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from knotgym.crossings import Crossings, find_crossings, label_many
+from knotgym.picture import DEFAULT, PictureConfig, project
+from knotgym.rope import Array, noised
+
+UNITS = {
+    "crossing_angle": "degrees",
+    "crossing_spacing": "pixels",
+    "base_spacing": "pixels",
+    "strand_spacing": "pixels",
+    "margin": "pixels",
+    "clearance": "millimetres",
+    "excess_crossing_number": "crossings",
+    "total_curvature": "turns",
+    "writhe": "crossings",
+    "noise_survival": "share",
+}
+
+WALK = 12.0  # pixels of walk along the drawn rope, crossings may be turned at, beyond which two places are different strands
+NOISE_DRAWS = 64
+
+
+@dataclass(frozen=True)
+class Quality:
+    """The measures of one state; where there is no crossing, those about crossings have the value of a perfect one.
+
+    Attributes:
+        crossing_angle: smallest angle at which two strands cross in the picture, degrees in [0, 90].
+        crossing_spacing: smallest distance between two crossings, pixels, at most the picture's side.
+        base_spacing: from the white base bead along the rope to the nearest crossing, pixels, at most the picture's side.
+        strand_spacing: smallest distance in the picture between the axes of two places more than WALK pixels of walk apart.
+        margin: from the rope's edge to the edge of the picture, pixels; negative if the rope leaves it.
+        clearance: smallest height of an over strand's axis above the under strand's, millimetres; two beads that touch have 10.
+        excess_crossing_number: average crossing number over all directions of view minus the crossings seen from above:
+            turns of the rope about itself that this picture doesn't show.
+        total_curvature: total turning of the rope's direction, in full turns; a flat loop has 1.
+        writhe: sum of the crossing signs.
+        noise_survival: share of NOISE_DRAWS draws of reset noise that keep the Gauss code; NaN until measured.
+    """
+
+    crossing_angle: float
+    crossing_spacing: float
+    base_spacing: float
+    strand_spacing: float
+    margin: float
+    clearance: float
+    excess_crossing_number: float
+    total_curvature: float
+    writhe: float
+    noise_survival: float = float("nan")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """What an accepted state keeps to.
+
+    Attributes:
+        crossing_angle: at least; under 25 degrees the two strands share more than five pixels of their width.
+        crossing_spacing: at least; three widths of the rope leave a rope's width of background between two crossings.
+        base_spacing: at least; a crossing nearer to the base bead could be counted first or last.
+        strand_spacing: at least; half again the rope's width, so that a dark pixel parts two strands.
+        margin: at least; the rope stays in the picture after reset noise, which moves no bead by more than three pixels as a rule.
+        clearance: at least, millimetres; beads that are pressed into each other spring apart when the episode begins.
+        excess_crossing_number: at most; a coil seen end-on hides about one crossing a turn.
+        total_curvature: at most, turns, per crossing and one more for the loop itself.
+        noise_survival: at least.
+    """
+
+    crossing_angle: float = 25.0
+    crossing_spacing: float = 6.0
+    base_spacing: float = 3.0
+    strand_spacing: float = 3.0
+    margin: float = 3.0
+    clearance: float = 8.0
+    excess_crossing_number: float = 1.5
+    total_curvature: float = 2.0
+    noise_survival: float = 0.95
+
+    def faults(self, quality: Quality, nx: int) -> list[str]:
+        """Names of the measures that miss their limit; an unmeasured noise_survival passes."""
+        missed = []
+        for limit in fields(self):
+            value, bound = getattr(quality, limit.name), getattr(self, limit.name)
+            if limit.name == "excess_crossing_number":
+                short = value > bound
+            elif limit.name == "total_curvature":
+                short = value > bound * (nx + 1)
+            else:
+                short = value < bound
+            if short:
+                missed.append(limit.name)
+        return missed
+
+    def badness(self, quality: Quality, nx: int) -> float:
+        """How far from comfortable: 0 when every measure is twice as good as its limit, 1 for each one just at it, more beyond."""
+        total = 0.0
+        for limit in fields(self):
+            value, bound = getattr(quality, limit.name), getattr(self, limit.name)
+            if limit.name in ("excess_crossing_number", "total_curvature"):
+                allowed = bound if limit.name == "excess_crossing_number" else bound * (nx + 1)
+                total += max(0.0, 2 * value / allowed - 1)
+            elif limit.name == "clearance":
+                total += max(0.0, 1 - (value - bound)) if value < bound + 1 else 0.0
+            elif value == value:
+                total += max(0.0, 2 - value / bound) ** 2
+        return total
+
+
+def measure(points: ArrayLike, crossings: Crossings | None = None, config: PictureConfig = DEFAULT) -> Quality:
+    """Measure a configuration, float64 (beads, 3), metres; noise_survival is left out, see `noise_survival`."""
+    p = np.ascontiguousarray(points, dtype=np.float64)
+    found = find_crossings(p) if crossings is None else crossings
+    scale = config.pixels_per_metre
+    size = float(config.size)
+    seen = project(p, config)
+    pixels = np.ascontiguousarray(seen)
+    chord = np.roll(p, -1, axis=0) - p
+    length = np.linalg.norm(chord, axis=1)
+    unit = chord / length[:, None]
+    curvature = np.arccos(np.clip((unit * np.roll(unit, -1, axis=0)).sum(axis=1), -1, 1)).sum() / (2 * np.pi)
+    radius = config.rope_radius * scale
+    spacing, angle, base = size, 90.0, size
+    clearance = float("inf")
+    if found.nx:
+        angle = min(_angle(p, over, under) for over, under in zip(found.over_place, found.under_place, strict=True))
+        at = found.position * scale
+        apart = np.linalg.norm(at[:, None] - at[None, :], axis=2)
+        spacing = min(size, float(apart[np.triu_indices(found.nx, 1)].min(initial=size)))
+        base = min(size, _base_spacing(pixels, np.concatenate([found.over_place, found.under_place])))
+        clearance = 1000 * float((found.over_z - found.under_z).min())
+    return Quality(
+        crossing_angle=angle,
+        crossing_spacing=spacing,
+        base_spacing=base,
+        strand_spacing=min(size, _strand_spacing(pixels, found.over_place, found.under_place, WALK)),
+        margin=float(min(seen.min(), size - seen.max()) - radius),
+        clearance=min(clearance, 1000.0 * config.rope_radius * 4),
+        excess_crossing_number=_average_crossing_number(p) - found.nx,
+        total_curvature=float(curvature),
+        writhe=float(found.sign.sum()),
+    )
+
+
+def noise_survival(points: ArrayLike, scale: float, rng: np.random.Generator, draws: int = NOISE_DRAWS) -> float:
+    """Share of reset-noise draws, none of them drawn again, that keep the Gauss code with its chirality."""
+    p = np.asarray(points, dtype=np.float64)
+    codes = label_many(np.stack([p, *(noised(p, scale, rng) for _ in range(draws))]))
+    return float(np.mean([code == codes[0] for code in codes[1:]]))
+
+
+def _angle(points: Array, over: float, under: float) -> float:
+    """Angle in the picture between the strands at two places, each direction taken over two beads, degrees in [0, 90]."""
+    beads = len(points)
+
+    def direction(place: float) -> Array:
+        ends = [points[int(np.floor(p)) % beads] + (p % 1) * (points[(int(np.floor(p)) + 1) % beads] - points[int(np.floor(p)) % beads]) for p in (place - 1, place + 1)]
+        return np.asarray(ends[1][:2] - ends[0][:2])
+
+    a, b = direction(float(over)), direction(float(under))
+    return float(np.degrees(np.arctan2(abs(a[0] * b[1] - a[1] * b[0]), abs(a @ b))))
+
+
+def _base_spacing(pixels: Array, places: Array) -> float:
+    """Walk from either end of the base bead (vertices 0 and 1) to the nearest crossing, pixels; 0 on the base bead."""
+    steps = np.linalg.norm(np.roll(pixels, -1, axis=0) - pixels, axis=1)
+    walked = np.concatenate([[0.0], np.cumsum(steps)])
+    at = np.interp(places, np.arange(len(walked)), walked)
+    return float(max(0.0, min((at - walked[1]).min(), walked[-1] - at.max()))) if (places >= 1).all() else 0.0
+
+
+@numba.njit(cache=True, nogil=True)
+def _strand_spacing(pixels: Array, over: Array, under: Array, walk: float) -> float:
+    """Smallest distance between vertices and edges whose walk along the drawing is longer than `walk`."""
+    beads, crossings = len(pixels), len(over)
+    along = np.zeros(beads + 1)
+    for i in range(beads):
+        step = pixels[(i + 1) % beads] - pixels[i]
+        along[i + 1] = along[i] + np.sqrt((step * step).sum())
+    total = along[beads]
+    # visits: 2k over, 2k + 1 under; the walk between two visits, turning at crossings for nothing
+    at = np.empty(2 * crossings)
+    for k in range(crossings):
+        for side in range(2):
+            place = over[k] if side == 0 else under[k]
+            i = min(int(place), beads - 1)
+            at[2 * k + side] = along[i] + (place - i) * (along[i + 1] - along[i])
+    n = 2 * crossings
+    between = np.empty((n, n))
+    for a in range(n):
+        for b in range(n):
+            gap = abs(at[a] - at[b])
+            between[a, b] = 0.0 if a // 2 == b // 2 else min(gap, total - gap)
+    for m in range(n):
+        for a in range(n):
+            for b in range(n):
+                between[a, b] = min(between[a, b], between[a, m] + between[m, b])
+    to_visit = np.empty((beads, n))
+    for i in range(beads):
+        for b in range(n):
+            gap = abs(along[i] - at[b])
+            to_visit[i, b] = min(gap, total - gap)
+    from_bead = np.empty((beads, n))  # shortest walk from a bead to a visit over any crossings
+    for i in range(beads):
+        for b in range(n):
+            best = np.inf
+            for a in range(n):
+                best = min(best, to_visit[i, a] + between[a, b])
+            from_bead[i, b] = best
+    nearest = np.inf
+    for i in range(beads):
+        for j in range(i + 1, beads):
+            gap = along[j] - along[i]
+            gap = min(gap, total - gap)
+            if gap <= walk:
+                continue
+            dx, dy = pixels[i, 0] - pixels[j, 0], pixels[i, 1] - pixels[j, 1]
+            apart = np.sqrt(dx * dx + dy * dy)
+            if apart >= nearest:
+                continue
+            for b in range(n):
+                gap = min(gap, from_bead[i, b] + to_visit[j, b])
+            if gap > walk:
+                nearest = apart
+    return nearest
+
+
+@numba.njit(cache=True, nogil=True)
+def _average_crossing_number(points: Array) -> float:
+    """Crossings seen on average over all directions of view, by the exact solid angles of Banchoff (Klenin and Langowski, 2000)."""
+    beads = len(points)
+    total = 0.0
+    for i in range(beads):
+        a, b = points[i], points[(i + 1) % beads]
+        for j in range(i + 2, beads if i > 0 else beads - 1):
+            c, d = points[j], points[(j + 1) % beads]
+            total += _solid_angle(a, b, c, d)
+    return total / (2 * np.pi)
+
+
+@numba.njit(cache=True, nogil=True)
+def _solid_angle(a: Array, b: Array, c: Array, d: Array) -> float:
+    n0, n1, n2, n3 = _normal(c - a, d - a), _normal(d - a, d - b), _normal(d - b, c - b), _normal(c - b, c - a)
+    return abs(_arcsine(n0, n1) + _arcsine(n1, n2) + _arcsine(n2, n3) + _arcsine(n3, n0))
+
+
+@numba.njit(cache=True, nogil=True)
+def _normal(a: Array, b: Array) -> tuple[float, float, float]:
+    x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    size = np.sqrt(x * x + y * y + z * z)
+    return (x / size, y / size, z / size) if size > 0 else (0.0, 0.0, 0.0)
+
+
+@numba.njit(cache=True, nogil=True)
+def _arcsine(a: Any, b: Any) -> float:
+    return np.arcsin(min(1.0, max(-1.0, a[0] * b[0] + a[1] * b[1] + a[2] * b[2])))

@@ -1,0 +1,468 @@
+"""The closed rope: its MuJoCo model, and configurations to and from generalized positions.
+
+Bead i is a rigid capsule that starts at vertex i and ends at vertex i + 1; a *configuration* is the (beads, 3) array of
+vertices in metres, z up, and the rope runs towards increasing index. The loop is cut into sub-chains, each an open chain
+of ball joints hanging from one free bead; `connect` equalities pull the end of each sub-chain to the start of the next.
+Source: arXiv 2505.18028 for the constants; beads are equal here, irregular in the published asset.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+
+import mujoco
+import numba
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from knotgym.errors import KnotgymError
+
+Array = NDArray[np.float64]
+
+ROPE_FORMAT = 1  # raised whenever the same configuration would move differently
+
+
+class InvalidCurve(KnotgymError, ValueError):
+    """A curve the rope cannot take the shape of."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RopeConfig:
+    """Every number of the rope and of its physics.
+
+    Attributes:
+        beads: rigid capsules in the loop.
+        length: of the rope, metres.
+        radius: of a bead, metres.
+        density: of a bead, kg/m^3.
+        medium_density: of what the rope floats in, kg/m^3; its drag is what stops the rope.
+        joint_damping: of the ball joints, N m s / rad.
+        sub_chains: open chains the loop is cut into.
+        rooted: which bead of a sub-chain carries the free joint, "middle" or "start"; the rope is the same, the tree
+            is half as deep from the middle.
+        closure_solref, closure_solimp: MuJoCo's parameters of the equalities that join the sub-chains.
+        timestep: of the integrator, seconds.
+        frame_skip: integrator steps in one action.
+        max_force: largest component of the force on a bead, newtons.
+        reach: metres that the action's coordinates of 1 stand for.
+    """
+
+    beads: int = 100
+    length: float = 1.33
+    radius: float = 0.005
+    density: float = 1000.0
+    medium_density: float = 10000.0
+    joint_damping: float = 0.01
+    sub_chains: int = 7
+    rooted: str = "middle"
+    closure_solref: tuple[float, float] = (0.02, 1.0)
+    closure_solimp: tuple[float, float, float, float, float] = (0.9, 0.95, 0.001, 0.5, 2.0)
+    timestep: float = 0.008
+    frame_skip: int = 24
+    max_force: float = 0.2
+    reach: float = 2.0
+
+    def __post_init__(self) -> None:
+        for name in ("length", "radius", "density", "medium_density", "timestep", "max_force", "reach"):
+            if not getattr(self, name) > 0:
+                raise ValueError(f"{name} must be above 0, got {getattr(self, name)}")
+        if self.sub_chains < 2 or self.beads < 3 * self.sub_chains:
+            raise ValueError(f"a rope needs 2 sub-chains of 3 beads each at least, got {self.beads} beads in {self.sub_chains} sub-chains")
+        if self.frame_skip < 1:
+            raise ValueError(f"frame_skip must be at least 1 step, got {self.frame_skip}")
+        if self.rooted not in ("middle", "start"):
+            raise ValueError(f'rooted must be "middle" or "start", got {self.rooted!r}')
+        if self.joint_damping < 0:
+            raise ValueError(f"joint_damping must be at least 0, got {self.joint_damping}")
+
+    @property
+    def bead_length(self) -> float:
+        """Distance between neighbouring vertices, metres."""
+        return self.length / self.beads
+
+    @property
+    def fingerprint(self) -> str:
+        """16 hexadecimal digits that change whenever the rope moves differently; files carry it."""
+        text = json.dumps({"format": ROPE_FORMAT, **asdict(self)}, sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+class Rope:
+    """A compiled rope and the map between its configurations and MuJoCo's qpos.
+
+    Attributes:
+        config: the numbers it was made from.
+        model: the compiled model; body i + 1 is not bead i, see `bodies`.
+        bodies: int (beads,), the MuJoCo body of each bead.
+    """
+
+    def __init__(self, config: RopeConfig | None = None) -> None:
+        self.config = config or RopeConfig()
+        self.model = _compile(self.config)
+        beads = self.config.beads
+        self.bodies = np.array([self.model.body(f"bead{i}").id for i in range(beads)])
+        bead_of = {int(body): bead for bead, body in enumerate(self.bodies)}
+        order = sorted(range(beads), key=lambda bead: self.bodies[bead])  # parents before children
+        joints = self.model.body_jntadr[self.bodies]
+        self._order = np.array(order)
+        self._parent = np.array([bead_of.get(int(self.model.body_parentid[body]), -1) for body in self.bodies])
+        self._qpos_at = self.model.jnt_qposadr[joints].astype(np.int64)
+        self._dof_at = self.model.jnt_dofadr[joints].astype(np.int64)
+        self._rest = self.model.body_quat[self.bodies].copy()  # orientation to the parent at zero joint angle
+        self._next_in_chain = np.ones(beads, dtype=bool)
+        self._next_in_chain[[last for _, last in _sub_chains(self.config)]] = False
+
+    @property
+    def nq(self) -> int:
+        """Numbers in a qpos."""
+        return int(self.model.nq)
+
+    def points(self, qpos: ArrayLike) -> Array:
+        """Vertices of one or many generalized positions.
+
+        Args:
+            qpos: float64 (..., nq).
+
+        Returns:
+            float64 (..., beads, 3), metres; a new array.
+        """
+        return self.points_and_gaps(qpos)[0]
+
+    def points_and_gaps(self, qpos: ArrayLike) -> tuple[Array, Array]:
+        """As `points`, with how far apart the joined ends of the sub-chains stand at most: float64 (...), metres."""
+        q = np.ascontiguousarray(qpos, dtype=np.float64)
+        rows = q.reshape(-1, self.nq)
+        points, gaps = np.empty((len(rows), self.config.beads, 3)), np.empty(len(rows))
+        _forward(rows, self._order, self._parent, self._qpos_at, self._rest, self.config.bead_length, points, gaps)
+        return points.reshape(*q.shape[:-1], self.config.beads, 3), gaps.reshape(q.shape[:-1])
+
+    def qpos(self, points: ArrayLike) -> Array:
+        """Generalized positions of a configuration, the twist about the rope's axis left at its smallest.
+
+        Args:
+            points: float64 (beads, 3), neighbours one bead length apart inside each sub-chain.
+
+        Returns:
+            float64 (nq,).
+        """
+        p = np.ascontiguousarray(points, dtype=np.float64)
+        along = np.roll(p, -1, axis=0) - p
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        out = np.empty(self.nq)
+        _backward(p, along, self._order, self._parent, self._qpos_at, self._rest, out)
+        return out
+
+    def loop(self) -> Array:
+        """The plain loop, flat, anticlockwise from +x: float64 (beads, 3), metres."""
+        turn = 2 * np.pi * np.arange(self.config.beads) / self.config.beads
+        radius = self.config.bead_length / (2 * np.sin(np.pi / self.config.beads))
+        return radius * np.stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)], axis=1)
+
+    def from_curve(self, curve: ArrayLike, *, max_overlap: float = 0.001) -> Array:
+        """Turn a closed polyline into a configuration of this rope.
+
+        A curve that already is a configuration (beads of the right length inside every sub-chain, closing gaps below a
+        bead's diameter) comes back as it is; any other is cut into equal chords and scaled to the rope's length.
+
+        Args:
+            curve: (n, 3), n >= 4, any unit; the last point is joined to the first, which may also be repeated at the end.
+            max_overlap: how deep two beads that aren't neighbours may stand in each other, metres.
+
+        Returns:
+            float64 (beads, 3), metres.
+
+        Raises:
+            InvalidCurve: not a closed curve of finite points, or beads would overlap.
+        """
+        p = np.array(curve, dtype=np.float64)
+        if p.ndim != 2 or p.shape[1] != 3:
+            raise InvalidCurve(f"a curve is an (n, 3) array of points, got shape {p.shape}")
+        if not np.isfinite(p).all():
+            raise InvalidCurve("a curve needs finite coordinates, got NaN or infinity")
+        if len(p) > 1 and np.array_equal(p[0], p[-1]):
+            p = p[:-1]
+        if len(p) < 4:
+            raise InvalidCurve(f"a closed rope needs at least 4 different points, got {len(p)}")
+        if not self._is_configuration(p):
+            chords = np.linalg.norm(np.roll(p, -1, axis=0) - p, axis=1)
+            repeated = len(p) < len(np.asarray(curve))
+            if not repeated and chords[-1] > 3 * chords[:-1].max():
+                raise InvalidCurve(
+                    f"the curve isn't closed: its ends are {chords[-1]:.3g} apart, its other points at most {chords[:-1].max():.3g}; "
+                    "repeat the first point at the end to close it with a straight line"
+                )
+            p = _equal_chords(p, self.config.beads)
+            p *= self.config.bead_length / np.linalg.norm(p[1] - p[0])
+        depth = 2 * self.config.radius - clearance(p)
+        if depth > max_overlap:
+            raise InvalidCurve(f"beads would overlap by {1000 * depth:.1f} mm, at most {1000 * max_overlap:.1f} mm can be had: the curve passes too close to itself")
+        return p
+
+    def _is_configuration(self, points: Array) -> bool:
+        if len(points) != self.config.beads:
+            return False
+        off = np.abs(np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1) - self.config.bead_length)
+        return bool(off[self._next_in_chain].max() < 1e-6 and off.max() < 2 * self.config.radius)
+
+
+def noised(points: ArrayLike, scale: float, rng: np.random.Generator) -> Array:
+    """Move every joint of a closed rope a little and keep it closed.
+
+    The 100 joints turn by rotation vectors drawn uniformly from [-scale, scale]^3 radians (their sum round the loop taken
+    out evenly, so that the ends meet in direction), the whole rope turns by one more such vector and shifts by
+    [-scale, scale]^3 metres; the least change of the bead directions that makes the ends meet in place is added.
+
+    Args:
+        points: float64 (beads, 3), metres; left alone.
+        scale: of the uniform noise, radians and metres.
+        rng: six hundred and six draws at 100 beads are taken from it, whatever happens.
+
+    Returns:
+        float64 (beads, 3), equal chords, exactly closed.
+    """
+    p = np.asarray(points, dtype=np.float64)
+    beads = len(p)
+    joint = rng.uniform(-scale, scale, (beads, 3))
+    turn = rng.uniform(-scale, scale, 3)
+    shift = rng.uniform(-scale, scale, 3)
+    chord = np.roll(p, -1, axis=0) - p
+    length = np.median(np.linalg.norm(chord, axis=1))
+    wander = np.cumsum(joint, axis=0)
+    wander -= np.outer((np.arange(beads) + 1) / beads, wander[-1])
+    wander += turn - wander.mean(axis=0)
+    along = _closed(_rotate(chord / np.linalg.norm(chord, axis=1, keepdims=True), wander))
+    out = np.concatenate([np.zeros((1, 3)), np.cumsum(along[:-1], axis=0)]) * length
+    return out - out.mean(axis=0) + p.mean(axis=0) + shift
+
+
+@numba.njit(cache=True, nogil=True)
+def clearance(points: Array) -> float:
+    """Smallest distance between the axes of two beads that aren't neighbours, metres; below a diameter they overlap.
+
+    Args:
+        points: float64 (beads, 3), the vertices of a closed rope.
+    """
+    beads = len(points)
+    best = np.inf
+    for i in range(beads):
+        a, b = points[i], points[(i + 1) % beads]
+        for j in range(i + 2, beads if i > 0 else beads - 1):
+            c, d = points[j], points[(j + 1) % beads]
+            far, half = 0.0, 0.0
+            for k in range(3):
+                far += (a[k] + b[k] - c[k] - d[k]) ** 2
+                half += (b[k] - a[k]) ** 2 + (d[k] - c[k]) ** 2
+            if 0.5 * np.sqrt(far) - np.sqrt(0.5 * half) >= best:  # midpoints minus both half lengths bound the distance
+                continue
+            best = min(best, _segment_distance(a, b, c, d))
+    return best
+
+
+@lru_cache(maxsize=8)
+def _compile(config: RopeConfig) -> mujoco.MjModel:
+    """Build and compile the model; its reference pose is the plain loop, which MuJoCo takes the anchors and inertias from."""
+    spec = mujoco.MjSpec()
+    spec.modelname = "rope"
+    spec.option.gravity = [0.0, 0.0, 0.0]
+    spec.option.density = config.medium_density
+    spec.option.timestep = config.timestep
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+    spec.option.solver = mujoco.mjtSolver.mjSOL_PGS
+    length, beads = config.bead_length, config.beads
+    turn = 2 * np.pi / beads
+    radius = length / (2 * np.sin(np.pi / beads))
+
+    def add_bead(parent: mujoco.MjsBody, index: int, pos: list[float], angle: float) -> mujoco.MjsBody:
+        body = parent.add_body(name=f"bead{index}", pos=pos, quat=[np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[0.0, 0.0, 0.0, length, 0.0, 0.0], size=[config.radius, 0.0, 0.0], density=config.density, condim=1
+        )
+        return body
+
+    damping = [config.joint_damping, 0.0, 0.0]
+    bodies: dict[int, mujoco.MjsBody] = {}
+    for first, last in _sub_chains(config):
+        root = (first + last + 1) // 2 if config.rooted == "middle" else first
+        start = [radius * np.cos(turn * root), radius * np.sin(turn * root), 0.0]
+        bodies[root] = add_bead(spec.worldbody, root, start, turn * (root + 0.5) + np.pi / 2)
+        bodies[root].add_freejoint()
+        for i in range(root + 1, last + 1):
+            bodies[i] = add_bead(bodies[i - 1], i, [length, 0.0, 0.0], turn)
+            bodies[i].add_joint(type=mujoco.mjtJoint.mjJNT_BALL, damping=damping)
+        for i in range(root - 1, first - 1, -1):  # hangs from its own end, which is the start of bead i + 1
+            bodies[i] = add_bead(bodies[i + 1], i, [-length * np.cos(turn), length * np.sin(turn), 0.0], -turn)
+            bodies[i].add_joint(type=mujoco.mjtJoint.mjJNT_BALL, damping=damping, pos=[length, 0.0, 0.0])
+    for _, last in _sub_chains(config):
+        here, after = f"bead{last}", f"bead{(last + 1) % beads}"
+        joined = spec.add_equality(type=mujoco.mjtEq.mjEQ_CONNECT, objtype=mujoco.mjtObj.mjOBJ_BODY, name1=here, name2=after)
+        joined.data[0:3] = [length, 0.0, 0.0]
+        joined.solref = list(config.closure_solref)
+        joined.solimp = list(config.closure_solimp)
+        spec.add_exclude(bodyname1=here, bodyname2=after)
+    return spec.compile()
+
+
+def _sub_chains(config: RopeConfig) -> list[tuple[int, int]]:
+    """First and last bead of each sub-chain, as equal in size as they can be."""
+    cuts = [round(k * config.beads / config.sub_chains) for k in range(config.sub_chains + 1)]
+    return [(first, after - 1) for first, after in zip(cuts[:-1], cuts[1:], strict=True)]
+
+
+@numba.njit(cache=True, nogil=True)
+def _forward(qpos: Array, order: Array, parent: Array, at: Array, rest: Array, length: float, out: Array, gaps: Array) -> None:
+    beads = len(order)
+    world = np.empty((beads, 4))
+    axis = np.empty((beads, 3))
+    for row in range(len(qpos)):
+        q = qpos[row]
+        for k in range(beads):
+            bead = order[k]
+            up, a = parent[bead], at[bead]
+            if up < 0:
+                world[bead] = _unit(q[a + 3 : a + 7])
+                out[row, bead] = q[a : a + 3]
+            else:
+                world[bead] = _multiply(_multiply(world[up], rest[bead]), _unit(q[a : a + 4]))
+            w, x, y, z = world[bead]
+            axis[bead, 0] = length * (1 - 2 * (y * y + z * z))
+            axis[bead, 1] = length * 2 * (x * y + w * z)
+            axis[bead, 2] = length * 2 * (x * z - w * y)
+            if up == bead - 1 and up >= 0:
+                out[row, bead] = out[row, up] + axis[up]
+            elif up >= 0:
+                out[row, bead] = out[row, up] - axis[bead]
+        gaps[row] = 0.0
+        for bead in range(beads):
+            apart = out[row, (bead + 1) % beads] - out[row, bead] - axis[bead]
+            gaps[row] = max(gaps[row], np.sqrt((apart * apart).sum()))
+
+
+@numba.njit(cache=True, nogil=True)
+def _backward(points: Array, along: Array, order: Array, parent: Array, at: Array, rest: Array, out: Array) -> None:
+    world = np.empty((len(order), 4))
+    for k in range(len(order)):
+        bead = order[k]
+        up, a = parent[bead], at[bead]
+        if up < 0:
+            world[bead] = _shortest_arc(np.array([1.0, 0.0, 0.0]), along[bead])
+            out[a : a + 3] = points[bead]
+            out[a + 3 : a + 7] = world[bead]
+        else:
+            world[bead] = _multiply(_shortest_arc(along[up], along[bead]), world[up])
+            back = _multiply(world[up], rest[bead])
+            back[1:] *= -1.0
+            out[a : a + 4] = _multiply(back, world[bead])
+
+
+@numba.njit(cache=True, nogil=True)
+def _unit(q: Array) -> Array:
+    return q / np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
+
+
+@numba.njit(cache=True, nogil=True)
+def _multiply(a: Array, b: Array) -> Array:
+    """Hamilton product of two quaternions, (w, x, y, z)."""
+    out = np.empty(4)
+    out[0] = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3]
+    out[1] = a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2]
+    out[2] = a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1]
+    out[3] = a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0]
+    return out
+
+
+@numba.njit(cache=True, nogil=True)
+def _shortest_arc(a: Array, b: Array) -> Array:
+    """Quaternion of the smallest rotation that takes unit vector a to unit vector b."""
+    out = np.empty(4)
+    out[0] = 1 + a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    if out[0] < 1e-12:  # opposite: half a turn about any perpendicular axis
+        out[0] = 0.0
+        other = np.array([0.0, 0.0, 1.0]) if abs(a[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
+        out[1:] = np.cross(a, other)
+    else:
+        out[1:] = np.cross(a, b)
+    return _unit(out)
+
+
+def _rotate(vectors: Array, by: Array) -> Array:
+    """Rotate each vector (n, 3) by its rotation vector (n, 3), radians (Rodrigues)."""
+    angle = np.linalg.norm(by, axis=1, keepdims=True)
+    axis = by / np.maximum(angle, 1e-300)
+    along = axis * (axis * vectors).sum(axis=1, keepdims=True)
+    return along + (vectors - along) * np.cos(angle) + np.cross(axis, vectors) * np.sin(angle)
+
+
+def _closed(along: Array) -> Array:
+    """Change unit vectors (n, 3) as little as makes their sum zero (Newton on one shift common to all)."""
+    shift = np.zeros(3)
+    for _ in range(50):
+        moved = along - shift
+        norm = np.linalg.norm(moved, axis=1, keepdims=True)
+        unit = moved / norm
+        total = unit.sum(axis=0)
+        if np.abs(total).max() < 1e-13 * len(along):
+            break
+        slope = ((np.eye(3) - unit[:, :, None] * unit[:, None, :]) / norm[:, :, None]).sum(axis=0)
+        shift += np.linalg.solve(slope, total)
+    return unit
+
+
+def _equal_chords(curve: Array, count: int) -> Array:
+    """Walk a closed polyline in `count` straight steps of one size that end where they began: float64 (count, 3)."""
+    closed = np.concatenate([curve, curve[:1]])
+    total = np.linalg.norm(np.diff(closed, axis=0), axis=1).sum()
+    low, high = 0.0, 1.0001 * total / count
+    for _ in range(60):  # the walk falls short with a step too small, goes past the start with one too large
+        step = 0.5 * (low + high)
+        _, short = _walk(closed, step, count)
+        low, high = (step, high) if short else (low, step)
+    return _walk(closed, low, count)[0]
+
+
+@numba.njit(cache=True, nogil=True)
+def _walk(closed: Array, step: float, count: int) -> tuple[Array, bool]:
+    """Points reached by count - 1 steps along a polyline, and whether the last step would still end before its end."""
+    out = np.empty((count, 3))
+    out[0] = closed[0]
+    here = closed[0].copy()
+    edge, past = 0, 0.0  # where on the polyline: edge, and the share of it already used
+    for k in range(1, count + 1):
+        found = False
+        while edge < len(closed) - 1:
+            a, d = closed[edge], closed[edge + 1] - closed[edge]
+            # |a + t d - here| = step, the larger root
+            e = a - here
+            aa, bb, cc = (d * d).sum(), (d * e).sum(), (e * e).sum() - step * step
+            disc = bb * bb - aa * cc
+            if aa > 0 and disc >= 0:
+                t = (-bb + np.sqrt(disc)) / aa
+                if past <= t <= 1:
+                    here = a + t * d
+                    past = t
+                    found = True
+                    break
+            edge, past = edge + 1, 0.0
+        if not found:
+            return out, False
+        if k < count:
+            out[k] = here
+    return out, True
+
+
+@numba.njit(cache=True, nogil=True)
+def _segment_distance(a: Array, b: Array, c: Array, d: Array) -> float:
+    """Distance between segments ab and cd (Ericson, Real-Time Collision Detection, 5.1.9)."""
+    u, v, w = b - a, d - c, a - c
+    uu, vv, uv, uw, vw = (u * u).sum(), (v * v).sum(), (u * v).sum(), (u * w).sum(), (v * w).sum()
+    det = uu * vv - uv * uv
+    s = min(max((uv * vw - uw * vv) / det, 0.0), 1.0) if det > 1e-15 * uu * vv else 0.0
+    t = (uv * s + vw) / vv
+    if t < 0:
+        t, s = 0.0, min(max(-uw / uu, 0.0), 1.0)
+    elif t > 1:
+        t, s = 1.0, min(max((uv - uw) / uu, 0.0), 1.0)
+    gap = w + s * u - t * v
+    return np.sqrt((gap * gap).sum())

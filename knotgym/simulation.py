@@ -1,0 +1,143 @@
+"""Many ropes pulled at once: the one batched simulation under the environment, the vector environment and the sampler.
+
+A rope's *state* is its MuJoCo integration state (qpos, qvel, warm start, time, ...): a rope restored from a saved state goes
+on bit for bit, at any number of threads. Actions follow the published interface: (x, y, z, fx, fy, fz) in [-1, 1].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch, SimulationError
+from numpy.typing import ArrayLike, NDArray
+
+from knotgym.errors import KnotgymError
+from knotgym.rope import Array, Rope
+
+_BLOWN_UP = [int(w.value) for w in (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)]
+
+Ids = Sequence[int] | NDArray[np.int64] | None
+
+
+class InvalidAction(KnotgymError, ValueError):
+    """An action outside [-1, 1]^6, or not finite."""
+
+
+class Simulation:
+    """A fixed number of independent ropes, stepped together on a thread pool.
+
+    Attributes:
+        rope: the rope they all are.
+        count: how many.
+        points: float64 (count, beads, 3), metres, as of the last call; the simulation's own memory, copy what you keep.
+    """
+
+    def __init__(self, count: int = 1, rope: Rope | None = None, threads: int = 1) -> None:
+        """Lay `count` plain loops; `threads` 0 takes every core."""
+        if count < 1:
+            raise ValueError(f"a simulation needs at least 1 rope, got {count}")
+        self.rope = rope or Rope()
+        self.count = count
+        self._threads = threads
+        self._batch = Batch(self.rope.model, count, min(threads, count) if threads else 0)
+        self._qpos: Array = self._batch.bind("qpos")
+        self._xfrc: Array = self._batch.bind("xfrc_applied")
+        self.points: Array = self.rope.points(self._qpos)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"config": self.rope.config, "count": self.count, "threads": self._threads, "states": self.states()}
+
+    def __setstate__(self, saved: dict[str, Any]) -> None:
+        Simulation.__init__(self, saved["count"], Rope(saved["config"]), saved["threads"])
+        self.restore(saved["states"])
+
+    def qpos(self, ids: Ids = None) -> Array:
+        """Copy of the generalized positions: float64 (len(ids), nq)."""
+        return self._qpos[self._all(ids)].copy()
+
+    def states(self, ids: Ids = None) -> Array:
+        """Copy of the integration states: float64 (len(ids), nstate)."""
+        return self._batch.state[self._all(ids)].copy()
+
+    def restore(self, states: Array, ids: Ids = None) -> None:
+        """Put ropes back into states that `states` returned, for a rope of the same model."""
+        where = self._all(ids)
+        self._batch.state[where] = states
+        self.points[where] = self.rope.points(self._qpos[where])
+
+    def lay(self, qpos: ArrayLike, ids: Ids = None) -> None:
+        """Lay ropes at rest at generalized positions float64 (len(ids), nq); a rope so laid forgets all it did before."""
+        where = self._all(ids)
+        self._batch.reset(where, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
+        self._qpos[where] = qpos
+        self.points[where] = self.rope.points(self._qpos[where])
+
+    def pull(self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None) -> NDArray[np.bool_]:
+        """Pull one bead of each rope for one action (config.frame_skip steps of the integrator).
+
+        Args:
+            beads: int (len(ids),), the bead pulled at its centre of mass.
+            forces: (len(ids), 3), newtons, world frame.
+            ids: the ropes, each once; None for all.
+
+        Returns:
+            bool (len(ids),): False where the simulation blew up (NaN, or a gap in the rope wider than a bead); such a
+            rope stands where it stood before the call.
+        """
+        where = self._all(ids)
+        before = self._batch.state[where].copy()
+        warned = self._batch.warning[where][:, _BLOWN_UP, 1].sum(axis=1)
+        self._xfrc[where, self.rope.bodies[np.asarray(beads)], :3] = forces
+        broken = np.zeros(len(where), dtype=bool)
+        try:
+            self._batch.step(where, nstep=self.rope.config.frame_skip)
+        except SimulationError as error:
+            broken |= np.isin(where, error.ids)
+        self._xfrc[where] = 0.0
+        broken |= self._batch.warning[where][:, _BLOWN_UP, 1].sum(axis=1) != warned
+        self.points[where], gaps = self.rope.points_and_gaps(self._qpos[where])
+        broken |= ~np.isfinite(self.points[where]).all(axis=(1, 2)) | ~(gaps < 2 * self.rope.config.radius)
+        if broken.any():
+            self.restore(before[broken], where[broken])
+        return ~broken
+
+    def act(self, actions: ArrayLike, ids: Ids = None) -> NDArray[np.bool_]:
+        """Take one action each: pull the bead nearest to the scaled point with the scaled force.
+
+        Args:
+            actions: (len(ids), 6), in [-1, 1].
+            ids: the ropes, each once; None for all.
+
+        Returns:
+            As `pull`.
+
+        Raises:
+            InvalidAction: a NaN, or a number outside [-1, 1]; no rope has moved.
+        """
+        beads, forces = self.read_actions(actions, ids)
+        return self.pull(beads, forces, ids)
+
+    def read_actions(self, actions: ArrayLike, ids: Ids = None) -> tuple[NDArray[np.int64], Array]:
+        """The beads int (len(ids),) and forces float64 (len(ids), 3), newtons, that actions stand for now."""
+        where = self._all(ids)
+        a = np.asarray(actions, dtype=np.float64)
+        if a.shape != (len(where), 6):
+            raise InvalidAction(f"an action is 6 numbers (x, y, z, fx, fy, fz); got shape {a.shape} for {len(where)} ropes")
+        bad = ~(np.abs(a) <= 1.0).all(axis=1)
+        if bad.any():
+            raise InvalidAction(f"an action's numbers lie in [-1, 1]; got {a[bad][0].tolist()}")
+        apart = self.points[where] - self.rope.config.reach * a[:, None, :3]
+        return np.argmin((apart**2).sum(axis=2), axis=1), self.rope.config.max_force * a[:, 3:]
+
+    def actions(self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None) -> NDArray[np.float32]:
+        """Actions float32 (len(ids), 6) that `act` reads as these beads and forces (newtons, cut at the largest there is)."""
+        where = self._all(ids)
+        config = self.rope.config
+        at = self.points[where, np.asarray(beads)] / config.reach
+        return np.clip(np.concatenate([at, np.asarray(forces, dtype=np.float64) / config.max_force], axis=1), -1, 1).astype(np.float32)
+
+    def _all(self, ids: Ids) -> NDArray[np.int64]:
+        return np.arange(self.count) if ids is None else np.asarray(ids, dtype=np.int64)

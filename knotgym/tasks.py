@@ -1,0 +1,83 @@
+"""The three tasks: where a rope starts and which Gauss code it shall show; and the settings of their environments."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from knotgym.errors import KnotgymError
+
+MAX_NX = 6  # codes above are not enumerated, nor ever met in numbers
+
+# task -> (crossings of the start, crossings of the goal) for a difficulty nx
+TASKS: dict[str, Callable[[int], tuple[int, int]]] = {
+    "unknot": lambda nx: (nx, 0),
+    "tie": lambda nx: (0, nx),
+    "convert": lambda nx: (nx - 1, nx),
+}
+
+
+class InvalidSetting(KnotgymError, ValueError):
+    """A keyword of an environment that cannot be had."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskConfig:
+    """What an environment was asked for; every field is JSON-able and a keyword of `gymnasium.make`.
+
+    Attributes:
+        task: "unknot", "tie" or "convert".
+        nx: crossings of the tangled side; convert starts at nx - 1.
+        split: rows of the state file to draw from, "train" or "test".
+        states: path of a state file, None for the one that ships; a side of the task whose number of crossings it
+            lacks (the plain loops of `tie`, mostly) comes from the one that ships.
+        observation: "pixels", "state" or "both".
+        horizon: steps until truncation.
+        hold: consecutive steps the goal code must show.
+        reset_noise: scale of the noise at reset, radians per joint and metres.
+        image_size: pixels, each half of the picture.
+        camera: "orthographic" or "perspective".
+        renderer: "auto", "opencv" or "mujoco".
+        success_reward, failure_reward: paid at success, and at the horizon without it.
+    """
+
+    task: str
+    nx: int = 2
+    split: str = "train"
+    states: str | None = None
+    observation: str = "pixels"
+    horizon: int = 50
+    hold: int = 1
+    reset_noise: float = 0.015
+    image_size: int = 128
+    camera: str = "orthographic"
+    renderer: str = "auto"
+    success_reward: float = 5.0
+    failure_reward: float = -5.0
+
+    def __post_init__(self) -> None:
+        for name, known in {
+            "task": tuple(TASKS),
+            "split": ("train", "test"),
+            "observation": ("pixels", "state", "both"),
+            "camera": ("orthographic", "perspective"),
+            "renderer": ("auto", "opencv", "mujoco"),
+        }.items():
+            if getattr(self, name) not in known:
+                raise InvalidSetting(f"no {name} {getattr(self, name)!r}; there is {', '.join(known)}")
+        for name, least, most in (("nx", 1, MAX_NX), ("horizon", 1, None), ("hold", 1, None), ("image_size", 16, 2048)):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or value < least or (most is not None and value > most):
+                raise InvalidSetting(f"{name} must be a whole number {f'from {least} to {most}' if most else f'of at least {least}'}, got {value!r}")
+        if not 0 <= self.reset_noise < 1:
+            raise InvalidSetting(f"reset_noise must be in [0, 1), got {self.reset_noise!r}")
+
+    @property
+    def start_nx(self) -> int:
+        """Crossings at reset."""
+        return TASKS[self.task](self.nx)[0]
+
+    @property
+    def goal_nx(self) -> int:
+        """Crossings of the goal."""
+        return TASKS[self.task](self.nx)[1]

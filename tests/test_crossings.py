@@ -1,0 +1,253 @@
+"""Crossings of closed polylines: what is found, what is not, and what exact ties do."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from knotgym.crossings import Crossings, InvalidPoints, VisitSpacing, count_crossings, find_crossings, label, label_many, visit_spacing
+from knotgym.diagrams import is_planar
+from knotgym.gauss import GaussCode
+from knotgym.orientation import side
+
+# Compiling, or another process on the same cores, is no failure.
+settings.register_profile("unhurried", deadline=None)
+settings.load_profile("unhurried")
+
+# An eight whose strands meet at (0, 0); the one from the lower left is over.
+EIGHT = np.array([[-1.0, -1.0, 1.0], [1.0, 1.0, 1.0], [2.0, 0.0, 0.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-2.0, 0.0, 0.0]])
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def random_curve(seed: int, beads: int = 100) -> np.ndarray:
+    """A closed Fourier curve, 1.33 m long."""
+    rng = np.random.default_rng(seed)
+    angle = np.linspace(0.0, 2.0 * np.pi, beads, endpoint=False)
+    points = np.zeros((beads, 3))
+    for mode in range(1, 6):
+        for wave in (np.cos(mode * angle), np.sin(mode * angle)):
+            points += wave[:, None] * rng.normal(size=3) / mode
+    points *= 1.33 / np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1).sum()
+    return points
+
+
+def turned(points: np.ndarray, angle: float) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    x, y, z = points.T
+    return np.column_stack([c * x - s * y, s * x + c * y, z])
+
+
+def grid_curves(largest: int) -> st.SearchStrategy[np.ndarray]:
+    """Closed curves through whole numbers, full of exact ties."""
+    return st.integers(3, 12).flatmap(lambda beads: arrays(np.float64, (beads, 3), elements=st.integers(0, largest).map(float)))
+
+
+def test_a_triangle_has_no_crossing() -> None:
+    assert label(np.eye(3)) == GaussCode()
+
+
+def test_an_eight_has_one_crossing() -> None:
+    assert label(EIGHT).chiral == "1+c,1-c"
+
+
+def test_a_crossing_is_described_in_place() -> None:
+    crossings = find_crossings(EIGHT)
+    assert (crossings.over_place.tolist(), crossings.under_place.tolist()) == ([0.5], [3.5])
+    assert crossings.position.tolist() == [[0.0, 0.0]]
+    assert (crossings.over_z.tolist(), crossings.under_z.tolist(), crossings.sign.tolist()) == ([1.0], [-1.0], [1])
+
+
+def test_the_closing_edge_counts() -> None:
+    for first in range(len(EIGHT)):
+        assert count_crossings(np.roll(EIGHT, first, axis=0)) == 1
+
+
+def test_equal_heights_put_the_first_strand_over() -> None:
+    assert str(label(EIGHT * [1.0, 1.0, 0.0])) == "1+,1-"
+
+
+def test_arrays_of_crossings_cannot_be_written() -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        find_crossings(EIGHT).position[0] = 1.0
+
+
+@given(seeds)
+def test_all_readers_agree(seed: int) -> None:
+    ropes = np.array([random_curve(seed), random_curve(seed + 1)])
+    assert label_many(ropes) == [label(rope) for rope in ropes] == [find_crossings(rope).code for rope in ropes]
+    assert [count_crossings(rope) for rope in ropes] == [label(rope).nx for rope in ropes]
+
+
+@given(seeds)
+def test_described_crossings_spell_the_code(seed: int) -> None:
+    crossings = find_crossings(random_curve(seed))
+    visits = [(place, k + 1) for k, place in enumerate(crossings.over_place)]
+    visits += [(place, -k - 1) for k, place in enumerate(crossings.under_place)]
+    assert tuple(visit for _, visit in sorted(visits)) == crossings.code.visits
+    assert tuple(crossings.sign) == crossings.code.signs
+    assert (crossings.over_z > crossings.under_z).all()
+
+
+@given(seeds)
+def test_both_strands_meet_at_the_position(seed: int) -> None:
+    points = random_curve(seed)
+    crossings = find_crossings(points)
+    closed = np.vstack([points, points[:1]])
+    for places, heights in ((crossings.over_place, crossings.over_z), (crossings.under_place, crossings.under_z)):
+        at = np.array([np.interp(places, np.arange(101), closed[:, axis]) for axis in range(3)]).T.reshape(-1, 3)
+        np.testing.assert_allclose(at[:, :2], crossings.position, atol=1e-9)
+        np.testing.assert_allclose(at[:, 2], heights, atol=1e-9)
+
+
+@given(seeds, st.floats(-4.0, 4.0))
+def test_a_code_survives_rotation_about_z(seed: int, angle: float) -> None:
+    points = random_curve(seed)
+    if visit_spacing(find_crossings(points), 100).visits > 1e-6:
+        assert label(turned(points, angle)) == label(points)
+
+
+@given(seeds, st.floats(1e-3, 1e3), arrays(np.float64, 3, elements=st.floats(-1.0, 1.0)))
+def test_a_code_survives_shift_and_scale(seed: int, scale: float, shift: np.ndarray) -> None:
+    points = random_curve(seed)
+    if visit_spacing(find_crossings(points), 100).visits > 1e-6:
+        assert label((points + shift) * scale) == label(points)
+
+
+@given(seeds)
+def test_walking_backwards_reverses_the_code(seed: int) -> None:
+    points = random_curve(seed)
+    backwards = np.roll(points[::-1], 1, axis=0)
+    assert label(backwards) == label(points).reversed()
+
+
+@given(seeds)
+def test_turning_heights_upside_down_mirrors_the_code(seed: int) -> None:
+    points = random_curve(seed)
+    assert label(points * [1.0, 1.0, -1.0]) == label(points).mirrored()
+
+
+@given(seeds)
+def test_flipping_left_and_right_reflects_the_code(seed: int) -> None:
+    points = random_curve(seed)
+    assert label(points * [-1.0, 1.0, 1.0]) == label(points).reflected()
+
+
+@given(seeds, st.integers(0, 99))
+def test_moving_the_base_bead_rebases_the_code(seed: int, base: int) -> None:
+    points = random_curve(seed)
+    crossings = find_crossings(points)
+    passed = np.sum(np.concatenate([crossings.over_place, crossings.under_place]) < base)
+    assert label(np.roll(points, -base, axis=0)) == crossings.code.rebased(int(passed))
+
+
+@given(seeds)
+def test_random_curves_are_planar(seed: int) -> None:
+    assert is_planar(label(random_curve(seed)))
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e-300, 1e-17, -1e-17, 1e-9, -1e-9])
+def test_a_strand_over_a_bead_counts_once(offset: float) -> None:
+    eight = np.insert(EIGHT, 1, [offset, 0.0, 1.0], axis=0)  # a bead where the other strand passes
+    assert str(label(eight)) == "1+,1-"
+
+
+def test_two_beads_on_one_spot_count_once() -> None:
+    eight = np.insert(EIGHT, [1, 4], [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]], axis=0)
+    for base in range(len(eight)):
+        for flip in (1.0, -1.0):
+            assert count_crossings(np.roll(eight, base, axis=0) * [flip, 1.0, 1.0]) == 1
+
+
+def test_a_strand_that_only_touches_a_bead_crosses_evenly() -> None:
+    corner = np.array([[0, 0, 0], [4, 0, 0], [4, 2, 0], [3, 2, 1], [2, 0, 1], [1, 2, 1], [0, 2, 0]], dtype=float)
+    for base in range(len(corner)):
+        assert count_crossings(np.roll(corner, base, axis=0)) in (0, 2)
+
+
+def runs_along_itself(points: np.ndarray) -> bool:
+    """Whether two edges share more than a point, or one has no length: exact for whole numbers."""
+    start, end = points[:, :2], np.roll(points[:, :2], -1, axis=0)
+    along = end - start
+    for i in range(len(points)):
+        for j in range(len(points)):
+            reach = (start[j] - start[i]) @ along[i], (end[j] - start[i]) @ along[i]
+            parallel = np.linalg.det([along[i], along[j]]) == 0.0 and np.linalg.det([along[i], start[j] - start[i]]) == 0.0
+            if i != j and parallel and max(reach) > 0.0 and min(reach) < along[i] @ along[i] or not along[i].any():
+                return True
+    return False
+
+
+@settings(max_examples=500, suppress_health_check=[HealthCheck.filter_too_much])
+@given(st.sampled_from([4, 30, 1000]).flatmap(grid_curves).filter(lambda points: not runs_along_itself(points)))
+def test_exact_ties_still_give_planar_codes(points: np.ndarray) -> None:
+    crossings = find_crossings(points)
+    if visit_spacing(crossings, len(points)).visits > 1e-9:  # else three strands may meet in a point
+        assert is_planar(crossings.code)
+
+
+near = st.integers(-3, 3).map(lambda ulps: 0.1 + ulps * 2.0**-56)
+
+
+@settings(max_examples=300)
+@given(st.lists(st.tuples(near, near), min_size=3, max_size=3), st.sampled_from([1.0, -1.0, 3.0, 0.7, 1e-12]))
+def test_sides_are_exact_where_rounding_would_decide(corners: list[tuple[float, float]], stretch: float) -> None:
+    points = np.array(corners) * [1.0, stretch]
+    (ax, ay), (bx, by), (cx, cy) = [[Fraction(value) for value in row] for row in points.tolist()]
+    exact = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+    assert exact == 0 or (side(points, 0, 1, 2) > 0) == (exact > 0)
+
+
+@given(arrays(np.float64, (3, 2), elements=st.integers(0, 2).map(float)))
+def test_sides_do_not_depend_on_the_order_of_asking(points: np.ndarray) -> None:
+    assert side(points, 0, 1, 2) == side(points, 1, 2, 0) == -side(points, 1, 0, 2) == -side(points, 2, 1, 0)
+
+
+@pytest.mark.parametrize("shape", [(2, 3), (3,), (4, 2), (1, 4, 3), (0, 3)])
+def test_another_shape_is_refused(shape: tuple[int, ...]) -> None:
+    for reader in (label, find_crossings, count_crossings):
+        with pytest.raises(InvalidPoints, match="shape"):
+            reader(np.zeros(shape))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_numbers_that_are_not_finite_are_refused(value: float, axis: int) -> None:
+    points = EIGHT.copy()
+    points[2, axis] = value
+    for reader in (label, find_crossings, count_crossings):
+        with pytest.raises(InvalidPoints, match="finite"):
+            reader(points)
+    with pytest.raises(InvalidPoints, match="rope 1"):
+        label_many(np.array([EIGHT, points]))
+
+
+def test_no_ropes_have_no_codes() -> None:
+    assert label_many(np.zeros((0, 100, 3))) == []
+
+
+def test_the_points_are_left_alone() -> None:
+    points = random_curve(5)
+    before = points.copy()
+    label(points)
+    assert (points == before).all()
+
+
+def test_spacing_is_cyclic_and_measured_from_the_base_bead() -> None:
+    crossings = find_crossings(EIGHT)
+    assert visit_spacing(crossings, 6) == VisitSpacing(visits=3.0, base=0.5)
+
+
+def test_spacing_without_crossings_is_infinite() -> None:
+    crossings = find_crossings(np.eye(3))
+    assert isinstance(crossings, Crossings)
+    assert visit_spacing(crossings, 3) == VisitSpacing(np.inf, np.inf)
+
+
+def test_many_crossings_are_all_found() -> None:
+    star = 2.0 * np.pi * np.arange(101) * 50 / 101  # every edge crosses all but itself and two neighbours
+    points = np.column_stack([np.cos(star), np.sin(star), np.cos(7.0 * star)])
+    assert count_crossings(points) == 101 * 98 // 2

@@ -1,0 +1,97 @@
+"""Planarity against the published lists, and the shape of the faces."""
+
+import json
+from itertools import product
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from knotgym.diagrams import NotPlanar, chiralities, drawn, faces, is_planar, parts, planar_codes, summands
+from knotgym.gauss import GaussCode, UnknownChirality
+
+# Compiling, or another process on the same cores, is no failure.
+settings.register_profile("unhurried", deadline=None)
+settings.load_profile("unhurried")
+
+CODES = Path(__file__).parent / "codes"
+TREFOIL = GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c")
+
+planar = st.integers(0, 4).flatmap(lambda nx: st.sampled_from(list(planar_codes(nx))))
+
+
+@pytest.mark.parametrize("nx", range(5))
+def test_planar_codes_and_chiralities_are_the_listed_ones(nx: int) -> None:
+    listed = json.loads((CODES / f"codes_n{nx}.json").read_text())["codes"]
+    assert {str(code): list(chiralities(code)) for code in planar_codes(nx)} == {text: entry["chirality"] for text, entry in listed.items()}
+
+
+@pytest.mark.parametrize(("nx", "codes", "chiral"), [(5, 3616, 57472), (6, 37888, 857344)])
+def test_longer_planar_codes_are_as_many_as_they_should(nx: int, codes: int, chiral: int) -> None:
+    found = list(planar_codes(nx))
+    assert (len(set(found)), sum(2 ** (max(parts(code)) + 1) for code in found)) == (codes, chiral)
+
+
+@given(planar)
+def test_no_other_pattern_is_planar(code: GaussCode) -> None:
+    patterns = ("".join(letters) for letters in product("ac", repeat=code.nx))
+    assert tuple(pattern for pattern in patterns if is_planar(GaussCode(code.visits, pattern))) == chiralities(code)
+
+
+@given(planar, st.integers(0, 7))
+def test_planarity_knows_no_base_direction_or_height(code: GaussCode, k: int) -> None:
+    assert is_planar(code.rebased(k)) and is_planar(code.reversed()) and is_planar(code.mirrored())
+    assert is_planar(drawn(code).rebased(k)) and is_planar(drawn(code).reversed()) and is_planar(drawn(code).mirrored())
+
+
+def test_abstract_codes_that_no_curve_shows_are_refused() -> None:
+    assert not is_planar(GaussCode.parse("1+,2+,1-,2-"))
+    assert chiralities(GaussCode.parse("1+,2+,1-,2-")) == ()
+
+
+def test_a_word_that_is_even_but_not_planar_is_refused() -> None:
+    assert not is_planar(GaussCode.parse("1+,2+,3+,4+,5+,3-,4-,1-,2-,5-"))
+
+
+def test_a_trefoil_with_one_letter_wrong_is_not_planar() -> None:
+    assert is_planar(TREFOIL) and not is_planar(GaussCode(TREFOIL.visits, "cca"))
+
+
+def test_drawing_keeps_a_chirality_that_is_there() -> None:
+    assert drawn(TREFOIL) is TREFOIL
+    assert drawn(TREFOIL.plain).chirality == "aaa"
+
+
+@pytest.mark.parametrize("text", ["1+,2+,1-,2-", "1+c,2-c,3+a,1-c,2+c,3-a"])
+def test_what_cannot_be_drawn_is_named(text: str) -> None:
+    with pytest.raises(NotPlanar) as refusal:
+        drawn(GaussCode.parse(text))
+    assert repr(text) in str(refusal.value)
+
+
+@given(planar)
+def test_a_planar_code_has_two_faces_more_than_crossings(code: GaussCode) -> None:
+    found = faces(drawn(code))
+    assert len(found) == (code.nx + 2 if code.nx else 0)
+    assert sorted(dart for face in found for dart in face) == list(range(4 * code.nx))
+
+
+def test_a_trefoil_has_two_triangles_and_three_bigons() -> None:
+    assert sorted(map(len, faces(TREFOIL))) == [2, 2, 2, 3, 3]
+
+
+def test_faces_need_letters() -> None:
+    with pytest.raises(UnknownChirality):
+        faces(TREFOIL.plain)
+
+
+def test_summands_come_in_order_of_first_visit() -> None:
+    both = GaussCode.parse("1+a,2+c,3-c,4+c,2-c,3+c,4-c,1-a")
+    assert [summand.chiral for summand in summands(both)] == ["1+a,1-a", "1+c,2-c,3+c,1-c,2+c,3-c"]
+
+
+@given(planar)
+def test_summands_share_out_the_crossings(code: GaussCode) -> None:
+    assert sum(summand.nx for summand in summands(code)) == code.nx
+    assert all(is_planar(summand) for summand in summands(drawn(code)))

@@ -1,0 +1,297 @@
+"""Knot types: known knots, the published lists, and moves that must not matter."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from knotgym.crossings import label
+from knotgym.diagrams import NotPlanar, chiralities, drawn, faces, is_planar, planar_codes
+from knotgym.gauss import GaussCode, UnknownChirality
+from knotgym.knots import UndecidedKnot, handedness, is_unknot, knot_type
+from knotgym.polynomials import alexander_polynomial, jones_polynomial, mirrored_jones
+from knotgym.reidemeister import simplify, without_bigons
+
+# Compiling, or another process on the same cores, is no failure.
+settings.register_profile("unhurried", deadline=None)
+settings.load_profile("unhurried")
+
+CODES = Path(__file__).parent / "codes"
+TREFOIL = GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c")
+
+# Dowker-Thistlethwaite notation of the prime knots in Rolfsen's table: visit 2 i - 1 meets visit notation[i].
+DOWKER = {
+    "3_1": (4, 6, 2),
+    "4_1": (4, 6, 8, 2),
+    "5_1": (6, 8, 10, 2, 4),
+    "5_2": (4, 8, 10, 2, 6),
+    "6_1": (4, 8, 12, 10, 2, 6),
+    "6_2": (4, 8, 10, 12, 2, 6),
+    "6_3": (4, 8, 10, 2, 12, 6),
+    "7_1": (8, 10, 12, 14, 2, 4, 6),
+    "7_2": (4, 10, 14, 12, 2, 8, 6),
+    "7_3": (6, 10, 12, 14, 2, 4, 8),
+    "7_4": (6, 10, 12, 14, 4, 2, 8),
+    "7_5": (4, 10, 12, 14, 2, 8, 6),
+    "7_6": (4, 8, 12, 2, 14, 6, 10),
+    "7_7": (4, 8, 10, 12, 2, 14, 6),
+}
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+def from_dowker(notation: tuple[int, ...]) -> GaussCode:
+    """An alternating diagram, drawn."""
+    visits = [0] * (2 * len(notation))
+    for i, even in enumerate(notation):
+        visits[2 * i], visits[even - 1] = i + 1, -i - 1
+    return drawn(GaussCode.relabelled(visits))
+
+
+def pretzel(*columns: int) -> GaussCode:
+    """The pretzel knot of three odd columns: a strand runs down each, one up each."""
+    starts = np.concatenate([[1], 1 + np.cumsum(np.abs(columns))])
+    down, up = [], []
+    for start, twists in zip(starts, columns, strict=False):
+        heights = [int(np.sign(twists)) * (-1) ** k * (int(start) + k) for k in range(abs(twists))]
+        down.append(heights)
+        up.append([-height for height in heights[::-1]])
+    return drawn(GaussCode.relabelled(down[0] + up[1] + down[2] + up[0] + down[1] + up[2]))
+
+
+def tied(code: GaussCode, other: GaussCode) -> GaussCode:
+    """The connected sum."""
+    visits = code.visits + tuple(visit + code.nx if visit > 0 else visit - code.nx for visit in other.visits)
+    return GaussCode(visits, (code.chirality or "") + (other.chirality or ""))
+
+
+def kinked(code: GaussCode, rng: np.random.Generator) -> GaussCode:
+    """Reidemeister's first move: a kink somewhere."""
+    new, at = code.nx + 1, int(rng.integers(len(code.visits) + 1))
+    loop = (new, -new) if rng.integers(2) else (-new, new)
+    letters = {**dict(enumerate(code.chirality or "", 1)), new: str(rng.choice(["a", "c"]))}
+    return GaussCode.relabelled(code.visits[:at] + loop + code.visits[at:], letters)
+
+
+def poked(code: GaussCode, rng: np.random.Generator) -> GaussCode:
+    """Reidemeister's second move: across a face, a finger of one edge is laid over or under another edge."""
+    wide = [face for face in faces(code) if len({dart // 2 for dart in face}) > 1]
+    face = wide[int(rng.integers(len(wide)))]
+    while True:
+        finger, wall = (int(dart) for dart in rng.choice(face, 2))
+        if finger // 2 != wall // 2:
+            break
+    new = code.nx + 1
+    height = 1 if rng.integers(2) else -1
+    over, under = [height * new, height * (new + 1)], [-height * (new + 1), -height * new]
+    pieces = {finger // 2: over if finger % 2 == 0 else over[::-1], wall // 2: under if wall % 2 == 0 else under[::-1]}
+    positive = (finger + wall) % 2 == 0  # along both darts the finger goes out to the left and comes in from the left
+    if height < 0:
+        positive = not positive
+    letters = {**dict(enumerate(code.chirality or "", 1)), new: "c" if positive else "a", new + 1: "a" if positive else "c"}
+    visits: list[int] = []
+    for edge, visit in enumerate(code.visits):
+        visits += [visit, *pieces.get(edge, [])]
+    return GaussCode.relabelled(visits, letters)
+
+
+def moved(code: GaussCode, rng: np.random.Generator, moves: int) -> GaussCode:
+    for _ in range(moves):
+        code = poked(code, rng) if code.nx and rng.integers(3) else kinked(code, rng)
+    return code
+
+
+def rotation(rng: np.random.Generator) -> np.ndarray:
+    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    q *= np.linalg.det(q)
+    return q
+
+
+def torus_knot(p: int, q: int, beads: int = 100) -> np.ndarray:
+    angle = np.linspace(0.0, 2.0 * np.pi, beads, endpoint=False)
+    radius = 2.0 + np.cos(q * angle)
+    return np.column_stack([radius * np.cos(p * angle), radius * np.sin(p * angle), -np.sin(q * angle)])
+
+
+def figure_eight(beads: int = 100) -> np.ndarray:
+    angle = np.linspace(0.0, 2.0 * np.pi, beads, endpoint=False)
+    radius = 2.0 + np.cos(2.0 * angle)
+    return np.column_stack([radius * np.cos(3.0 * angle), radius * np.sin(3.0 * angle), np.sin(4.0 * angle)])
+
+
+def lissajous_52(beads: int = 200) -> np.ndarray:
+    angle = np.linspace(0.0, 2.0 * np.pi, beads, endpoint=False)
+    return np.column_stack([np.cos(3.0 * angle + 0.7), np.cos(2.0 * angle + 0.2), np.cos(7.0 * angle)])
+
+
+@pytest.mark.parametrize("nx", range(5))
+def test_types_of_short_codes_are_the_listed_ones(nx: int) -> None:
+    listed = json.loads((CODES / f"codes_n{nx}.json").read_text())["codes"]
+    codes = {GaussCode.parse(text): entry["knot"] for text, entry in listed.items()}
+    assert {code: knot_type(code) for code in codes} == codes
+    assert {code for code in codes if is_unknot(code)} == {code for code, knot in codes.items() if knot == "0_1"}
+
+
+def test_codes_of_five_crossings_show_3034_unknots() -> None:
+    unknots = [code for code in planar_codes(5) if is_unknot(code)]
+    assert (len(unknots), sum(len(chiralities(code)) for code in unknots)) == (3034, 53828)
+
+
+def test_all_handedness_patterns_of_a_code_agree_on_the_unknot() -> None:
+    for code in list(planar_codes(5))[::7]:
+        assert {is_unknot(GaussCode(code.visits, letters)) for letters in chiralities(code)} == {is_unknot(code)}
+
+
+@pytest.mark.parametrize("name", DOWKER)
+def test_tabled_knots_are_named(name: str) -> None:
+    code = from_dowker(DOWKER[name])
+    assert knot_type(code) == knot_type(code.mirrored()) == knot_type(code.reversed()) == name
+    assert not is_unknot(code)
+
+
+@pytest.mark.parametrize("name", DOWKER)
+@pytest.mark.parametrize("seed", range(3))
+def test_moves_do_not_change_the_name(name: str, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    assert knot_type(moved(from_dowker(DOWKER[name]), rng, 6)) == name
+
+
+@pytest.mark.parametrize(("one", "other", "name"), [("3_1", "3_1", "3_1#3_1"), ("4_1", "3_1", "3_1#4_1"), ("5_2", "7_7", "5_2#7_7")])
+def test_sums_are_named_by_their_summands(one: str, other: str, name: str) -> None:
+    assert knot_type(tied(from_dowker(DOWKER[one]), from_dowker(DOWKER[other]))) == name
+
+
+@pytest.mark.parametrize(
+    ("points", "name"),
+    [(torus_knot(2, 3), "3_1"), (torus_knot(3, 2), "3_1"), (torus_knot(2, 5), "5_1"), (torus_knot(2, 7), "7_1"), (torus_knot(1, 4), "0_1")]
+    + [(figure_eight(), "4_1"), (lissajous_52(), "5_2")],
+    ids=["T(2,3)", "T(3,2)", "T(2,5)", "T(2,7)", "T(1,4)", "figure-eight", "Lissajous(3,2,7)"],
+)
+def test_curves_given_by_formula_are_named_from_every_side(points: np.ndarray, name: str) -> None:
+    rng = np.random.default_rng(0)
+    assert {knot_type(label(points @ rotation(rng).T)) for _ in range(5)} == {name}
+
+
+def test_knots_past_the_table_are_unknown() -> None:
+    nine_one = label(torus_knot(2, 9))
+    assert (knot_type(nine_one), is_unknot(nine_one)) == ("unknown", False)
+
+
+@given(seeds)
+@settings(max_examples=60)
+def test_random_unknot_diagrams_are_recognised(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    code = moved(GaussCode(), rng, 7)
+    assert is_planar(code) and is_unknot(code) and knot_type(code) == "0_1"
+
+
+@given(seeds)
+@settings(max_examples=40)
+def test_moves_do_not_change_the_polynomials(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    code = from_dowker(list(DOWKER.values())[int(rng.integers(len(DOWKER)))])
+    tangled = moved(code, rng, 4)
+    assert is_planar(tangled)
+    assert jones_polynomial(tangled) == jones_polynomial(code)
+    assert alexander_polynomial(tangled) == alexander_polynomial(code)
+
+
+@given(seeds)
+@settings(max_examples=40)
+def test_the_side_from_which_a_curve_is_seen_does_not_matter(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(14, 3))
+    one, other = label(points), label(points @ rotation(rng).T)
+    assert jones_polynomial(one) == jones_polynomial(other)
+    assert alexander_polynomial(one) == alexander_polynomial(other)
+    assert is_unknot(one) == is_unknot(other)
+
+
+@given(seeds)
+@settings(max_examples=40)
+def test_simplifying_keeps_the_knot_and_adds_nothing(seed: int) -> None:
+    code = label(np.random.default_rng(seed).normal(size=(14, 3)))
+    simpler = simplify(code, effort=4)
+    assert is_planar(simpler) and simpler.nx <= without_bigons(code).nx <= code.nx
+    assert jones_polynomial(simpler) == jones_polynomial(code)
+    assert alexander_polynomial(simpler) == alexander_polynomial(code)
+
+
+@given(seeds)
+@settings(max_examples=40)
+def test_the_mirror_image_has_the_mirrored_polynomials(seed: int) -> None:
+    code = label(np.random.default_rng(seed).normal(size=(12, 3)))
+    for image in (code.mirrored(), code.reflected()):
+        assert jones_polynomial(image) == mirrored_jones(jones_polynomial(code))
+        assert alexander_polynomial(image) == alexander_polynomial(code)
+
+
+def test_the_polynomials_of_a_sum_are_products() -> None:
+    granny = tied(TREFOIL, TREFOIL)
+    assert alexander_polynomial(granny) == (1, -2, 3, -2, 1)
+    assert jones_polynomial(granny) == ((2, 1), (4, 2), (5, -2), (6, 1), (7, -2), (8, 1))
+
+
+@pytest.mark.parametrize("name", DOWKER)
+def test_the_jones_polynomial_spans_an_alternating_knots_crossings(name: str) -> None:
+    jones = jones_polynomial(from_dowker(DOWKER[name]))
+    assert jones[-1][0] - jones[0][0] == int(name[0])
+
+
+def test_the_alexander_polynomial_of_a_knot_is_symmetric_and_one_at_one() -> None:
+    for notation in DOWKER.values():
+        alexander = alexander_polynomial(from_dowker(notation))
+        assert alexander == alexander[::-1] and sum(alexander) == 1
+
+
+def test_trefoils_are_told_from_their_mirror_images() -> None:
+    assert (handedness(TREFOIL), handedness(TREFOIL.mirrored()), handedness(TREFOIL.reversed())) == (1, -1, 1)
+
+
+def test_the_figure_eight_and_the_unknot_have_no_hand() -> None:
+    assert (handedness(from_dowker(DOWKER["4_1"])), handedness(GaussCode())) == (0, 0)
+
+
+def test_handedness_needs_letters() -> None:
+    with pytest.raises(UnknownChirality):
+        handedness(TREFOIL.plain)
+
+
+def test_a_crossing_that_splits_the_diagram_is_taken_out() -> None:
+    assert simplify(GaussCode.parse("1+a,2+c,3-c,4+c,2-c,3+c,4-c,1-a")) == TREFOIL
+
+
+def test_taking_out_bigons_leaves_a_trefoil_alone() -> None:
+    assert without_bigons(TREFOIL) is TREFOIL
+
+
+def test_codes_that_no_curve_shows_have_no_knot() -> None:
+    virtual = GaussCode.parse("1+,2+,1-,2-")
+    for question in (is_unknot, knot_type, simplify, alexander_polynomial, jones_polynomial):
+        with pytest.raises(NotPlanar):
+            question(virtual)
+
+
+def test_what_cannot_be_decided_is_said_so() -> None:
+    assert "\n" not in str(UndecidedKnot(TREFOIL)) and TREFOIL.chiral in str(UndecidedKnot(TREFOIL))
+
+
+def test_a_knot_with_trivial_alexander_polynomial_is_still_knotted() -> None:
+    knot = pretzel(-3, 5, 7)
+    assert alexander_polynomial(knot) == (1,)
+    assert not is_unknot(knot)
+
+
+@pytest.mark.parametrize(("columns", "name"), [((1, 1, 1), "3_1"), ((1, 1, 3), "5_2"), ((1, 3, 3), "7_4"), ((-1, 1, 9), "0_1"), ((-3, 3, 1), "6_1")])
+def test_pretzel_knots_are_named(columns: tuple[int, int, int], name: str) -> None:
+    assert knot_type(pretzel(*columns)) == name
+
+
+@given(seeds)
+@settings(max_examples=5)
+def test_unknots_past_the_reach_of_polynomials_are_simplified(seed: int) -> None:
+    code = moved(GaussCode(), np.random.default_rng(seed), 40)
+    assert code.nx > 24 and is_unknot(code)

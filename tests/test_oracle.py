@@ -1,0 +1,73 @@
+"""pyknotid as an independent labeller: agreement with ours, and its traps."""
+
+import numpy as np
+import pytest
+
+from knotgym.crossings import find_crossings, label, visit_spacing
+from knotgym.gauss import GaussCode
+from knotgym.oracle import InvalidCurve, pyknotid_code
+
+EIGHT = np.array([[-1.0, -1.0, 1.0], [1.0, 1.0, 1.0], [2.0, 0.0, 0.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-2.0, 0.0, 0.0]])
+
+
+def random_curve(rng: np.random.Generator) -> np.ndarray:
+    """A closed Fourier curve of 100 beads, 1.33 m long."""
+    angle = np.linspace(0.0, 2.0 * np.pi, 100, endpoint=False)
+    modes = np.arange(1, int(rng.integers(2, 9)) + 1)
+    waves = np.concatenate([np.cos(modes[:, None] * angle), np.sin(modes[:, None] * angle)])
+    points = waves.T @ (rng.normal(size=(len(waves), 3)) / np.tile(modes, 2)[:, None])
+    points *= 1.33 / np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1).sum()
+    return points
+
+
+def assert_agreement(curves: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    for index in range(curves):
+        points = random_curve(rng)
+        if visit_spacing(find_crossings(points), 100).visits > 1e-9:
+            assert label(points) == pyknotid_code(points), f"curve {index} of seed {seed}"
+
+
+def test_both_labellers_agree_on_500_curves() -> None:
+    assert_agreement(500, seed=0)
+
+
+@pytest.mark.slow
+def test_both_labellers_agree_on_10000_curves() -> None:
+    assert_agreement(10_000, seed=1)
+
+
+@pytest.mark.parametrize("scale", [1e-6, 0.013, 1.0, 1e6])
+def test_scale_does_not_matter(scale: float) -> None:
+    assert pyknotid_code(EIGHT * scale).chiral == "1+c,1-c"
+
+
+def test_the_closing_edge_counts() -> None:
+    for first in range(len(EIGHT)):
+        assert pyknotid_code(np.roll(EIGHT, first, axis=0)).nx == 1
+
+
+def test_a_curve_without_crossings_has_the_empty_code() -> None:
+    assert pyknotid_code(np.eye(3)) == GaussCode()
+
+
+def test_numpy_gets_no_lasting_aliases() -> None:
+    pyknotid_code(EIGHT)
+    assert not {"float", "int", "complex"} & set(vars(np))
+
+
+def test_nothing_is_printed(capfd: pytest.CaptureFixture[str]) -> None:
+    pyknotid_code(EIGHT)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_the_points_are_left_alone() -> None:
+    before = EIGHT.copy()
+    pyknotid_code(EIGHT)
+    assert (before == EIGHT).all()
+
+
+@pytest.mark.parametrize("points", [np.zeros((2, 3)), np.zeros((4, 2)), np.zeros((4, 3)), np.full((4, 3), np.nan)])
+def test_no_curve_is_refused(points: np.ndarray) -> None:
+    with pytest.raises(InvalidCurve):
+        pyknotid_code(points)

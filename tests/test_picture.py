@@ -1,0 +1,462 @@
+"""The picture: its camera, its colours, and that it shows which strand is on top."""
+
+import dataclasses
+import functools
+import json
+import os
+import pickle
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from knotgym.crossings import find_crossings
+from knotgym.errors import KnotgymError
+from knotgym.picture import (
+    PictureConfig,
+    PictureError,
+    bead_colours,
+    crossing_pixels,
+    draw,
+    draw_many,
+    project,
+    rope_colours,
+    shown_strands,
+)
+
+Points = NDArray[np.float64]
+
+
+@pytest.fixture(scope="session")
+def opengl() -> None:
+    """Skip where MuJoCo's renderer cannot draw; tried in another process, so that a crash of a driver does not take the tests along."""
+    code = "import numpy as np; from knotgym.picture import PictureConfig, draw; draw(np.eye(3) * 0.1, PictureConfig(size=16, renderer='mujoco'))"
+    if subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=120).returncode != 0:
+        pytest.skip("no OpenGL context can be made here")
+
+
+def gl(test: Callable[..., None]) -> Any:
+    return pytest.mark.gl(pytest.mark.usefixtures("opengl")(test))
+
+
+def random_curve(rng: np.random.Generator, beads: int = 100, length: float = 1.33, gap: float = 0.009) -> Points:
+    """A closed curve like a rope's: equal chords along a random smooth curve whose strands stay gap apart."""
+    phase = np.linspace(0.0, 2.0 * np.pi, 2001)
+
+    def wave(modes: int, decay: float) -> Points:
+        order = np.arange(1, modes + 1)[:, None]
+        cos, sin = rng.normal(size=(2, modes, 1)) / order**decay
+        return np.asarray((cos * np.cos(order * phase) + sin * np.sin(order * phase)).sum(axis=0))
+
+    while True:
+        fine = np.stack([wave(4, 1.2), wave(4, 1.2), wave(7, 0.0)], axis=1)
+        fine[:, :2] *= length / np.linalg.norm(np.diff(fine[:, :2], axis=0), axis=1).sum()
+        fine[:, 2] *= 0.02 / fine[:, 2].std()
+        fine *= length / np.linalg.norm(np.diff(fine, axis=0), axis=1).sum()
+        place = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(fine, axis=0), axis=1))])
+        at = np.arange(beads) / beads * place[-1]
+        points = np.stack([np.interp(at, place, axis) for axis in fine.T], axis=1)
+        dense = (points[:, None] + np.arange(3)[:, None] / 3 * (np.roll(points, -1, axis=0) - points)[:, None]).reshape(-1, 3)
+        apart = np.linalg.norm(dense[:, None] - dense[None], axis=2)
+        along = np.abs(np.subtract.outer(np.arange(3 * beads), np.arange(3 * beads)))
+        if apart[np.minimum(along, 3 * beads - along) > 9].min() >= gap:
+            return points
+
+
+@functools.cache
+def curves(count: int = 40) -> Points:
+    rng = np.random.default_rng(20250528)
+    made = np.stack([random_curve(rng) for _ in range(count)])
+    made.setflags(write=False)
+    return made
+
+
+def traced(points: Points, config: PictureConfig) -> NDArray[np.uint8]:
+    """The orthographic picture by brute force: each sample's ray down z meets the capsules, and the highest one met gives the colour."""
+    side = config.size * config.supersampling
+    place = ((np.arange(side) + 0.5) / side - 0.5) * config.view
+    points = points - points.mean(axis=0)
+    top = np.full((side, side), -np.inf)
+    image = np.zeros((side, side, 3), dtype=np.uint8)
+    for a, b, colour in zip(points, np.roll(points, -1, axis=0), bead_colours(len(points)), strict=True):
+        columns = np.flatnonzero((place > min(a[0], b[0]) - 0.006) & (place < max(a[0], b[0]) + 0.006))
+        rows = np.flatnonzero((-place > min(a[1], b[1]) - 0.006) & (-place < max(a[1], b[1]) + 0.006))
+        if not (len(columns) and len(rows)):
+            continue
+        window = np.ix_(rows, columns)
+        x, y = np.meshgrid(place[columns], -place[rows])
+        # The upper surface of a capsule is the highest of the spheres strung on its axis; 41 of them are exact to 0.003 mm.
+        centre = a + np.linspace(0.0, 1.0, 41)[:, None] * (b - a)
+        inside = config.rope_radius**2 - (x[..., None] - centre[:, 0]) ** 2 - (y[..., None] - centre[:, 1]) ** 2
+        surface = np.where(inside >= 0.0, centre[:, 2] + np.sqrt(np.maximum(inside, 0.0)), -np.inf).max(axis=-1)
+        higher = surface > top[window]
+        top[window] = np.where(higher, surface, top[window])
+        image[window] = np.where(higher[..., None], colour, image[window])
+    blocks = image.reshape(config.size, config.supersampling, config.size, config.supersampling, 3)
+    return np.asarray(np.rint(blocks.mean(axis=(1, 3))), dtype=np.uint8)
+
+
+def differences(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> tuple[float, float, float, float]:
+    """Mean absolute difference of the rope's pixels; share of them that differ by more than 64 levels; by more than 128; overlap of silhouettes."""
+    first, second = one.any(axis=-1), other.any(axis=-1)
+    rope = first | second
+    apart = np.abs(one.astype(int) - other)[rope]
+    worst = apart.max(axis=-1)
+    return float(apart.mean()), float((worst > 64).mean()), float((worst > 128).mean()), float((first & second).sum() / rope.sum())
+
+
+def ring(beads: int = 100, radius: float = 0.2) -> Points:
+    angle = 2.0 * np.pi * np.arange(beads) / beads
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.zeros(beads)], axis=1)
+
+
+# Colours
+
+
+def test_the_base_bead_is_white_and_the_rope_runs_towards_red() -> None:
+    colours = bead_colours(100)
+    assert colours.dtype == np.uint8 and colours.shape == (100, 3)
+    assert colours[0].tolist() == [255, 255, 255]
+    assert np.all(np.diff(colours[1:26, 0].astype(int)) >= 0) and colours[25, 0] == 255
+
+
+def test_colours_follow_the_published_formula() -> None:
+    wave = 0.5 + 0.5 * np.sin(2.0 * np.pi * (np.arange(1, 100)[:, None] / 100 + np.array([0.0, 0.33, 0.67])))
+    assert np.abs(bead_colours(100)[1:] - 255.0 * wave).max() <= 0.5
+
+
+def test_one_colour_keeps_the_base_bead_white() -> None:
+    colours = rope_colours(5, PictureConfig(colours=(10, 20, 30)))
+    assert colours[0].tolist() == [255, 255, 255] and np.all(colours[1:] == [10, 20, 30])
+
+
+def test_given_colours_replace_those_of_the_config() -> None:
+    image = draw(ring(), colours=np.full((100, 3), (0, 0, 200), dtype=np.uint8))
+    assert image[..., :2].max() == 0 and image[..., 2].max() == 200
+
+
+# Camera
+
+
+def test_the_centre_of_mass_is_the_middle_of_the_picture() -> None:
+    for config in (PictureConfig(), PictureConfig(camera="perspective")):
+        assert project(ring() + [3.0, -2.0, 1.0], config).mean(axis=0) == pytest.approx([64.0, 64.0], abs=1e-9)
+
+
+def test_image_right_is_world_x_and_image_up_is_world_y() -> None:
+    moved = project(np.array([[0.0, 0.0, 0.0], [0.066, 0.0, 0.0], [0.0, 0.066, 0.0]]), center=np.zeros(3))
+    assert moved == pytest.approx(np.array([[64.0, 64.0], [76.8, 64.0], [64.0, 51.2]]))
+
+
+def test_a_bead_is_drawn_where_it_is_projected() -> None:
+    points = curves()[0]
+    for config in (PictureConfig(), PictureConfig(camera="perspective"), PictureConfig(turn=1.0, zoom=0.8), PictureConfig(size=256)):
+        colours = np.zeros((100, 3), dtype=np.uint8)
+        colours[30] = 255
+        image = draw(points, dataclasses.replace(config, supersampling=8), colours=colours).astype(float)[..., 0]
+        middle = project((points[30:31] + points[31:32]) / 2, config, center=points.mean(axis=0))[0]
+        row, column = np.indices(image.shape) + 0.5
+        seen = np.array([(column * image).sum(), (row * image).sum()]) / image.sum()
+        assert seen == pytest.approx(middle, abs=0.15)
+
+
+def test_a_straight_rope_is_as_wide_as_it_should_be() -> None:
+    points = np.array([[-0.1, 0.0, 0.0], [0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.0, -0.02]])
+    for size in (64, 128, 256, 512):
+        for width in (1.0, 2.0):
+            config = PictureConfig(size=size, width=width, colours=(255, 255, 255))
+            across = draw(points, config)[:, size // 2 + size // 16, 0].sum() / 255.0
+            assert across == pytest.approx(2.0 * config.drawn_radius * config.pixels_per_metre, rel=0.07, abs=0.03)
+
+
+def test_turning_the_camera_turns_the_rope_the_other_way() -> None:
+    points = curves()[1]
+    quarter = draw(points, PictureConfig(turn=np.pi / 2)).astype(int)
+    assert np.abs(quarter - np.rot90(draw(points), -1)).mean() < 0.2
+
+
+def test_zoom_magnifies() -> None:
+    assert project(ring(), PictureConfig(zoom=2.0)) - 64.0 == pytest.approx(2.0 * (project(ring()) - 64.0))
+
+
+def test_the_perspective_camera_is_the_published_one() -> None:
+    config = PictureConfig(camera="perspective")
+    edge = np.array([[0.8 * np.tan(np.radians(22.5)), 0.0, 0.0], [0.4 * np.tan(np.radians(22.5)), 0.0, 0.4]])
+    assert project(edge, config, center=np.zeros(3)) == pytest.approx(np.array([[128.0, 64.0], [128.0, 64.0]]))
+
+
+def test_what_is_behind_the_perspective_camera_is_not_drawn() -> None:
+    points = ring()
+    points[:50, 2] += 3.0
+    config = PictureConfig(camera="perspective")
+    assert np.isnan(project(points, config)[:50]).all()
+    assert draw(points, config).shape == (128, 128, 3)
+
+
+# Drawing
+
+
+def test_the_same_points_give_the_same_bytes() -> None:
+    assert np.array_equal(draw(curves()[2]), draw(curves()[2].copy()))
+
+
+def test_drawing_leaves_its_input_alone() -> None:
+    points = curves()[3].copy()
+    draw(points)
+    assert np.array_equal(points, curves()[3])
+
+
+def test_where_the_rope_is_in_the_world_does_not_matter() -> None:
+    points = np.round(curves()[4] * 2**20) / 2**20  # so that the shift is exact
+    assert np.abs(draw(points).astype(int) - draw(points + [0.5, -1.0, 0.25])).max() <= 8
+
+
+def test_draw_many_is_draw_many_times() -> None:
+    for config in (PictureConfig(), PictureConfig(camera="perspective", background=(20, 30, 40), size=96)):
+        together = draw_many(curves()[:5], config)
+        assert together.dtype == np.uint8
+        assert np.array_equal(together, np.stack([draw(points, config) for points in curves()[:5]]))
+    assert draw_many(np.empty((0, 100, 3))).shape == (0, 128, 128, 3)
+
+
+@pytest.mark.parametrize("size", [64, 128, 256, 512])
+@pytest.mark.parametrize("supersampling", [1, 3, 4, 6])
+def test_every_size_is_drawn(size: int, supersampling: int) -> None:
+    image = draw(ring(), PictureConfig(size=size, supersampling=supersampling))
+    assert image.shape == (size, size, 3) and image.dtype == np.uint8 and image.any()
+
+
+def test_the_background_is_what_was_asked_for() -> None:
+    image = draw(ring(), PictureConfig(background=(10, 20, 30)))
+    assert image[0, 0].tolist() == [10, 20, 30] and image[64, 64].tolist() == [10, 20, 30]
+
+
+def test_what_lies_outside_the_picture_is_cut_off() -> None:
+    image = draw(ring(radius=0.4))
+    assert not image[64].any() and not image[:, 64].any()
+    assert image.any()
+    assert not draw(ring(radius=1e9)).any()
+
+
+def test_neighbouring_beads_leave_no_gap() -> None:
+    angle = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+    for turns in (1, 5):  # 5: a star, whose joints turn by 150 degrees
+        points = np.stack([0.2 * np.cos(turns * angle), 0.2 * np.sin(turns * angle), 0.02 * np.sin(angle)], axis=1)
+        config = PictureConfig(size=512, colours=(255, 255, 255))
+        image = draw(points, config)
+        for fraction in np.linspace(0.0, 1.0, 21):
+            pixels = np.floor(project(points + fraction * (np.roll(points, -1, axis=0) - points), config, points.mean(axis=0))).astype(int)
+            assert np.all(image[pixels[:, 1], pixels[:, 0]] == 255)
+
+
+def test_the_picture_is_that_of_a_ray_tracer() -> None:
+    config = PictureConfig()
+    drawn = draw_many(curves()[:12], config)
+    exact = np.stack([traced(points, config) for points in curves()[:12]])
+    mean, far, wrong, overlap = differences(drawn, exact)
+    assert mean < 3.5 and far < 0.01 and wrong < 0.001 and overlap > 0.97
+
+
+def test_beads_seen_end_on_are_discs() -> None:
+    column = np.array([[0.1, 0.1, 0.0133 * bead] for bead in range(11)])
+    config = PictureConfig(colours=(255, 255, 255), supersampling=8)
+    points = np.concatenate([column, [[0.11, -0.1, 0.133], [0.09, -0.1, 0.0]]])
+    middle = project(points, config)[0]
+    row, column_at = np.indices((128, 128)) + 0.5
+    outside = (row < middle[1]) & (np.hypot(column_at - middle[0], row - middle[1]) < 3.0)
+    half_disc = 0.5 * np.pi * (config.drawn_radius * config.pixels_per_metre) ** 2
+    assert draw(points, config)[outside, 0].sum() / 255.0 == pytest.approx(half_disc, abs=0.15)
+
+
+def test_a_long_steep_bead_goes_over_and_under() -> None:
+    points = np.array([[-0.1, 0.0, 0.0], [0.1, 0.0, 0.1], [-0.08, 0.1, 0.02], [-0.08, -0.1, 0.02], [0.08, -0.1, 0.08], [0.08, 0.1, 0.08]])
+    config = PictureConfig(size=512)
+    image, colours = draw(points, config), bead_colours(len(points))
+    meetings = np.array([[-0.08, 0.0, 0.02], [0.08, 0.0, 0.09]])
+    column, row = np.floor(project(meetings, config, points.mean(axis=0))).astype(int).T
+    assert image[row, column].tolist() == [colours[2].tolist(), colours[0].tolist()]
+
+
+# Over and under
+
+
+def test_at_every_crossing_the_over_strand_is_shown() -> None:
+    config = PictureConfig()
+    shown = np.concatenate([shown_strands(draw(points, config), find_crossings(points), points, config) for points in curves()])
+    assert len(shown) > 40
+    assert not np.any(shown == "under")
+    assert np.mean(shown == "over") > 0.85
+
+
+def test_the_strand_shown_changes_with_the_heights() -> None:
+    for points in curves()[:10]:
+        crossings, mirrored = find_crossings(points), points * [1.0, 1.0, -1.0]
+        shown = shown_strands(draw(mirrored), crossings, points)
+        assert not np.any(shown == "over")
+
+
+def test_a_strand_hidden_below_a_third_is_ambiguous() -> None:
+    strands = [[(-0.1, 0.0, 0.0), (0.1, 0.0, 0.0)], [(0.0, 0.1, 0.02), (0.0, -0.1, 0.02)], [(-0.1, -0.1, 0.04), (0.1, 0.1, 0.04)]]
+    corners = np.array([end for strand in strands for end in strand])
+    steps = np.linspace(0.0, 1.0, 12, endpoint=False)[:, None]
+    points = (corners[:, None] + steps * (np.roll(corners, -1, axis=0) - corners)[:, None]).reshape(-1, 3)
+    points[:, :2] += 1e-4 * np.sin(np.arange(len(points)))[:, None]
+    crossings = find_crossings(points)
+    lowest = np.flatnonzero((np.hypot(*crossings.position.T) < 0.003) & (crossings.over_z < 0.03))
+    assert len(lowest) == 1
+    assert shown_strands(draw(points), crossings, points)[lowest[0]] == "ambiguous"
+
+
+def test_crossing_pixels_lie_on_both_strands() -> None:
+    points = curves()[5]
+    crossings = find_crossings(points)
+    places = np.stack([crossings.over_place, crossings.under_place], axis=1)
+    bead = np.floor(places).astype(int) % 100
+    along = points[bead] + (places % 1.0)[..., None] * (points[(bead + 1) % 100] - points[bead])
+    for strand in (0, 1):
+        assert project(along[:, strand], center=points.mean(axis=0)) == pytest.approx(crossing_pixels(crossings, points), abs=1e-6)
+
+
+def test_only_a_picture_that_shows_the_crossings_can_be_read() -> None:
+    points = curves()[0]
+    for config in (PictureConfig(camera="perspective"), PictureConfig(size=64)):
+        with pytest.raises(PictureError):
+            shown_strands(draw(points, config), find_crossings(points), points, config)
+
+
+# Settings and errors
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"size": 8}, {"size": 128.0}, {"size": True}, {"view": 0.0}, {"view": float("nan")}, {"camera": "fisheye"}, {"camera_height": -1.0},
+        {"fovy": 180.0}, {"turn": float("inf")}, {"zoom": 0.0}, {"rope_radius": -0.1}, {"width": 0.0}, {"colours": "rainbow"}, {"colours": (1, 2)},
+        {"background": (0, 0, 256)}, {"background": 0}, {"renderer": "filament"}, {"supersampling": 0},
+    ],
+)  # fmt: skip
+def test_nonsense_is_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(PictureError) as caught:
+        PictureConfig(**wrong)
+    assert isinstance(caught.value, KnotgymError) and len(str(caught.value).splitlines()) == 1
+
+
+def test_points_that_are_no_rope_are_refused() -> None:
+    for points in (np.zeros((2, 3)), np.zeros((10, 2)), np.zeros((1, 10, 3)), np.full((10, 3), np.nan)):
+        with pytest.raises(PictureError):
+            draw(points)
+    with pytest.raises(PictureError):
+        draw_many(np.zeros((10, 3)))
+    with pytest.raises(PictureError):
+        draw(ring(), colours=np.zeros((99, 3), dtype=np.uint8))
+
+
+def test_a_config_survives_json_and_pickle() -> None:
+    config = PictureConfig(size=64, colours=(1, 2, 3), background=(4, 5, 6), turn=0.5)
+    assert PictureConfig(**json.loads(json.dumps(dataclasses.asdict(config)))) == config
+    assert pickle.loads(pickle.dumps(config)) == config
+    assert hash(config) == hash(dataclasses.replace(config))
+
+
+def test_the_picture_needs_neither_mujoco_nor_opengl() -> None:
+    code = (
+        "import sys, numpy as np; from knotgym.picture import draw; draw(np.eye(3) * 0.1);"
+        "print('OpenGL' in sys.modules, 'knotgym.picture_mujoco' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "False"]
+
+
+def test_no_opengl_is_one_clear_line() -> None:
+    code = (
+        "import numpy as np; from knotgym.errors import KnotgymError; from knotgym.picture import PictureConfig, draw\n"
+        "try:\n    draw(np.eye(3) * 0.1, PictureConfig(renderer='mujoco'))\nexcept KnotgymError as error:\n    print(error)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ, "MUJOCO_GL": "off"})
+    assert len(done.stdout.splitlines()) == 1 and "renderer='opencv'" in done.stdout and not done.stderr
+
+
+# MuJoCo's renderer
+
+
+@gl
+@pytest.mark.parametrize("camera", ["orthographic", "perspective"])
+@pytest.mark.parametrize(("size", "mean_limit"), [(64, 6.0), (128, 4.0), (256, 3.0)])
+def test_both_renderers_draw_the_same_picture(camera: Literal["orthographic", "perspective"], size: int, mean_limit: float) -> None:
+    config = PictureConfig(camera=camera, size=size)
+    opencv = draw_many(curves(), config)
+    mujoco = draw_many(curves(), dataclasses.replace(config, renderer="mujoco"))
+    mean, far, wrong, overlap = differences(opencv, mujoco)
+    assert mean < mean_limit and far < 0.01 and wrong < 0.002 and overlap > 0.95
+
+
+@gl
+def test_both_renderers_obey_every_setting() -> None:
+    config = PictureConfig(turn=0.7, zoom=1.5, width=1.4, background=(40, 80, 120), colours=(250, 120, 0), supersampling=2)
+    for one in (config, dataclasses.replace(config, camera="perspective")):
+        apart = np.abs(draw(curves()[6], one).astype(int) - draw(curves()[6], dataclasses.replace(one, renderer="mujoco")))
+        assert apart.mean() < 1.5 and (apart.max(axis=-1) > 64).mean() < 0.005
+        assert apart[0, 0].max() == 0
+
+
+@gl
+def test_mujoco_shows_the_over_strand_too() -> None:
+    config = PictureConfig(renderer="mujoco")
+    shown = np.concatenate([shown_strands(draw(points, config), find_crossings(points), points, config) for points in curves()[:15]])
+    assert not np.any(shown == "under")
+
+
+@gl
+def test_mujoco_draws_long_ropes() -> None:
+    config = PictureConfig(renderer="mujoco")
+    assert np.abs(draw(ring(600), config).astype(int) - draw(ring(600))).mean() < 1.0
+
+
+@gl
+def test_mujoco_draws_in_threads_and_again_after_closing() -> None:
+    from knotgym import picture_mujoco
+
+    config = PictureConfig(size=64, renderer="mujoco")
+    first = draw(ring(), config)
+    drawn: list[NDArray[np.uint8]] = []
+
+    def work() -> None:
+        drawn.append(draw(ring(), config))
+        picture_mujoco.close()
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    picture_mujoco.close()
+    picture_mujoco.close()
+    drawn.append(draw(ring(), config))
+    assert len(drawn) == 2 and all(np.array_equal(first, image) for image in drawn)
+
+
+@gl
+def test_mujoco_leaves_the_process_without_a_word() -> None:
+    code = (
+        "import os, threading, numpy as np; from knotgym.picture import PictureConfig, draw;"
+        "config = PictureConfig(size=16, renderer='mujoco'); thread = threading.Thread(target=draw, args=(np.eye(3) * 0.1, config));"
+        "thread.start(); thread.join(); draw(np.eye(3) * 0.1, config); print(os.environ.get('MUJOCO_GL'))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == str(os.environ.get("MUJOCO_GL")) and not done.stderr
+
+
+@gl
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
+def test_mujoco_refuses_to_draw_in_the_fork_of_a_process_that_drew() -> None:
+    code = (
+        "import os, numpy as np; from knotgym.errors import KnotgymError; from knotgym.picture import PictureConfig, draw\n"
+        "config = PictureConfig(size=16, renderer='mujoco'); draw(np.eye(3) * 0.1, config); child = os.fork()\n"
+        "try:\n    draw(np.eye(3) * 0.1, config)\nexcept KnotgymError:\n    os._exit(3)\n"
+        "print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.stdout.strip() == "3"
