@@ -13,6 +13,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from knotgym.episodes import Episodes
+from knotgym.simulation import InvalidAction
 from knotgym.tasks import InvalidSetting, TaskConfig
 
 _FPS = 5  # an action lasts 0.192 s
@@ -101,7 +102,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         mask = np.asarray(wanted.pop("reset_mask", np.ones(self.num_envs, dtype=bool)))
         if mask.shape != (self.num_envs,) or mask.dtype != bool:
             raise InvalidSetting(f"reset_mask must be {self.num_envs} booleans, got {mask.dtype} of shape {mask.shape}")
-        seeds = [None if seed is None else seed + i for i in range(self.num_envs)] if seed is None or isinstance(seed, int) else list(seed)
+        seeds = [None if seed is None else seed + i for i in range(self.num_envs)] if seed is None or isinstance(seed, (int, np.integer)) else list(seed)
         if len(seeds) != self.num_envs:
             raise InvalidSetting(f"a list of seeds needs one for each of {self.num_envs} ropes, got {len(seeds)}")
         for i in np.flatnonzero(mask):
@@ -114,13 +115,16 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
     def step(self, actions: NDArray[np.float32]) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Pull every rope once; ended episodes start over as `autoreset_mode` says."""
         done = self._done.copy()
+        actions = np.asarray(actions)
+        if actions.shape != self.action_space.shape:
+            raise InvalidAction(f"actions must have shape {self.action_space.shape}, got {actions.shape}")
         if done.any() and self.autoreset_mode == AutoresetMode.DISABLED:
             raise InvalidSetting(f"episodes {np.flatnonzero(done).tolist()} have ended: reset them (options reset_mask) before the next step")
         rewards = np.zeros(self.num_envs)
         terminated, truncated = np.zeros(self.num_envs, dtype=bool), np.zeros(self.num_envs, dtype=bool)
         go_on = np.flatnonzero(~done)
         if len(go_on):
-            rewards[go_on], terminated[go_on], truncated[go_on] = self.episodes.step(np.asarray(actions)[go_on], go_on)
+            rewards[go_on], terminated[go_on], truncated[go_on] = self.episodes.step(actions[go_on], go_on)
         for i in np.flatnonzero(done):
             self.episodes.begin(int(i), self._rngs[i])
         self._done = terminated | truncated

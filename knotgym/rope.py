@@ -66,17 +66,27 @@ class RopeConfig:
     reach: float = 2.0
 
     def __post_init__(self) -> None:
+        for name in ("beads", "sub_chains", "frame_skip"):
+            if type(getattr(self, name)) is not int:
+                raise ValueError(f"{name} must be a whole number, got {getattr(self, name)!r}")
         for name in ("length", "radius", "density", "medium_density", "timestep", "max_force", "reach"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be above 0, got {getattr(self, name)}")
+            if not 0 < getattr(self, name) < np.inf:
+                raise ValueError(f"{name} must be above 0 and finite, got {getattr(self, name)}")
+        for name, size in (("closure_solref", 2), ("closure_solimp", 5)):
+            values = tuple(getattr(self, name))  # JSON has lists
+            if len(values) != size or not np.isfinite(values).all():
+                raise ValueError(f"{name} must be {size} finite numbers, got {values}")
+            object.__setattr__(self, name, values)
         if self.sub_chains < 2 or self.beads < 3 * self.sub_chains:
             raise ValueError(f"a rope needs 2 sub-chains of 3 beads each at least, got {self.beads} beads in {self.sub_chains} sub-chains")
+        if 2 * self.radius >= self.bead_length:
+            raise ValueError(f"a bead must be longer than wide, got length {self.bead_length:.3g} and radius {self.radius:.3g}")
         if self.frame_skip < 1:
             raise ValueError(f"frame_skip must be at least 1 step, got {self.frame_skip}")
         if self.rooted not in ("middle", "start"):
             raise ValueError(f'rooted must be "middle" or "start", got {self.rooted!r}')
-        if self.joint_damping < 0:
-            raise ValueError(f"joint_damping must be at least 0, got {self.joint_damping}")
+        if not 0 <= self.joint_damping < np.inf:
+            raise ValueError(f"joint_damping must be at least 0 and finite, got {self.joint_damping}")
 
     @property
     def bead_length(self) -> float:
@@ -113,7 +123,7 @@ class Rope:
         self._dof_at = self.model.jnt_dofadr[joints].astype(np.int64)
         self._rest = self.model.body_quat[self.bodies].copy()  # orientation to the parent at zero joint angle
         self._next_in_chain = np.ones(beads, dtype=bool)
-        self._next_in_chain[[last for _, last in _sub_chains(self.config)]] = False
+        self._next_in_chain[[last for _, last in sub_chains(self.config)]] = False
 
     @property
     def nq(self) -> int:
@@ -165,7 +175,7 @@ class Rope:
         """Turn a closed polyline into a configuration of this rope.
 
         A curve that already is a configuration (beads of the right length inside every sub-chain, closing gaps below a
-        bead's diameter) comes back as it is; any other is cut into equal chords and scaled to the rope's length.
+        bead's diameter) comes back as it is; any other is cut into equal chords, scaled to the rope's length and centred.
 
         Args:
             curve: (n, 3), n >= 4, any unit; the last point is joined to the first, which may also be repeated at the end.
@@ -184,8 +194,9 @@ class Rope:
             raise InvalidCurve("a curve needs finite coordinates, got NaN or infinity")
         if len(p) > 1 and np.array_equal(p[0], p[-1]):
             p = p[:-1]
-        if len(p) < 4:
-            raise InvalidCurve(f"a closed rope needs at least 4 different points, got {len(p)}")
+        different = len(np.unique(p, axis=0))
+        if different < 4:
+            raise InvalidCurve(f"a closed rope needs at least 4 different points, got {different}")
         if not self._is_configuration(p):
             chords = np.linalg.norm(np.roll(p, -1, axis=0) - p, axis=1)
             repeated = len(p) < len(np.asarray(curve))
@@ -194,8 +205,9 @@ class Rope:
                     f"the curve isn't closed: its ends are {chords[-1]:.3g} apart, its other points at most {chords[:-1].max():.3g}; "
                     "repeat the first point at the end to close it with a straight line"
                 )
-            p = _equal_chords(p, self.config.beads)
-            p *= self.config.bead_length / np.linalg.norm(p[1] - p[0])
+            p = self.config.bead_length * _equal_chords(p, self.config.beads)
+            if not self._is_configuration(p):
+                raise InvalidCurve(f"the curve turns too sharply for a rope of {self.config.beads} beads")
         depth = 2 * self.config.radius - clearance(p)
         if depth > max_overlap:
             raise InvalidCurve(f"beads would overlap by {1000 * depth:.1f} mm, at most {1000 * max_overlap:.1f} mm can be had: the curve passes too close to itself")
@@ -218,7 +230,7 @@ def noised(points: ArrayLike, scale: float, rng: np.random.Generator) -> Array:
     Args:
         points: float64 (beads, 3), metres; left alone.
         scale: of the uniform noise, radians and metres.
-        rng: six hundred and six draws at 100 beads are taken from it, whatever happens.
+        rng: three hundred and six draws at 100 beads are taken from it, whatever happens.
 
     Returns:
         float64 (beads, 3), equal chords, exactly closed.
@@ -284,7 +296,7 @@ def _compile(config: RopeConfig) -> mujoco.MjModel:
 
     damping = [config.joint_damping, 0.0, 0.0]
     bodies: dict[int, mujoco.MjsBody] = {}
-    for first, last in _sub_chains(config):
+    for first, last in sub_chains(config):
         root = (first + last + 1) // 2 if config.rooted == "middle" else first
         start = [radius * np.cos(turn * root), radius * np.sin(turn * root), 0.0]
         bodies[root] = add_bead(spec.worldbody, root, start, turn * (root + 0.5) + np.pi / 2)
@@ -295,7 +307,7 @@ def _compile(config: RopeConfig) -> mujoco.MjModel:
         for i in range(root - 1, first - 1, -1):  # hangs from its own end, which is the start of bead i + 1
             bodies[i] = add_bead(bodies[i + 1], i, [-length * np.cos(turn), length * np.sin(turn), 0.0], -turn)
             bodies[i].add_joint(type=mujoco.mjtJoint.mjJNT_BALL, damping=damping, pos=[length, 0.0, 0.0])
-    for _, last in _sub_chains(config):
+    for _, last in sub_chains(config):
         here, after = f"bead{last}", f"bead{(last + 1) % beads}"
         joined = spec.add_equality(type=mujoco.mjtEq.mjEQ_CONNECT, objtype=mujoco.mjtObj.mjOBJ_BODY, name1=here, name2=after)
         joined.data[0:3] = [length, 0.0, 0.0]
@@ -305,7 +317,7 @@ def _compile(config: RopeConfig) -> mujoco.MjModel:
     return spec.compile()
 
 
-def _sub_chains(config: RopeConfig) -> list[tuple[int, int]]:
+def sub_chains(config: RopeConfig) -> list[tuple[int, int]]:
     """First and last bead of each sub-chain, as equal in size as they can be."""
     cuts = [round(k * config.beads / config.sub_chains) for k in range(config.sub_chains + 1)]
     return [(first, after - 1) for first, after in zip(cuts[:-1], cuts[1:], strict=True)]
@@ -390,7 +402,7 @@ def _shortest_arc(a: Array, b: Array) -> Array:
 def _rotate(vectors: Array, by: Array) -> Array:
     """Rotate each vector (n, 3) by its rotation vector (n, 3), radians (Rodrigues)."""
     angle = np.linalg.norm(by, axis=1, keepdims=True)
-    axis = by / np.maximum(angle, 1e-300)
+    axis = by / np.maximum(angle, 1e-100)
     along = axis * (axis * vectors).sum(axis=1, keepdims=True)
     return along + (vectors - along) * np.cos(angle) + np.cross(axis, vectors) * np.sin(angle)
 
@@ -411,45 +423,30 @@ def _closed(along: Array) -> Array:
 
 
 def _equal_chords(curve: Array, count: int) -> Array:
-    """Walk a closed polyline in `count` straight steps of one size that end where they began: float64 (count, 3)."""
+    """Cut a closed polyline into `count` chords of length 1 that end where they began: float64 (count, 3), centred.
+
+    The places of the cuts along the polyline move until the chords are equal, which they nearly become unless it doubles back
+    within a chord; the least change of their directions closes what is left.
+    """
+    curve = (curve - curve[0]) / max(np.ptp(curve, axis=0).max(), np.finfo(float).tiny)
     closed = np.concatenate([curve, curve[:1]])
-    total = np.linalg.norm(np.diff(closed, axis=0), axis=1).sum()
-    low, high = 0.0, 1.0001 * total / count
-    for _ in range(60):  # the walk falls short with a step too small, goes past the start with one too large
-        step = 0.5 * (low + high)
-        _, short = _walk(closed, step, count)
-        low, high = (step, high) if short else (low, step)
-    return _walk(closed, low, count)[0]
+    at = _walked(closed)
+    cuts = np.linspace(0.0, at[-1], count + 1)
+    for _ in range(50):
+        points = np.stack([np.interp(cuts, at, axis) for axis in closed.T], axis=1)
+        walked = _walked(points)
+        if np.ptp(np.diff(walked)) <= 1e-12 * walked[-1]:
+            break
+        cuts = np.interp(np.linspace(0.0, walked[-1], count + 1), walked, cuts)
+    chord = np.diff(points, axis=0)
+    along = _closed(chord / np.maximum(np.linalg.norm(chord, axis=1, keepdims=True), np.finfo(float).tiny))
+    out = np.cumsum(along, axis=0)
+    return np.roll(out, 1, axis=0) - out.mean(axis=0)
 
 
-@numba.njit(cache=True, nogil=True)
-def _walk(closed: Array, step: float, count: int) -> tuple[Array, bool]:
-    """Points reached by count - 1 steps along a polyline, and whether the last step would still end before its end."""
-    out = np.empty((count, 3))
-    out[0] = closed[0]
-    here = closed[0].copy()
-    edge, past = 0, 0.0  # where on the polyline: edge, and the share of it already used
-    for k in range(1, count + 1):
-        found = False
-        while edge < len(closed) - 1:
-            a, d = closed[edge], closed[edge + 1] - closed[edge]
-            # |a + t d - here| = step, the larger root
-            e = a - here
-            aa, bb, cc = (d * d).sum(), (d * e).sum(), (e * e).sum() - step * step
-            disc = bb * bb - aa * cc
-            if aa > 0 and disc >= 0:
-                t = (-bb + np.sqrt(disc)) / aa
-                if past <= t <= 1:
-                    here = a + t * d
-                    past = t
-                    found = True
-                    break
-            edge, past = edge + 1, 0.0
-        if not found:
-            return out, False
-        if k < count:
-            out[k] = here
-    return out, True
+def _walked(points: Array) -> Array:
+    """Way along a polyline to each of its n points, from 0: float64 (n,)."""
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 
 @numba.njit(cache=True, nogil=True)

@@ -81,7 +81,7 @@ class Simulation:
         Args:
             beads: int (len(ids),), the bead pulled at its centre of mass.
             forces: (len(ids), 3), newtons, world frame.
-            ids: the ropes, each once; None for all.
+            ids: the ropes, in rising order; None for all.
 
         Returns:
             bool (len(ids),): False where the simulation blew up (NaN, or a gap in the rope wider than a bead); such a
@@ -89,15 +89,16 @@ class Simulation:
         """
         where = self._all(ids)
         before = self._batch.state[where].copy()
-        warned = self._batch.warning[where][:, _BLOWN_UP, 1].sum(axis=1)
+        self._batch.warning[where] = 0  # MuJoCo starts a blown-up rope over as a plain loop, and the count with it
         self._xfrc[where, self.rope.bodies[np.asarray(beads)], :3] = forces
         broken = np.zeros(len(where), dtype=bool)
         try:
             self._batch.step(where, nstep=self.rope.config.frame_skip)
         except SimulationError as error:
             broken |= np.isin(where, error.ids)
-        self._xfrc[where] = 0.0
-        broken |= self._batch.warning[where][:, _BLOWN_UP, 1].sum(axis=1) != warned
+        finally:
+            self._xfrc[where] = 0.0
+        broken |= self._batch.warning[where][:, _BLOWN_UP, 1].any(axis=1)
         self.points[where], gaps = self.rope.points_and_gaps(self._qpos[where])
         broken |= ~np.isfinite(self.points[where]).all(axis=(1, 2)) | ~(gaps < 2 * self.rope.config.radius)
         if broken.any():
@@ -109,7 +110,7 @@ class Simulation:
 
         Args:
             actions: (len(ids), 6), in [-1, 1].
-            ids: the ropes, each once; None for all.
+            ids: the ropes, in rising order; None for all.
 
         Returns:
             As `pull`.

@@ -25,7 +25,7 @@ def whole(path: str | os.PathLike[str]) -> Iterator[Path]:
     try:
         yield part
         _sync(part)
-        if target.is_dir():
+        if target.is_dir() and part.exists():
             target.rename(room / "replaced")
         part.replace(target)
     finally:

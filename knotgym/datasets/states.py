@@ -93,6 +93,8 @@ def write_states(path: str | os.PathLike[str], states: States) -> None:
             file.attrs[name] = json.dumps(value) if isinstance(value, dict) else value
         for name in _COLUMNS:
             _write(file, name, getattr(states, name))
+        for group in ("quality", "source"):  # there even if empty
+            file.create_group(group)
         for name, values in states.quality.items():
             _write(file, f"quality/{name}", values).attrs["unit"] = states.units[name]
         for name, values in states.source.items():
@@ -129,7 +131,9 @@ def read_states(path: str | os.PathLike[str], *, images: bool = True) -> States:
                 attributes={name: value for name, value in file.attrs.items() if name not in ("format", "format_version")},
                 **text,
             )
-    except (OSError, KeyError, RuntimeError) as error:
+    except InvalidStates:
+        raise
+    except (OSError, KeyError, RuntimeError, TypeError, ValueError, AttributeError) as error:  # whatever h5py says to foreign bytes
         raise InvalidStates(f"{path} isn't a whole state file: {' '.join(str(error).split())}") from error
 
 

@@ -2,7 +2,7 @@
 
 Quality-diversity search in the line of MAP-Elites (niches) and Go-Explore (return, then explore). A niche is a class of
 codes under the rope's symmetries (`symmetry.class_of`), chirality kept: what is found for one code is found for all of its
-class.
+class. A state fills a niche for each sub-chain that the walk may start at.
 """
 
 from __future__ import annotations
@@ -17,15 +17,16 @@ import h5py
 import numpy as np
 
 from knotgym.datasets.files import whole
+from knotgym.diagrams import chiralities
 from knotgym.errors import KnotgymError
 from knotgym.gauss import GaussCode
-from knotgym.generate.manoeuvres import NO_WAY, Way
+from knotgym.generate.manoeuvres import Way
 from knotgym.generate.symmetry import class_of, members
 from knotgym.rope import Array
 
 FORMAT = "knotgym-archive"
 FORMAT_VERSION = 1
-KEPT = 3  # elites kept for their short way, and as many for their looks
+KEPT = 2  # elites kept for their short way, and as many for their looks
 
 
 class InvalidArchive(KnotgymError, ValueError):
@@ -37,13 +38,15 @@ class Elite:
     """A state the search has been in.
 
     Attributes:
-        code: what it shows, with chirality.
-        way: from the plain loop at rest.
+        code: what it shows, with chirality, walked from vertex `roll`.
+        roll: a vertex where a sub-chain starts.
+        way: from the plain loop at rest, beads numbered as there.
         state: MuJoCo integration state at the end of the way, float64.
         badness: how far from legible, see `Limits.badness`.
     """
 
     code: GaussCode
+    roll: int
     way: Way
     state: Array
     badness: float
@@ -70,6 +73,8 @@ class Archive:
         niche = class_of(elite.code)
         new = niche not in self.niches
         pool = [*self.niches.get(niche, []), elite]
+        if any(one.roll == 0 for one in pool):  # a way that holds for this very base bead beats those that hold nearly
+            pool = [one for one in pool if one.roll == 0]
         short = sorted(pool, key=lambda one: (len(one.way), one.badness))[:KEPT]
         pretty = sorted(pool, key=lambda one: (one.badness, len(one.way)))[:KEPT]
         self.niches[niche] = short + [one for one in pretty if not any(one is other for other in short)]
@@ -80,11 +85,13 @@ class Archive:
         found = {member.plain for niche in self.niches if niche.nx == nx for member in members(niche)}
         return sorted(found, key=lambda code: code.visits)
 
+    def handed(self, code: GaussCode) -> list[GaussCode]:
+        """The codes with chirality that show the visits of `code` and are known."""
+        return [one for letters in chiralities(code) if class_of(one := GaussCode(code.visits, letters)) in self.niches]
+
     def leading_to(self, code: GaussCode) -> list[Elite]:
-        """Elites of every class that `code` is in: one class with chirality, several without."""
-        if code.chirality is not None and (code.nx or not code.visits):
-            return list(self.niches.get(class_of(code), []))
-        return [elite for niche, elites in self.niches.items() if niche.nx == code.nx for elite in elites if code in _plain_members(niche)]
+        """Elites whose variants show `code`, which has its chirality."""
+        return list(self.niches.get(class_of(code), []))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the archive; it appears whole or not at all."""
@@ -96,6 +103,7 @@ class Archive:
             file.attrs["visits"] = json.dumps({niche.chiral: count for niche, count in self.visits.items()})
             squeezed = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
             file.create_dataset("code", data=[elite.code.chiral for elite in elites], dtype=h5py.string_dtype("utf-8"))
+            file.create_dataset("roll", data=[elite.roll for elite in elites])
             file.create_dataset("badness", data=[elite.badness for elite in elites])
             file.create_dataset("length", data=[len(elite.way) for elite in elites])
             file.create_dataset("beads", data=np.concatenate([elite.way.beads for elite in elites]), **squeezed)
@@ -123,9 +131,9 @@ class Archive:
                 )
                 ends = np.cumsum(file["length"][()])
                 beads, forces, states = file["beads"][()], file["forces"][()], file["state"][()]
-                for row, (text, badness) in enumerate(zip(file["code"].asstr()[()], file["badness"][()], strict=True)):
+                for row, (text, roll, badness) in enumerate(zip(file["code"].asstr()[()], file["roll"][()], file["badness"][()], strict=True)):
                     code, start = GaussCode.parse(text), 0 if row == 0 else ends[row - 1]
-                    elite = Elite(code, Way(beads[start : ends[row]], forces[start : ends[row]]), states[row], float(badness))
+                    elite = Elite(code, int(roll), Way(beads[start : ends[row]], forces[start : ends[row]]), states[row], float(badness))
                     archive.niches.setdefault(class_of(code), []).append(elite)
                 return archive
         except (OSError, KeyError, RuntimeError) as error:
@@ -134,14 +142,3 @@ class Archive:
     def _elites(self) -> Iterator[Elite]:
         for elites in self.niches.values():
             yield from elites
-
-
-def begun(state: Array, code: GaussCode, settings: dict[str, object]) -> Archive:
-    """An archive that knows only the state a search begins with."""
-    archive = Archive(settings=settings)
-    archive.offer(Elite(code, NO_WAY, state, 0.0))
-    return archive
-
-
-def _plain_members(niche: GaussCode) -> set[GaussCode]:
-    return {member.plain for member in members(niche)}

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from knotgym.crossings import find_crossings, label
 from knotgym.gauss import GaussCode
 from knotgym.generate.archive import Elite
-from knotgym.generate.manoeuvres import Way, pull
+from knotgym.generate.manoeuvres import NO_WAY, Way, pull
 from knotgym.generate.opening import OpeningConfig, open_up
 from knotgym.generate.quality import Limits, Quality, measure, noise_survival
 from knotgym.generate.symmetry import Symmetry, variants
@@ -34,20 +34,25 @@ class InstanceConfig:
     Attributes:
         limits: of accepted states.
         opening: how hard to open them up.
-        start_noise: of the plain loop each begins as, as `rope.noised`.
+        start_noise: of the plain loop each begins as, as `rope.noised`; a tenth of a degree loses three ways in ten.
+        stir: random pulls after the way, so that two instances of one way lie differently; one that changes the code is
+            taken back.
+        stir_loop: the same for plain loops, which have no way.
         reset_noise: that accepted states must survive.
         rope: its physics.
     """
 
     limits: Limits = Limits()
     opening: OpeningConfig = OpeningConfig()
-    start_noise: float = 0.015
+    start_noise: float = 0.0
+    stir: int = 3
+    stir_loop: int = 12
     reset_noise: float = 0.015
     rope: RopeConfig = RopeConfig()
 
 
 class Order(NamedTuple):
-    """One instance to make: of `code` (plain, or with chirality), from one of `elites`, drawing from SeedSequence(seed)."""
+    """One instance to make: of `code`, which has its chirality, from one of `elites`, drawing from SeedSequence(seed)."""
 
     config: InstanceConfig
     code: GaussCode
@@ -88,9 +93,7 @@ def make(order: Order) -> Instance:
     elite = order.elites[rng.integers(len(order.elites))]
     simulation = _simulations(config.rope, config.opening.tries)
     one = np.array([0])
-    symmetry = _symmetry(elite, order.code, rope, rng)
-    if symmetry is None:
-        return _rejected("no room for the base bead", order, rope)
+    symmetry = _symmetry(elite, order.code, rng)
     start_qpos = rope.qpos(symmetry.configuration(noised(order.start, config.start_noise, rng)))
     simulation.lay(start_qpos[None], one)
     way = Way(symmetry.beads(elite.way.beads, config.rope.beads).astype(np.int16), symmetry.vectors(elite.way.forces).astype(np.float32))
@@ -107,43 +110,46 @@ def make(order: Order) -> Instance:
 
     if not follow(way):
         return _rejected("simulation failed", order, rope)
-    if not label(simulation.points[0]).matches(order.code, chirality=order.code.chirality is not None and order.code.nx > 0):
+    if label(simulation.points[0]) != order.code:
         return _rejected("way missed the code", order, rope)
     before = simulation.states(one)[0]
-    _, opening = open_up(simulation, before, config.limits, config.opening, rng)
+    stirred, stirring = _stir(simulation, config.stir if order.code.nx else config.stir_loop, rng)
+    _, opening = open_up(simulation, stirred, config.limits, config.opening, rng)
     simulation.restore(before[None], one)
     still = Way(np.zeros(REST, dtype=np.int16), np.zeros((REST, 3), dtype=np.float32))
-    if not follow(opening + still):
+    if not follow(stirring + opening + still):
         return _rejected("simulation failed", order, rope)
     last = simulation.points[0].copy()
     crossings = find_crossings(last)
     quality = replace(measure(last, crossings), noise_survival=noise_survival(last, config.reset_noise, rng))
     faults = config.limits.faults(quality, crossings.nx)
-    if not crossings.code.matches(order.code, chirality=order.code.chirality is not None and order.code.nx > 0):
+    if crossings.code != order.code:
         faults.append("code lost at rest")
     elif pyknotid_code(last) != crossings.code:
         faults.append("labellers disagree")
     return Instance(crossings.code, tuple(faults), order.seed, start_qpos, np.stack(actions), np.stack(points), simulation.qpos(one)[0], quality)
 
 
-def _symmetry(elite: Elite, code: GaussCode, rope: Rope, rng: np.random.Generator) -> Symmetry | None:
-    """A random symmetry that takes the elite's code to `code` and leaves the base bead room, None if there is none."""
-    with_chirality = code.chirality is not None and code.nx > 0
-    fitting = [(symmetry, visits) for shown, symmetry, visits in variants(elite.code) if shown.matches(code, chirality=with_chirality)]
-    turn, where = float(rng.uniform(-np.pi, np.pi)), float(rng.uniform(0.3, 0.7))
-    beads = rope.config.beads
-    for pick in rng.permutation(len(fitting)):
-        symmetry, visits = fitting[pick]
-        if code.nx == 0:
-            return replace(symmetry, turn=turn, roll=int(where * 1e6) % beads)
-        crossings = find_crossings(rope.points(elite.state[1 : 1 + rope.nq]))
-        places = np.concatenate([crossings.over_place, crossings.under_place])
-        places = np.sort((-places) % beads if symmetry.reverse else places)
-        low, high = (places[visits - 1] if visits else places[-1] - beads), places[visits]
-        roll = int(np.ceil(low + where * (high - low - 1)))
-        if low < roll and roll + 1 < high:  # the white bead lies between the vertices roll and roll + 1
-            return replace(symmetry, turn=turn, roll=roll % beads)
-    return None
+def _stir(simulation: Simulation, pulls: int, rng: np.random.Generator) -> tuple[Array, Way]:
+    """Pull rope 0 about at random without changing what it shows; the state reached and the way there."""
+    one, code, way = [0], label(simulation.points[0]), NO_WAY
+    state = simulation.states(one)[0]
+    for _ in range(pulls):
+        bead, heading, strength = rng.integers(simulation.rope.config.beads, size=1), rng.uniform(-np.pi, np.pi), rng.uniform(0.3, 1.0)
+        force = strength * np.array([[np.cos(heading), np.sin(heading), 0.0]])
+        _, held = pull(simulation, bead, force, one)
+        if held.all() and label(simulation.points[0]) == code:
+            state, way = simulation.states(one)[0], way + Way(bead.astype(np.int16), force.astype(np.float32))
+        else:
+            simulation.restore(state[None], one)
+    return state, way
+
+
+def _symmetry(elite: Elite, code: GaussCode, rng: np.random.Generator) -> Symmetry:
+    """A random symmetry that takes what the elite shows to `code`."""
+    fitting = [symmetry for shown, symmetry in variants(elite.code) if shown == code]
+    symmetry = fitting[rng.integers(len(fitting))]
+    return replace(symmetry, turn=float(rng.uniform(-np.pi, np.pi)), roll=-elite.roll if symmetry.reverse else elite.roll)
 
 
 def _rejected(fault: str, order: Order, rope: Rope) -> Instance:

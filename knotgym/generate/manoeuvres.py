@@ -51,8 +51,8 @@ def propose(points: Array, rng: np.random.Generator) -> Manoeuvre:
         far = reach = rng.uniform(0.03, 0.2)
         height = here[2] + (0.0 if kind == "spread" else side * LIFT)
     ahead = np.array([np.cos(heading), np.sin(heading)])
-    stops = [[*(here[:2] + ahead * min(0.03, far)), height], [*(here[:2] + ahead * reach), height], [*(here[:2] + ahead * reach), points[:, 2].mean()]]
-    return Manoeuvre(kind, bead, np.array(stops))
+    rise, end = here[:2] + ahead * min(0.03, far), here[:2] + ahead * reach
+    return Manoeuvre(kind, bead, np.array([[*rise, height], [*end, height], [*end, points[:, 2].mean()]]))
 
 
 class Hand:
@@ -109,7 +109,9 @@ class Way:
 NO_WAY = Way(np.zeros(0, dtype=np.int16), np.zeros((0, 3), dtype=np.float32))
 
 
-def pull(simulation: Simulation, beads: NDArray[np.integer], forces: NDArray[np.floating], ids: Ids = None) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+def pull(
+    simulation: Simulation, beads: NDArray[np.integer], forces: NDArray[np.floating], ids: Ids = None
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Pull through the agent's interface, so that what is recorded is what an agent can do.
 
     Args:

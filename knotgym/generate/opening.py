@@ -13,7 +13,7 @@ import numpy as np
 from knotgym.crossings import find_crossings
 from knotgym.gauss import GaussCode
 from knotgym.generate.manoeuvres import NO_WAY, Way, pull
-from knotgym.generate.quality import Limits, Quality, measure
+from knotgym.generate.quality import Limits, Quality, measure, tightest_spot
 from knotgym.rope import Array
 from knotgym.simulation import Simulation
 
@@ -75,14 +75,18 @@ def open_up(simulation: Simulation, state: Array, limits: Limits, config: Openin
 
 def _seen(points: Array) -> tuple[GaussCode, Quality]:
     crossings = find_crossings(points)
-    return crossings.code, measure(points, crossings)
+    return crossings.code, measure(points, crossings, quick=True)
 
 
 def _proposals(points: Array, tries: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Pulls that may open the rope: any bead, mostly outwards or along where its neighbours push it, a little up or down."""
-    beads = rng.integers(len(points), size=tries)
-    outward = points[beads, :2] - points[:, :2].mean(axis=0)
-    heading = np.arctan2(outward[:, 1], outward[:, 0]) + np.where(rng.random(tries) < 0.5, rng.normal(0, 0.4, tries), rng.uniform(-np.pi, np.pi, tries))
+    """Pulls that may open the rope: half of them on beads near the tightest spot, away from it; the rest outwards or anywhere."""
+    spot, middle = tightest_spot(points), points[:, :2].mean(axis=0)
+    near = np.argsort(np.linalg.norm(points[:, :2] - spot, axis=1))[:30]
+    targeted = np.arange(tries) < tries // 2
+    beads = np.where(targeted, near[rng.integers(len(near), size=tries)], rng.integers(len(points), size=tries))
+    away = points[beads, :2] - np.where(targeted[:, None], spot, middle)
+    aside = np.where(targeted | (rng.random(tries) < 0.5), rng.normal(0, 0.5, tries), rng.uniform(-np.pi, np.pi, tries))
+    heading = np.arctan2(away[:, 1], away[:, 0]) + aside
     strength = rng.uniform(0.3, 1.0, tries)
     lift = np.where(rng.random(tries) < 0.3, rng.uniform(-0.5, 0.5, tries), 0.0)
     level = np.sqrt(1 - lift**2)

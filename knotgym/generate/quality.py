@@ -9,9 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Any
 
+import cv2
 import numba
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from knotgym.crossings import Crossings, find_crossings, label_many
 from knotgym.picture import DEFAULT, PictureConfig, project
@@ -22,6 +23,8 @@ UNITS = {
     "crossing_spacing": "pixels",
     "base_spacing": "pixels",
     "strand_spacing": "pixels",
+    "smallest_region": "square pixels",
+    "smallest_face": "square pixels",
     "margin": "pixels",
     "clearance": "millimetres",
     "excess_crossing_number": "crossings",
@@ -32,6 +35,7 @@ UNITS = {
 
 WALK = 12.0  # pixels of walk along the drawn rope, crossings may be turned at, beyond which two places are different strands
 NOISE_DRAWS = 64
+FACE = 20.0  # square pixels inside the axes of an eye that shows some background; where none is shown it says which way is better
 
 
 @dataclass(frozen=True)
@@ -43,6 +47,9 @@ class Quality:
         crossing_spacing: smallest distance between two crossings, pixels, at most the picture's side.
         base_spacing: from the white base bead along the rope to the nearest crossing, pixels, at most the picture's side.
         strand_spacing: smallest distance in the picture between the axes of two places more than WALK pixels of walk apart.
+        smallest_region: background of the smallest region that the drawn rope encloses, square pixels; 0 if the picture doesn't
+            show the nx + 2 regions, the outside among them, that a diagram with nx crossings has.
+        smallest_face: of the regions that the rope's axis encloses, had the rope no width, square pixels.
         margin: from the rope's edge to the edge of the picture, pixels; negative if the rope leaves it.
         clearance: smallest height of an over strand's axis above the under strand's, millimetres; two beads that touch have 10.
         excess_crossing_number: average crossing number over all directions of view minus the crossings seen from above:
@@ -56,6 +63,8 @@ class Quality:
     crossing_spacing: float
     base_spacing: float
     strand_spacing: float
+    smallest_region: float
+    smallest_face: float
     margin: float
     clearance: float
     excess_crossing_number: float
@@ -73,6 +82,7 @@ class Limits:
         crossing_spacing: at least; three widths of the rope leave a rope's width of background between two crossings.
         base_spacing: at least; a crossing nearer to the base bead could be counted first or last.
         strand_spacing: at least; half again the rope's width, so that a dark pixel parts two strands.
+        smallest_region: at least; a kink's eye three pixels wide is the least that a person finds without looking for it.
         margin: at least; the rope stays in the picture after reset noise, which moves no bead by more than three pixels as a rule.
         clearance: at least, millimetres; beads that are pressed into each other spring apart when the episode begins.
         excess_crossing_number: at most; a coil seen end-on hides about one crossing a turn.
@@ -84,6 +94,7 @@ class Limits:
     crossing_spacing: float = 6.0
     base_spacing: float = 3.0
     strand_spacing: float = 3.0
+    smallest_region: float = 9.0
     margin: float = 3.0
     clearance: float = 8.0
     excess_crossing_number: float = 1.5
@@ -107,21 +118,33 @@ class Limits:
 
     def badness(self, quality: Quality, nx: int) -> float:
         """How far from comfortable: 0 when every measure is twice as good as its limit, 1 for each one just at it, more beyond."""
-        total = 0.0
+        total = max(0.0, 2 - quality.smallest_face / FACE) ** 2
         for limit in fields(self):
             value, bound = getattr(quality, limit.name), getattr(self, limit.name)
+            if value != value:
+                continue
             if limit.name in ("excess_crossing_number", "total_curvature"):
                 allowed = bound if limit.name == "excess_crossing_number" else bound * (nx + 1)
                 total += max(0.0, 2 * value / allowed - 1)
             elif limit.name == "clearance":
                 total += max(0.0, 1 - (value - bound)) if value < bound + 1 else 0.0
-            elif value == value:
+            else:
                 total += max(0.0, 2 - value / bound) ** 2
         return total
 
 
-def measure(points: ArrayLike, crossings: Crossings | None = None, config: PictureConfig = DEFAULT) -> Quality:
-    """Measure a configuration, float64 (beads, 3), metres; noise_survival is left out, see `noise_survival`."""
+def measure(points: ArrayLike, crossings: Crossings | None = None, config: PictureConfig = DEFAULT, *, quick: bool = False) -> Quality:
+    """Measure a configuration, float64 (beads, 3), metres.
+
+    Args:
+        points: left alone.
+        crossings: of these points, if they are known already.
+        config: of the picture it is measured in.
+        quick: leave out excess_crossing_number, half of the time.
+
+    Returns:
+        All but noise_survival, which has a function of its own; NaN where left out.
+    """
     p = np.ascontiguousarray(points, dtype=np.float64)
     found = find_crossings(p) if crossings is None else crossings
     scale = config.pixels_per_metre
@@ -133,26 +156,46 @@ def measure(points: ArrayLike, crossings: Crossings | None = None, config: Pictu
     unit = chord / length[:, None]
     curvature = np.arccos(np.clip((unit * np.roll(unit, -1, axis=0)).sum(axis=1), -1, 1)).sum() / (2 * np.pi)
     radius = config.rope_radius * scale
-    spacing, angle, base = size, 90.0, size
+    regions, faces = _regions(pixels, 2 * radius)[0], _regions(pixels, 0.0)[0]
+    spacing, angle = size, 90.0
     clearance = float("inf")
     if found.nx:
         angle = min(_angle(p, over, under) for over, under in zip(found.over_place, found.under_place, strict=True))
         at = found.position * scale
         apart = np.linalg.norm(at[:, None] - at[None, :], axis=2)
         spacing = min(size, float(apart[np.triu_indices(found.nx, 1)].min(initial=size)))
-        base = min(size, _base_spacing(pixels, np.concatenate([found.over_place, found.under_place])))
         clearance = 1000 * float((found.over_z - found.under_z).min())
     return Quality(
         crossing_angle=angle,
         crossing_spacing=spacing,
-        base_spacing=base,
+        base_spacing=base_spacing(p, found, 0, config),
         strand_spacing=min(size, _strand_spacing(pixels, found.over_place, found.under_place, WALK)),
+        smallest_region=float(regions.min()) if len(regions) == found.nx + 2 else 0.0,
+        smallest_face=float(faces.min()) if len(faces) == found.nx + 2 else 0.0,
         margin=float(min(seen.min(), size - seen.max()) - radius),
         clearance=min(clearance, 1000.0 * config.rope_radius * 4),
-        excess_crossing_number=_average_crossing_number(p) - found.nx,
+        excess_crossing_number=float("nan") if quick else _average_crossing_number(p) - found.nx,
         total_curvature=float(curvature),
         writhe=float(found.sign.sum()),
     )
+
+
+def base_spacing(points: Array, crossings: Crossings, base: int = 0, config: PictureConfig = DEFAULT) -> float:
+    """Walk from the base bead, between the vertices `base` and `base + 1`, to the nearest crossing: pixels; 0 on the base bead."""
+    if not crossings.nx:
+        return float(config.size)
+    pixels = np.roll(project(points, config), -base, axis=0)
+    places = (np.concatenate([crossings.over_place, crossings.under_place]) - base) % len(points)
+    walked = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.roll(pixels, -1, axis=0) - pixels, axis=1))])
+    at = np.interp(places, np.arange(len(walked)), walked)
+    return float(min(config.size, max(0.0, min((at - walked[1]).min(), walked[-1] - at.max()))))
+
+
+def tightest_spot(points: Array, config: PictureConfig = DEFAULT) -> Array:
+    """Middle of the smallest region that the drawn rope encloses, float64 (2,), metres."""
+    areas, centres = _regions(np.ascontiguousarray(project(points, config)), 2 * config.rope_radius * config.pixels_per_metre)
+    offset = (centres[np.argmin(areas)] - config.size / 2) / config.pixels_per_metre
+    return np.asarray(points[:, :2].mean(axis=0) + offset * (1, -1))
 
 
 def noise_survival(points: ArrayLike, scale: float, rng: np.random.Generator, draws: int = NOISE_DRAWS) -> float:
@@ -166,20 +209,24 @@ def _angle(points: Array, over: float, under: float) -> float:
     """Angle in the picture between the strands at two places, each direction taken over two beads, degrees in [0, 90]."""
     beads = len(points)
 
-    def direction(place: float) -> Array:
-        ends = [points[int(np.floor(p)) % beads] + (p % 1) * (points[(int(np.floor(p)) + 1) % beads] - points[int(np.floor(p)) % beads]) for p in (place - 1, place + 1)]
-        return np.asarray(ends[1][:2] - ends[0][:2])
+    def at(place: float) -> Array:
+        bead = int(np.floor(place))
+        here, after = points[bead % beads, :2], points[(bead + 1) % beads, :2]
+        return np.asarray(here + (place - bead) * (after - here))
 
-    a, b = direction(float(over)), direction(float(under))
+    a, b = (at(place + 1) - at(place - 1) for place in (over, under))
     return float(np.degrees(np.arctan2(abs(a[0] * b[1] - a[1] * b[0]), abs(a @ b))))
 
 
-def _base_spacing(pixels: Array, places: Array) -> float:
-    """Walk from either end of the base bead (vertices 0 and 1) to the nearest crossing, pixels; 0 on the base bead."""
-    steps = np.linalg.norm(np.roll(pixels, -1, axis=0) - pixels, axis=1)
-    walked = np.concatenate([[0.0], np.cumsum(steps)])
-    at = np.interp(places, np.arange(len(walked)), walked)
-    return float(max(0.0, min((at - walked[1]).min(), walked[-1] - at.max()))) if (places >= 1).all() else 0.0
+def _regions(pixels: Array, width: float, fine: int = 4) -> tuple[Array, Array]:
+    """Draw the rope as a closed band: areas (n,) and centres (n, 2) of the pieces of background left, pixels."""
+    low = np.floor(pixels.min(axis=0)) - 4
+    high = np.ceil(pixels.max(axis=0)) + 4 - low
+    canvas = np.ones((int(high[1] * fine), int(high[0] * fine)), dtype=np.uint8)
+    corners = np.round((pixels - low) * fine * 16).astype(np.int32)
+    cv2.polylines(canvas, [corners[:, None]], True, 0, max(1, round(width * fine)), cv2.LINE_8, 4)
+    _, _, stats, centres = cv2.connectedComponentsWithStats(canvas, connectivity=4)
+    return stats[1:, cv2.CC_STAT_AREA] / fine**2, centres[1:] / fine + low
 
 
 @numba.njit(cache=True, nogil=True)

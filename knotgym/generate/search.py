@@ -7,17 +7,18 @@ on the archive at the start of the round, the seed, the round and the slot alone
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple, Protocol
+from dataclasses import asdict, dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from knotgym.crossings import label, label_many
+from knotgym.crossings import find_crossings, label_many
 from knotgym.gauss import GaussCode
-from knotgym.generate.archive import Archive, Elite, begun
-from knotgym.generate.manoeuvres import Hand, Way, propose, pull
-from knotgym.generate.quality import Limits, measure
+from knotgym.generate.archive import Archive, Elite
+from knotgym.generate.engines import Pool
+from knotgym.generate.manoeuvres import NO_WAY, Hand, Way, propose, pull
+from knotgym.generate.quality import Limits, base_spacing, measure
+from knotgym.generate.symmetry import Symmetry, rolled, rolls
 from knotgym.rope import Array, Rope, RopeConfig
 from knotgym.simulation import Simulation
 
@@ -43,12 +44,6 @@ class SearchConfig:
     rope: RopeConfig = RopeConfig()
 
 
-class Pool(Protocol):
-    """Something that maps a function over work, results in the order of the work; see `engines`."""
-
-    def map(self, function: Callable[[Any], Any], work: Iterable[Any]) -> Iterable[Any]: ...
-
-
 class Shift(NamedTuple):
     """A share of a round: slots `slots`, from states (len(slots), nstate)."""
 
@@ -58,12 +53,20 @@ class Shift(NamedTuple):
     states: Array
 
 
+class Trial(NamedTuple):
+    """Ways to follow from the plain loop."""
+
+    config: SearchConfig
+    ways: tuple[Way, ...]
+
+
 class Find(NamedTuple):
     """A state met: by which slot, after how many pulls."""
 
     slot: int
     pulls: int
     code: GaussCode
+    roll: int
     badness: float
     state: Array
 
@@ -74,11 +77,17 @@ def new_archive(config: SearchConfig, start: Array | None = None) -> Archive:
     simulation = Simulation(1, rope)
     points = rope.loop() if start is None else start
     simulation.lay(rope.qpos(points)[None])
-    return begun(simulation.states()[0], label(points), {**asdict(config), "start": np.asarray(points).tolist() if start is not None else "loop"})
+    archive = Archive(settings={**asdict(config), "start": "loop" if start is None else np.asarray(points).tolist()})
+    for code, roll, badness in _readings(rope.points(simulation.qpos()[0]), Limits(), config.rope):
+        archive.offer(Elite(code, roll, NO_WAY, simulation.states()[0], badness))
+    return archive
 
 
-def advance(archive: Archive, config: SearchConfig, pool: Pool, chunk: int = 16) -> list[GaussCode]:
+def advance(archive: Archive, config: SearchConfig, pool: Pool, chunk: int = 16) -> int:
     """Play one round and grow the archive by it.
+
+    Ways to codes that are known only with the walk starting at another sub-chain are tried anew with the rope renumbered,
+    and the round proper follows.
 
     Args:
         archive: changed in place.
@@ -87,25 +96,49 @@ def advance(archive: Archive, config: SearchConfig, pool: Pool, chunk: int = 16)
         chunk: slots in a shift; does not change the result.
 
     Returns:
-        The classes that are new.
+        How many classes are new.
     """
-    number = len(archive.growth)
+    number, known = len(archive.growth), len(archive.niches)
+    actions = archive.growth[-1]["actions"] if archive.growth else 0
+    rolled_ways = _unconfirmed(archive, config, number)
+    trials = [Trial(config, tuple(rolled_ways[first : first + chunk])) for first in range(0, len(rolled_ways), chunk)]
     parents = _parents(archive, config, number)
     shifts = [
         Shift(config, number, range(first, min(first + chunk, config.slots)), np.stack([elite.state for elite in parents[first : first + chunk]]))
         for first in range(0, config.slots, chunk)
     ]
-    new: list[GaussCode] = []
-    actions = archive.growth[-1]["actions"] if archive.growth else 0
+    for trial, finds in zip(trials, pool.map(confirm, trials), strict=True):
+        actions += sum(len(way) for way in trial.ways)
+        for find in finds:
+            archive.offer(Elite(find.code, find.roll, trial.ways[find.slot], find.state, find.badness))
     for finds, beads, forces, taken in pool.map(play, shifts):
         actions += int(taken.sum())
         for find in finds:
             row = find.slot % chunk
             way = parents[find.slot].way + Way(beads[row, : find.pulls], forces[row, : find.pulls])
-            if len(way) <= config.longest and archive.offer(Elite(find.code, way, find.state, find.badness)):
-                new.append(find.code)
+            if len(way) <= config.longest:
+                archive.offer(Elite(find.code, find.roll, way, find.state, find.badness))
     archive.growth.append({"round": number, "actions": actions, "classes": len(archive.niches)})
-    return new
+    return len(archive.niches) - known
+
+
+def confirm(trial: Trial) -> list[Find]:
+    """Follow each way from the plain loop; what it shows at its end, `Find.slot` counting the ways."""
+    simulation = _simulation(len(trial.ways), trial.config.rope)
+    rope = simulation.rope
+    simulation.lay(np.repeat(rope.qpos(rope.loop())[None], len(trial.ways), axis=0))
+    alive = np.ones(len(trial.ways), dtype=bool)
+    for step in range(max(len(way) for way in trial.ways)):
+        ids = np.array([row for row, way in enumerate(trial.ways) if alive[row] and step < len(way)])
+        if len(ids):
+            _, held = pull(simulation, np.array([trial.ways[i].beads[step] for i in ids]), np.stack([trial.ways[i].forces[step] for i in ids]), ids)
+            alive[ids] = held
+    out: list[Find] = []
+    for row in np.flatnonzero(alive):
+        for code, roll, badness in _readings(simulation.points[row], Limits(), trial.config.rope):
+            if code.nx <= trial.config.max_nx:
+                out.append(Find(int(row), len(trial.ways[row]), code, roll, badness, simulation.states([row])[0]))
+    return out
 
 
 def play(shift: Shift) -> tuple[list[Find], Array, Array, Array]:
@@ -139,16 +172,49 @@ def play(shift: Shift) -> tuple[list[Find], Array, Array, Array]:
         codes = label_many(simulation.points)
         for row in np.flatnonzero(alive):
             if codes[row].nx <= config.max_nx and (codes[row] != last[row] or ended[row] or step == config.pulls - 1):
-                badness = limits.badness(measure(simulation.points[row]), codes[row].nx)
-                finds.append(Find(shift.slots[row], step + 1, codes[row], badness, simulation.states([row])[0]))
+                state = simulation.states([row])[0]
+                for code, roll, badness in _readings(simulation.points[row], limits, config.rope):
+                    finds.append(Find(shift.slots[row], step + 1, code, roll, badness, state))
         last = codes
-    return sorted(finds, key=lambda find: (find.slot, find.pulls)), beads, forces, taken
+    return sorted(finds, key=lambda find: (find.slot, find.pulls, find.roll)), beads, forces, taken
+
+
+def _readings(points: Array, limits: Limits, rope: RopeConfig) -> list[tuple[GaussCode, int, float]]:
+    """What one state shows walked from each sub-chain: the codes, the rolls, and the badness of each."""
+    crossings = find_crossings(points)
+    quality = measure(points, crossings, quick=True)
+    found: dict[GaussCode, tuple[int, float]] = {}
+    for roll in rolls(rope):
+        code = rolled(crossings, roll)
+        badness = limits.badness(replace(quality, base_spacing=base_spacing(points, crossings, roll)), code.nx)
+        if code not in found or badness < found[code][1]:
+            found[code] = roll, badness
+    return [(code, roll, badness) for code, (roll, badness) in found.items()]
+
+
+def _unconfirmed(archive: Archive, config: SearchConfig, number: int) -> list[Way]:
+    """Ways for the rope renumbered, to codes that no elite shows from its own first bead; a quarter as many as slots.
+
+    The plain loop, renumbered by `roll` and turned back by as much, is the plain loop again.
+    """
+    if archive.settings["start"] != "loop":
+        return []
+    rng = np.random.default_rng([config.seed, number, config.slots, 1])
+    near = [elites for niche, elites in archive.niches.items() if 0 < niche.nx <= config.max_nx and all(one.roll for one in elites)]
+    ways = []
+    for pick in rng.permutation(len(near))[: config.slots // 4]:
+        elite = near[pick][rng.integers(len(near[pick]))]
+        symmetry = Symmetry(roll=elite.roll, turn=-2 * np.pi * elite.roll / config.rope.beads)
+        beads = symmetry.beads(elite.way.beads, config.rope.beads).astype(np.int16)
+        ways.append(Way(beads, symmetry.vectors(elite.way.forces).astype(np.float32)))
+    return ways
 
 
 def _parents(archive: Archive, config: SearchConfig, number: int) -> list[Elite]:
     """Draw where the slots set out from: classes seldom set out from more often, then any elite whose way isn't too long."""
     rng = np.random.default_rng([config.seed, number, config.slots])
-    able = {niche: [one for one in elites if len(one.way) + 4 <= config.longest] for niche, elites in archive.niches.items() if niche.nx <= config.max_nx}
+    near = {niche: elites for niche, elites in archive.niches.items() if niche.nx <= config.max_nx}
+    able = {niche: [one for one in elites if len(one.way) + 4 <= config.longest] for niche, elites in near.items()}
     niches = [niche for niche, elites in able.items() if elites]
     weights = np.array([1 / np.sqrt(1 + archive.visits.get(niche, 0)) for niche in niches])
     chosen = [niches[i] for i in rng.choice(len(niches), config.slots, p=weights / weights.sum())]

@@ -1,0 +1,118 @@
+"""How fast an environment steps on one core, by observation mode, beside raw MuJoCo on the same rope.
+
+    python benchmarks/step.py [--out step.json] [--steps 50] [--repeats 12]
+
+The raw share of a mode is the time that `mujoco.batch` alone takes for the same forces from the same start (24 substeps an
+action; the qpos at the end are compared bit for bit) over the time of the environment's steps. Both are taken in turn, ten
+actions at a time, on one pinned core in CPU seconds, so that what else runs on the machine hits both alike; medians over
+the repeats.
+"""
+
+import argparse
+import json
+import os
+import platform
+import statistics
+import time
+from pathlib import Path
+from typing import Any
+
+import cv2
+import gymnasium as gym
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+
+import knotgym
+from knotgym.rope import Rope
+
+MODES = ("state", "pixels", "both")
+BARS = {"state": 0.9, "pixels": 0.75}
+CHUNK = 10  # actions between two looks at the clock
+
+
+class Raw:
+    """The rope in `mujoco.batch` alone."""
+
+    def __init__(self, rope: Rope, qpos: NDArray[np.float64]) -> None:
+        self.rope, self.batch = rope, Batch(rope.model, 1, 1)
+        self.qpos, self.xfrc = self.batch.bind("qpos"), self.batch.bind("xfrc_applied")
+        self.qpos[0] = qpos
+
+    def pull(self, bead: int, force: NDArray[np.float64], undone: bool) -> None:
+        before = self.batch.state.copy() if undone else None
+        self.xfrc[0, self.rope.bodies[bead], :3] = force
+        self.batch.step(nstep=self.rope.config.frame_skip)
+        self.xfrc[0, self.rope.bodies[bead], :3] = 0.0
+        if before is not None:  # the environment takes an action back that tears the rope
+            self.batch.state[:] = before
+
+
+def measured(env: gym.Env[Any, Any], actions: NDArray[np.float32]) -> tuple[float, float]:
+    """CPU seconds of the environment and of the raw rope for one action each, over one episode."""
+    env.reset(seed=0)
+    simulation = env.unwrapped.episodes.simulation
+    raw = Raw(simulation.rope, simulation.qpos()[0])
+    ours, theirs = 0.0, 0.0
+    for start in range(0, len(actions), CHUNK):
+        pulls = []
+        began = time.process_time()
+        for action in actions[start : start + CHUNK]:
+            info = env.step(action)[4]
+            pulls.append((info["bead"], info["force"], info["simulation_failed"]))
+        ours += time.process_time() - began
+        began = time.process_time()
+        for pull in pulls:
+            raw.pull(*pull)
+        theirs += time.process_time() - began
+    if not np.array_equal(raw.qpos, simulation.qpos()):
+        raise SystemExit("the raw rope did not go where the environment's did: they cannot be compared")
+    return ours / len(actions), theirs / len(actions)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--steps", type=int, default=50, help="actions an episode")
+    parser.add_argument("--repeats", type=int, default=12, help="episodes a mode")
+    parser.add_argument("--task", default="tie", help="where the ropes start: tie, a plain loop; unknot, nx crossings")
+    parser.add_argument("--nx", type=int, default=2)
+    parser.add_argument("--states", help="state file, instead of the one that ships")
+    parser.add_argument("--out", type=Path, default=Path("step.json"))
+    args = parser.parse_args()
+    if args.steps < 1 or args.repeats < 1:
+        parser.error(f"--steps and --repeats must be at least 1, got {args.steps} and {args.repeats}")
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+    settings = {"nx": args.nx, "states": args.states, "horizon": args.steps + 1, "hold": args.steps + 1}  # no episode ends early
+    envs = {mode: gym.make(f"knotgym/{args.task.capitalize()}-v0", observation=mode, disable_env_checker=True, **settings) for mode in MODES}
+    rng = np.random.default_rng(0)
+    times: dict[str, list[tuple[float, float]]] = {mode: [] for mode in MODES}
+    for repeat in range(args.repeats + 1):
+        actions = rng.uniform(-1, 1, (args.steps, 6)).astype(np.float32)
+        for mode, env in envs.items():
+            pair = measured(env, actions)
+            if repeat:  # the first warms up
+                times[mode].append(pair)
+    rows = {}
+    for mode, pairs in times.items():
+        rows[mode] = {
+            "steps_per_second": 1 / statistics.median(ours for ours, _ in pairs),
+            "raw_steps_per_second": 1 / statistics.median(theirs for _, theirs in pairs),
+            "raw_share": statistics.median(theirs / ours for ours, theirs in pairs),
+            "own_ms": 1000 * statistics.median(ours - theirs for ours, theirs in pairs),
+            "bar": BARS.get(mode),
+        }
+    table = Table("observation", "steps/s", "raw steps/s", "share of raw", "ms of our own", "bar")
+    for mode, row in rows.items():
+        bar = f"{row['bar']:.2f}" if row["bar"] else ""
+        table.add_row(mode, f"{row['steps_per_second']:.1f}", f"{row['raw_steps_per_second']:.1f}", f"{row['raw_share']:.3f}", f"{row['own_ms']:.2f}", bar)
+    Console().print(table)
+    machine = {"processor": platform.processor() or platform.machine(), "python": platform.python_version(), "mujoco": mujoco.__version__, "opencv": cv2.__version__}
+    args.out.write_text(json.dumps({"knotgym": knotgym.__version__, "machine": machine, **vars(args), "out": str(args.out), "modes": rows}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,219 @@
+"""The main job: search, make, judge, choose, write.
+
+It goes in cycles: a round of the search, then a wave of instances of the codes still wanted. Everything it does depends on
+the configuration and the seed alone. After each cycle its state can be saved, and a job resumed from there goes on as if
+nothing had happened.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from knotgym.errors import KnotgymError
+from knotgym.gauss import GaussCode
+from knotgym.generate.archive import Archive
+from knotgym.generate.curate import codes_of, is_near_duplicate
+from knotgym.generate.curves import knot_curve
+from knotgym.generate.natural import natural_shares
+from knotgym.generate.engines import Pool
+from knotgym.generate.instances import Instance, InstanceConfig, Order, make
+from knotgym.generate.search import SearchConfig, advance, new_archive
+from knotgym.knots import knot_type
+from knotgym.rope import Array, Rope
+
+MOST_NX = 6
+
+
+class InvalidJob(KnotgymError, ValueError):
+    """A job that cannot be done as asked."""
+
+
+class NotEnough(KnotgymError, RuntimeError):
+    """The attempts allowed were spent before everything asked for was there."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GenerateConfig:
+    """What states are wanted.
+
+    Attributes:
+        nx: crossing numbers, each curated on its own.
+        count: states for each of them, as many distinct codes among them as there are.
+        every_code: instead of count, so many states of every code; 0 for count.
+        balance: "even" over codes and chirality, or "natural": codes as often as a random policy meets them.
+        split_by: "state", or "code" for splits that share no code.
+        train_share: of the states (or codes) that are for training.
+        knot: type of the rope's knot; "0_1" starts from the plain loop.
+        seed: of everything.
+        attempts: instances tried, for each state wanted, before giving up.
+        wave: instances made in a cycle.
+        instance: how they are made and judged.
+    """
+
+    nx: tuple[int, ...] = (3,)
+    count: int = 40
+    every_code: int = 0
+    balance: str = "even"
+    split_by: str = "state"
+    train_share: float = 0.5
+    knot: str = "0_1"
+    seed: int = 0
+    attempts: int = 100
+    wave: int = 48
+    instance: InstanceConfig = InstanceConfig()
+
+    def __post_init__(self) -> None:
+        if not self.nx or any(not 0 <= nx <= MOST_NX for nx in self.nx) or len(set(self.nx)) != len(self.nx):
+            raise InvalidJob(f"nx takes different numbers of crossings from 0 to {MOST_NX}, got {', '.join(map(str, self.nx)) or 'none'}")
+        for name in ("count", "attempts", "wave"):
+            if getattr(self, name) < 1:
+                raise InvalidJob(f"{name} must be at least 1, got {getattr(self, name)}")
+        if self.every_code < 0:
+            raise InvalidJob(f"every_code must be at least 0, got {self.every_code}")
+        if self.balance not in ("even", "natural"):
+            raise InvalidJob(f'balance must be "even" or "natural", got {self.balance!r}')
+        if self.split_by not in ("state", "code"):
+            raise InvalidJob(f'split_by must be "state" or "code", got {self.split_by!r}')
+        if not 0 <= self.train_share <= 1:
+            raise InvalidJob(f"train_share must be in [0, 1], got {self.train_share}")
+        if self.seed < 0:
+            raise InvalidJob(f"seed must be at least 0, got {self.seed}")
+
+
+@dataclass
+class Job:
+    """A job under way.
+
+    Attributes:
+        config: what is wanted.
+        archive: of the search.
+        shares: nx -> code -> states wanted of it at most.
+        accepted: nx -> instances, in the order of acceptance.
+        rejected: nx -> reason -> how many.
+        tried: nx -> code -> orders given.
+        cycle: cycles done.
+        actions: environment steps made by instances (the search's are in the archive).
+        seconds: spent so far, over all sittings.
+    """
+
+    config: GenerateConfig
+    archive: Archive
+    shares: dict[int, dict[GaussCode, int]] = field(default_factory=dict)
+    accepted: dict[int, list[Instance]] = field(default_factory=dict)
+    rejected: dict[int, Counter[str]] = field(default_factory=dict)
+    tried: dict[int, Counter[GaussCode]] = field(default_factory=dict)
+    cycle: int = 0
+    actions: int = 0
+    seconds: float = 0.0
+
+    @classmethod
+    def begin(cls, config: GenerateConfig, archive: Archive | None = None) -> Job:
+        """A job from the start, with an archive to go on from or a new one.
+
+        Raises:
+            InvalidJob: there are no such states.
+        """
+        job = cls(config, archive or new_archive(search_config(config), start_of(config)))
+        for nx in config.nx:
+            job.shares[nx] = _shares(config, nx)
+            job.accepted[nx], job.rejected[nx], job.tried[nx] = [], Counter(), Counter()
+        return job
+
+    def wanted(self, nx: int) -> int:
+        """States asked for with nx crossings."""
+        return sum(self.shares[nx].values()) if self.config.every_code else self.config.count
+
+    def done(self) -> bool:
+        """Whether everything asked for is there."""
+        return all(len(self.accepted[nx]) >= self.wanted(nx) for nx in self.config.nx)
+
+
+def run(job: Job, pool: Pool, each_cycle: Callable[[Job], None]) -> None:
+    """Go on with a job until it is done, calling back after every cycle.
+
+    Raises:
+        NotEnough: the attempts are spent.
+    """
+    config = job.config
+    search = search_config(config)
+    while not job.done():
+        began = time.perf_counter()
+        if max(config.nx) > 0:
+            advance(job.archive, search, pool)
+        orders = _orders(job)
+        for (nx, _), instance in zip(orders, pool.map(make, [order for _, order in orders]), strict=True):
+            job.actions += len(instance.actions)
+            _judge(job, nx, instance)
+        job.cycle += 1
+        job.seconds += time.perf_counter() - began
+        each_cycle(job)
+        for nx in config.nx:
+            have, tried = len(job.accepted[nx]), sum(job.tried[nx].values())
+            if have < job.wanted(nx) and max(tried, 8 * job.cycle) >= config.attempts * job.wanted(nx):
+                raise NotEnough(f"{have} of {job.wanted(nx)} states with nx = {nx} accepted in {tried} attempts; go on with --resume and more --attempts")
+
+
+def search_config(config: GenerateConfig) -> SearchConfig:
+    """The search that a job runs."""
+    return SearchConfig(max_nx=max(config.nx), seed=config.seed, rope=config.instance.rope)
+
+
+def start_of(config: GenerateConfig) -> Array:
+    """The configuration (beads, 3) that all ways begin at: the plain loop, or a curve of the knot."""
+    rope = Rope(config.instance.rope)
+    return rope.loop() if config.knot == "0_1" else rope.from_curve(knot_curve(config.knot))
+
+
+def _shares(config: GenerateConfig, nx: int) -> dict[GaussCode, int]:
+    """How many states of each code are wanted at most; of an even share, rounded up, the first accepted fill the count."""
+    known = codes_of(config.knot, nx)
+    if not known:
+        raise InvalidJob(f"no diagram of {config.knot} has {nx} crossings")
+    if config.every_code:
+        return dict.fromkeys(known, config.every_code)
+    if config.balance == "natural":
+        return natural_shares(nx, config.count, config.seed, config.instance.rope)
+    return dict.fromkeys(known, -(-config.count // len(known)))
+
+
+def _orders(job: Job) -> list[tuple[int, Order]]:
+    """A wave: codes that lack states, those tried least first, in an order that the seed decides."""
+    config = job.config
+    start = start_of(config)
+    out: list[tuple[int, Order]] = []
+    open_nx = [nx for nx in config.nx if len(job.accepted[nx]) < job.wanted(nx)]
+    for nx in open_nx:
+        have = Counter(instance.code.plain for instance in job.accepted[nx])
+        share = list(job.shares[nx])
+        ranked = [share[k] for k in np.random.default_rng([config.seed, nx, 1]).permutation(len(share))]
+        if not config.every_code:  # of more codes than are wanted, a quarter more are tried; the window widens with time
+            ranked = ranked[: max(1, int(1.25 * config.count)) + 2 * job.cycle]
+        lacking = [(code, known) for code in ranked if have[code] < job.shares[nx][code] and (known := job.archive.handed(code))]
+        lacking.sort(key=lambda one: job.tried[nx][one[0]])
+        for k in range(-(-config.wave // len(open_nx)) if lacking else 0):
+            code, known = lacking[k % len(lacking)]
+            number = job.tried[nx][code]
+            job.tried[nx][code] += 1
+            target = known[number % len(known)]
+            seed = (config.seed, 2, nx, share.index(code), number)
+            out.append((nx, Order(config.instance, target, tuple(job.archive.leading_to(target)), start, seed)))
+    return out
+
+
+def _judge(job: Job, nx: int, instance: Instance) -> None:
+    """Accept an instance, or count why not."""
+    reasons = list(instance.faults)
+    if not reasons and knot_type(instance.code) != job.config.knot:
+        reasons = ["knot type changed"]
+    if not reasons and is_near_duplicate(instance.points[-1], [one.points[-1] for one in job.accepted[nx]]):
+        reasons = ["near-duplicate"]
+    same = sum(one.code.plain == instance.code.plain for one in job.accepted[nx])
+    if reasons:
+        job.rejected[nx].update(reasons)
+    elif same < job.shares[nx][instance.code.plain] and len(job.accepted[nx]) < job.wanted(nx):
+        job.accepted[nx].append(instance)

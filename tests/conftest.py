@@ -1,0 +1,84 @@
+"""What several test modules share: ropes of known shape and a small state file made of them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import settings
+from numpy.typing import NDArray
+
+from knotgym.crossings import label
+from knotgym.datasets.states import States, write_states
+from knotgym.picture import draw
+from knotgym.rope import Rope
+from knotgym.simulation import Simulation
+
+# Compiling, or another process on the same cores, is no failure.
+settings.register_profile("unhurried", deadline=None)
+settings.load_profile("unhurried")
+
+PER_NX = 6
+
+
+def curled(nx: int, turn: float = 0.0, hand: int = 1) -> NDArray[np.float64]:
+    """A round curve with nx curls on its inside, each a crossing; turned by radians, mirrored in z for hand -1: float64 (600, 3)."""
+    at = turn + np.linspace(0, 2 * np.pi, 600, endpoint=False)
+    size = {0: 0.0, 1: 0.75, 2: 0.55, 3: 0.42, 4: 0.34}[nx]
+    flat = np.exp(1j * at) + size * np.exp(1j * (nx + 1) * at)
+    return np.stack([flat.real, flat.imag, hand * 0.1 * np.sin(nx * at)], axis=1)
+
+
+def trefoil() -> NDArray[np.float64]:
+    """The usual trefoil: float64 (300, 3)."""
+    at = np.linspace(0, 2 * np.pi, 300, endpoint=False)
+    return np.stack([np.sin(at) + 2 * np.sin(2 * at), np.cos(at) - 2 * np.cos(2 * at), -np.sin(3 * at)], axis=1)
+
+
+def small_states() -> States:
+    """Six states for each nx from 0 to 4, train and test in turn."""
+    rope = Rope()
+    points = np.array([rope.from_curve(curled(nx, 0.7 + k, (-1) ** (k // 2))) for nx in range(5) for k in range(PER_NX)])
+    codes = [label(one) for one in points]
+    n = len(points)
+    return States(
+        qpos=np.array([rope.qpos(one) for one in points]),
+        points=points,
+        image=np.array([draw(one) for one in points]),
+        gauss_code=np.array([str(code) for code in codes]),
+        gauss_code_chiral=np.array([code.chiral for code in codes]),
+        knot=np.array(["0_1"] * n),
+        nx=np.array([code.nx for code in codes]),
+        split=np.array(["train", "test"] * (n // 2)),
+        quality={"clearance": np.arange(n, dtype=np.float64)},
+        units={"clearance": "m"},
+        source={"seed": np.arange(n), "policy": np.array(["curve"] * n)},
+        attributes={"rope": rope.config.fingerprint, "configuration": '{"made": "by hand"}'},
+    )
+
+
+@pytest.fixture(scope="session")
+def rope() -> Rope:
+    return Rope()
+
+
+@pytest.fixture(scope="session")
+def states() -> States:
+    return small_states()
+
+
+@pytest.fixture(scope="session")
+def states_path(states: States, tmp_path_factory: pytest.TempPathFactory) -> str:
+    path: Path = tmp_path_factory.mktemp("states") / "states.h5"
+    write_states(path, states)
+    return str(path)
+
+
+@pytest.fixture(scope="session")
+def tangled(rope: Rope) -> NDArray[np.float64]:
+    """Generalized positions of ropes in mid-motion: float64 (40, nq)."""
+    simulation, rng = Simulation(8, rope, threads=0), np.random.default_rng(1)
+    seen = []
+    for _ in range(30):
+        simulation.act(rng.uniform(-1, 1, (8, 6)))
+        seen.append(simulation.qpos())
+    return np.concatenate(seen[-5:])

@@ -1,0 +1,536 @@
+"""One contract for every task and observation: Gymnasium's, and resets to exactly the state that was asked for."""
+
+import json
+import pickle
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import h5py
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from numpy.typing import NDArray
+
+from knotgym.crossings import label
+from knotgym.datasets.states import InvalidStates, States, write_states
+from knotgym.env import KnotEnv
+from knotgym.gauss import GaussCode
+from knotgym.picture import PictureConfig, draw
+from knotgym.simulation import InvalidAction
+from knotgym.tasks import InvalidSetting, TaskConfig
+
+TASKS = ("unknot", "tie", "convert")
+MODES = ("pixels", "state", "both")
+IDLE = np.zeros(6, dtype=np.float32)
+INFO = {"gauss_code", "gauss_code_chiral", "goal_gauss_code", "crossings", "is_success", "simulation_failed", "start", "goal", "bead", "force"}
+
+Make = Callable[..., KnotEnv]
+
+
+def same(ours: Any, theirs: Any) -> bool:
+    """Equal values, shapes and types, however deep."""
+    if isinstance(ours, dict):
+        return ours.keys() == theirs.keys() and all(same(ours[key], theirs[key]) for key in ours)
+    if isinstance(ours, tuple | list):
+        return len(ours) == len(theirs) and all(map(same, ours, theirs))
+    if isinstance(ours, np.ndarray):
+        return ours.dtype == theirs.dtype and np.array_equal(ours, theirs)
+    return type(ours) is type(theirs) and bool(ours == theirs)
+
+
+def rollout(env: gym.Env[Any, Any], seed: int, steps: int = 4) -> list[Any]:
+    """All that an agent gets from an episode of seeded random actions."""
+    rng = np.random.default_rng(seed)
+    return [env.reset(seed=seed), *(env.step(rng.uniform(-1, 1, 6).astype(np.float32)) for _ in range(steps))]
+
+
+def blow_up(env: KnotEnv) -> None:
+    """Give the rope velocities that no integrator survives."""
+    simulation = env.episodes.simulation
+    states, model = simulation.states(), simulation.rope.model
+    states[:, 1 + model.nq : 1 + model.nq + model.nv] = 1e8  # after time and qpos
+    simulation.restore(states)
+
+
+@pytest.fixture
+def make(states_path: str) -> Make:
+    """Make a bare environment on the small state file."""
+
+    def made(task: str = "unknot", **settings: Any) -> KnotEnv:
+        return KnotEnv(task, **{"states": states_path, "observation": "state", **settings})
+
+    return made
+
+
+@pytest.fixture
+def registered(states_path: str) -> Callable[..., gym.Env[Any, Any]]:
+    """Make an environment by its id on the small state file."""
+
+    def made(task: str = "unknot", **settings: Any) -> gym.Env[Any, Any]:
+        return gym.make(f"knotgym/{task.capitalize()}-v0", **{"states": states_path, "observation": "state", **settings})
+
+    return made
+
+
+@pytest.mark.parametrize("observation", MODES)
+@pytest.mark.parametrize("task", TASKS)
+def test_gymnasium_finds_no_fault(registered: Callable[..., gym.Env[Any, Any]], task: str, observation: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", message=".*(infinity|-infinity).*")  # coordinates have no bounds
+        check_env(registered(task, observation=observation).unwrapped)
+
+
+@pytest.mark.parametrize("observation", MODES)
+def test_gymnasium_finds_no_fault_in_a_bare_environment(make: Make, observation: str) -> None:
+    check_env(make(observation=observation), skip_render_check=True)
+
+
+def test_the_contracts_first_line_works() -> None:
+    env = gym.make("knotgym/Tie-v0", nx=3, split="train")
+    observation, info = env.reset(seed=0)
+    assert observation.shape == (128, 256, 3) and observation.dtype == np.uint8
+    assert info["gauss_code"] == "" and GaussCode.parse(info["goal_gauss_code"]).nx == 3
+
+
+@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("nx", [1, 2, 3, 4])
+def test_curated_states_serve_every_task_and_split(task: str, nx: int) -> None:
+    for split in ("train", "test"):
+        env = KnotEnv(task, nx=nx, split=split, observation="state")
+        info = env.reset(seed=nx)[1]
+        assert info["crossings"] == env.config.start_nx and GaussCode.parse(info["goal_gauss_code"]).nx == env.config.goal_nx
+
+
+@pytest.mark.parametrize(("task", "start", "goal"), [("unknot", 3, 0), ("tie", 0, 3), ("convert", 2, 3)])
+def test_a_task_starts_and_ends_at_its_crossing_numbers(make: Make, task: str, start: int, goal: int) -> None:
+    env = make(task, nx=3)
+    for seed in range(5):
+        info = env.reset(seed=seed)[1]
+        assert info["crossings"] == start and GaussCode.parse(info["goal_gauss_code"]).nx == goal
+
+
+def test_pictures_show_the_rope_left_and_the_goal_right(make: Make, states: States) -> None:
+    env = make("convert", nx=3, observation="pixels", image_size=64)
+    picture, info = env.reset(seed=0)
+    config = PictureConfig(size=64)
+    assert picture.shape == (64, 128, 3) and picture.dtype == np.uint8
+    assert np.array_equal(picture[:, :64], draw(env.episodes.simulation.points[0], config))
+    assert np.array_equal(picture[:, 64:], draw(states.points[info["goal"]], config))
+
+
+def test_states_hold_the_rope_and_then_the_goal(make: Make, states: States) -> None:
+    env = make("convert", nx=3)
+    state, info = env.reset(seed=0)
+    assert state.shape == (600,) and state.dtype == np.float32
+    assert np.array_equal(state[:300], env.episodes.simulation.points[0].ravel().astype(np.float32))
+    assert np.array_equal(state[300:], states.points[info["goal"]].ravel().astype(np.float32))
+
+
+def test_both_is_the_picture_and_the_state(make: Make) -> None:
+    one = [rollout(make("tie", observation=mode), 0) for mode in MODES]
+    for pixels, state, both in zip(*one, strict=True):
+        assert same(both[0], {"pixels": pixels[0], "state": state[0]})
+
+
+def test_the_perspective_camera_shows_another_picture(make: Make) -> None:
+    one, other = (make(nx=4, observation="pixels", camera=camera).reset(seed=0)[0] for camera in ("orthographic", "perspective"))
+    assert one.shape == other.shape and not np.array_equal(one, other)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_same_seed_same_arrays(make: Make, task: str) -> None:
+    env = make(task, observation="both")
+    first = rollout(env, 3)
+    assert same(first, rollout(env, 3)) and same(first, rollout(make(task, observation="both"), 3))
+
+
+def test_different_seeds_start_differently(make: Make) -> None:
+    starts = {make().reset(seed=seed)[0].tobytes() for seed in range(8)}
+    assert len(starts) == 8
+
+
+def test_resets_go_on_along_the_seeded_generator(make: Make) -> None:
+    env, other = make(), make()
+    ours = [env.reset(seed=1)[0], env.reset()[0], env.reset()[0]]
+    theirs = [other.reset(seed=1)[0], other.reset()[0], other.reset()[0]]
+    assert same(ours, theirs) and not np.array_equal(ours[1], ours[2])
+
+
+def test_everything_an_agent_gets_is_finite(make: Make) -> None:
+    for observation, *_ in rollout(make("tie", nx=4), 0, steps=8):
+        assert np.isfinite(observation).all()
+
+
+def test_success_ends_the_episode_with_5(make: Make) -> None:
+    env = make("tie")
+    env.reset(seed=0)
+    env.episodes.goals[0] = env.episodes.codes[0]
+    _, reward, terminated, truncated, info = env.step(IDLE)
+    assert (reward, terminated, truncated, info["is_success"]) == (5.0, True, False, True)
+
+
+def test_a_curl_pulled_open_is_a_success(make: Make, states: States) -> None:
+    env = make("unknot", nx=1, reset_noise=0.0)
+    env.reset(seed=0, options={"start": int(states.rows(1, "train")[0])})
+    simulation, results = env.episodes.simulation, []
+    while not results or not (results[-1][2] or results[-1][3]):
+        points = simulation.points[0]
+        inner = int(np.argmin(np.linalg.norm(points[:, :2], axis=1)))  # the curl is inside; push it out over the rope
+        force = points[inner] - points[(inner + 50) % 100]
+        results.append(env.step(simulation.actions([inner], (0.2 * force / np.abs(force).max())[None])[0]))
+    assert results[-1][1:4] == (5.0, True, False) and results[-1][4]["gauss_code"] == ""
+    assert all(result[1:4] == (0.0, False, False) for result in results[:-1])
+
+
+def test_the_horizon_ends_the_episode_with_minus_5(make: Make) -> None:
+    env = make("tie", horizon=3)
+    env.reset(seed=0)
+    ends = [env.step(IDLE)[1:4] for _ in range(3)]
+    assert ends == [(0.0, False, False), (0.0, False, False), (-5.0, False, True)]
+
+
+def test_success_at_the_horizon_is_success(make: Make) -> None:
+    env = make("tie", horizon=1)
+    env.reset(seed=0)
+    env.episodes.goals[0] = env.episodes.codes[0]
+    assert env.step(IDLE)[1:4] == (5.0, True, False)
+
+
+def test_rewards_are_settings(make: Make) -> None:
+    env = make("tie", horizon=1, failure_reward=-0.5)
+    env.reset(seed=0)
+    assert env.step(IDLE)[1] == -0.5
+
+
+def test_holding_means_consecutive_steps(make: Make) -> None:
+    env = make("tie", hold=3)
+    env.reset(seed=0)
+    reached, away = env.episodes.codes[0], env.episodes.goals[0]
+    ends = []
+    for goal in (reached, reached, away, reached, reached, reached):
+        env.episodes.goals[0] = goal
+        ends.append(env.step(IDLE)[1:4])
+    assert ends == [(0.0, False, False)] * 5 + [(5.0, True, False)]
+
+
+def test_a_reset_forgets_steps_held(make: Make) -> None:
+    env = make("tie", hold=2, horizon=2)
+    for _ in range(2):
+        env.reset(seed=0)
+        env.episodes.goals[0] = env.episodes.codes[0]
+        assert env.step(IDLE)[1:4] == (0.0, False, False)
+
+
+def test_chirality_does_not_count(make: Make) -> None:
+    env = make("unknot", nx=3)
+    env.reset(seed=0)
+    env.episodes.goals[0] = env.episodes.codes[0].reflected()  # the same visits, every letter the other
+    assert env.step(IDLE)[1:4] == (5.0, True, False)
+
+
+def test_info_has_the_same_keys_and_types_at_every_step(make: Make) -> None:
+    env = make("tie", horizon=3)
+    infos = [result[-1] for result in rollout(env, 0, steps=3)]
+    blow_up(env)
+    infos.append(env.step(IDLE)[-1])
+    for info in infos:
+        assert info.keys() == INFO
+        assert {key: type(value) for key, value in info.items()} == {key: type(value) for key, value in infos[0].items()}
+
+
+def test_info_tells_the_pull(make: Make) -> None:
+    env = make("tie")
+    info = env.reset(seed=0)[1]
+    assert info["bead"] == -1 and not info["force"].any()
+    action = env.episodes.simulation.actions([17], [[0.1, -0.2, 0.05]])[0]
+    info = env.step(action)[4]
+    assert info["bead"] == 17 and np.allclose(info["force"], [0.1, -0.2, 0.05])
+
+
+def test_what_an_agent_gets_is_its_own(make: Make) -> None:
+    env, other = make("tie", observation="both"), make("tie", observation="both")
+    rng, expected = np.random.default_rng(0), rollout(other, 0)
+    got = env.reset(seed=0)
+    for result in expected:
+        assert same(got, result)
+        got[0]["pixels"][:] = 7
+        got[0]["state"][:] = 7
+        got[-1]["force"][:] = 7
+        got = env.step(rng.uniform(-1, 1, 6).astype(np.float32))
+
+
+def test_what_an_agent_got_does_not_change_later(make: Make) -> None:
+    env = make("tie", observation="both")
+    first = env.reset(seed=0)
+    kept = pickle.loads(pickle.dumps(first))
+    rollout(env, 1)
+    assert same(first, kept)
+
+
+@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("nx", [1, 2, 3, 4])
+def test_a_reset_keeps_the_code_that_was_asked_for(make: Make, states: States, task: str, nx: int) -> None:
+    env = make(task, nx=nx)
+    for seed in range(20):
+        info = env.reset(seed=seed)[1]
+        code = label(env.episodes.simulation.points[0])
+        assert code.chiral == states.gauss_code_chiral[info["start"]] == info["gauss_code_chiral"]
+        assert str(code) == info["gauss_code"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("nx", [0, 1, 2, 3, 4])
+def test_2000_resets_of_curated_states_keep_the_code(nx: int) -> None:
+    env = KnotEnv("unknot" if nx else "tie", nx=nx or 2, observation="state")
+    labels = env.episodes._starts.gauss_code_chiral
+    kept = 0
+    for seed in range(2000):
+        info = env.reset(seed=seed)[1]
+        kept += label(env.episodes.simulation.points[0]).chiral == labels[info["start"]]
+    assert kept == 2000
+
+
+def test_a_reset_lays_a_closed_rope(make: Make) -> None:
+    env = make(nx=4)
+    for seed in range(20):
+        env.reset(seed=seed)
+        simulation = env.episodes.simulation
+        assert simulation.rope.points_and_gaps(simulation.qpos()[0])[1] < 1e-6
+
+
+def test_without_noise_a_reset_is_the_stored_state(make: Make, states: States) -> None:
+    env = make(nx=2, reset_noise=0.0)
+    info = env.reset(seed=0)[1]
+    assert np.array_equal(env.episodes.simulation.qpos()[0], states.qpos[info["start"]])
+
+
+def test_large_noise_keeps_the_code_too(make: Make, states: States) -> None:
+    env = make(nx=3, reset_noise=0.5)
+    for seed in range(5):
+        info = env.reset(seed=seed)[1]
+        assert label(env.episodes.simulation.points[0]).chiral == states.gauss_code_chiral[info["start"]]
+
+
+def test_options_pick_rows(make: Make, states: States) -> None:
+    env = make("convert", nx=3)
+    start, goal = int(states.rows(2, "train")[1]), int(states.rows(3, "train")[2])
+    for seed in range(3):
+        info = env.reset(seed=seed, options={"start": start, "goal": goal})[1]
+        assert (info["start"], info["goal"]) == (start, goal)
+        assert (info["gauss_code"], info["goal_gauss_code"]) == (states.gauss_code[start], states.gauss_code[goal])
+
+
+def test_picking_the_row_that_is_drawn_changes_nothing(make: Make) -> None:
+    env = make("convert", nx=3)
+    drawn, info = env.reset(seed=0)
+    assert np.array_equal(env.reset(seed=0, options={"start": info["start"], "goal": info["goal"]})[0], drawn)
+
+
+@pytest.mark.parametrize("options", [{"start": 10_000}, {"start": -1}, {"goal": 0}, {"start": "6"}, {"start": 6.0}, {"start": True}, {"begin": 6}])
+def test_rows_that_cannot_be_had_are_refused_in_one_line(make: Make, options: dict[str, Any]) -> None:
+    env = make("convert", nx=2)
+    with pytest.raises(InvalidSetting, match=next(iter(options))) as caught:
+        env.reset(seed=0, options=options)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_row_of_the_other_split_is_refused(make: Make, states: States) -> None:
+    with pytest.raises(InvalidSetting, match="train split: 12, 14, 16; got 13"):
+        make(nx=2).reset(options={"start": int(states.rows(2, "test")[0])})
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"nx": -1}, "nx must be a whole number from 1 to 6, got -1"),
+        ({"nx": 0}, "nx must be a whole number from 1 to 6, got 0"),
+        ({"nx": 9}, "nx must be a whole number from 1 to 6, got 9"),
+        ({"nx": 2.5}, "nx must be a whole number from 1 to 6, got 2.5"),
+        ({"nx": True}, "nx must be a whole number from 1 to 6, got True"),
+        ({"split": "validation"}, "no split 'validation'; there is train, test"),
+        ({"task": "plait"}, "no task 'plait'; there is unknot, tie, convert"),
+        ({"observation": "depth"}, "no observation 'depth'; there is pixels, state, both"),
+        ({"camera": "fisheye"}, "no camera 'fisheye'"),
+        ({"renderer": "filament"}, "no renderer 'filament'"),
+        ({"render_mode": "human"}, "no render_mode 'human'"),
+        ({"horizon": 0}, "horizon must be a whole number of at least 1, got 0"),
+        ({"hold": 0}, "hold must be a whole number of at least 1, got 0"),
+        ({"image_size": 4}, "image_size must be a whole number from 16 to 2048, got 4"),
+        ({"reset_noise": -0.1}, r"reset_noise must be in \[0, 1\), got -0.1"),
+        ({"reset_noise": float("nan")}, r"reset_noise must be in \[0, 1\), got nan"),
+        ({"noise": 0.1}, "no keyword 'noise'; there is nx, split, states, observation"),
+    ],
+    ids=str,
+)
+def test_settings_that_cannot_be_had_are_refused_in_one_line(make: Make, settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidSetting, match=message) as caught:
+        make(**settings)
+    assert "\n" not in str(caught.value)
+
+
+def test_crossings_that_no_file_has_are_refused_with_the_command_that_makes_them(make: Make, states_path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("knotgym.episodes.shipped", lambda: Path(states_path))
+    with pytest.raises(InvalidSetting, match="no states with nx = 6 in split 'train' of .*knotgym-generate --nx 6"):
+        make("tie", nx=6)
+
+
+def test_a_side_that_the_file_lacks_comes_from_the_one_that_ships(
+    make: Make, states: States, states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("knotgym.episodes.shipped", lambda: Path(states_path))
+    only = states.nx == 3
+    columns = {name: getattr(states, name)[only] for name in ("qpos", "points", "image", "gauss_code", "gauss_code_chiral", "knot", "nx", "split")}
+    write_states(tmp_path / "nx3.h5", States(**columns, attributes=states.attributes))
+    env = make("tie", nx=3, states=str(tmp_path / "nx3.h5"))
+    info = env.reset(seed=0)[1]
+    assert info["crossings"] == 0 and info["start"] in states.rows(0, "train")
+    assert info["goal"] in range(6) and GaussCode.parse(info["goal_gauss_code"]).nx == 3
+
+
+def test_a_missing_state_file_is_named(make: Make, tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="no state file at .*absent.h5"):
+        make(states=str(tmp_path / "absent.h5"))
+
+
+def test_a_truncated_state_file_is_refused_in_one_line(make: Make, states_path: str, tmp_path: Path) -> None:
+    (tmp_path / "half.h5").write_bytes(Path(states_path).read_bytes()[:50_000])
+    with pytest.raises(InvalidStates, match="half.h5 isn't a whole state file") as caught:
+        make(states=str(tmp_path / "half.h5"))
+    assert "\n" not in str(caught.value)
+
+
+def test_states_of_another_rope_are_refused_in_one_line(make: Make, states: States, tmp_path: Path) -> None:
+    write_states(tmp_path / "other.h5", replace(states, attributes={"rope": "0123456789abcdef"}))
+    with pytest.raises(InvalidSetting, match="made for rope model 0123456789abcdef, this version has ") as caught:
+        make(states=str(tmp_path / "other.h5"))
+    assert "\n" not in str(caught.value)
+
+
+def test_states_of_another_version_are_refused(make: Make, states_path: str, tmp_path: Path) -> None:
+    (tmp_path / "later.h5").write_bytes(Path(states_path).read_bytes())
+    with h5py.File(tmp_path / "later.h5", "a") as file:
+        file.attrs["format_version"] = 99
+    with pytest.raises(InvalidStates, match="version 99"):
+        make(states=str(tmp_path / "later.h5"))
+
+
+@pytest.mark.parametrize("action", [np.full(6, np.nan), np.full(6, 1.5), np.full(6, np.inf), np.zeros(5), np.zeros((1, 6)), np.float32(0)], ids=repr)
+def test_bad_actions_are_refused_and_nothing_moves(make: Make, action: NDArray[Any]) -> None:
+    env = make("tie")
+    env.reset(seed=0)
+    before = env.episodes.simulation.states(), env.episodes.info(0), int(env.episodes.steps[0])
+    with pytest.raises(InvalidAction) as caught:
+        env.step(action)
+    assert "\n" not in str(caught.value)
+    assert same(before, (env.episodes.simulation.states(), env.episodes.info(0), int(env.episodes.steps[0])))
+
+
+@pytest.mark.parametrize("observation", MODES)
+def test_a_blown_up_simulation_ends_the_episode_and_is_never_seen(make: Make, observation: str) -> None:
+    env = make("tie", observation=observation)
+    seen = env.reset(seed=0)[0]
+    blow_up(env)
+    result, reward, terminated, truncated, info = env.step(np.full(6, 0.5, dtype=np.float32))
+    assert (reward, terminated, truncated) == (0.0, False, True)
+    assert info["simulation_failed"] and not info["is_success"]
+    assert same(result, seen)  # the rope stands where it stood
+
+
+def test_a_blown_up_simulation_is_no_success(make: Make) -> None:
+    env = make("tie", horizon=1)
+    env.reset(seed=0)
+    env.episodes.goals[0] = env.episodes.codes[0]
+    blow_up(env)
+    _, reward, terminated, truncated, info = env.step(IDLE)
+    assert (reward, terminated, truncated, info["is_success"]) == (0.0, False, True, False)
+
+
+def test_a_reset_mends_a_blown_up_simulation(make: Make) -> None:
+    env = make("tie")
+    env.reset(seed=0)
+    blow_up(env)
+    env.step(IDLE)
+    assert same(rollout(env, 5), rollout(make("tie"), 5))
+
+
+def test_splits_in_one_process_never_see_each_others_rows(make: Make, states: States) -> None:
+    envs = {split: make("convert", nx=2, split=split) for split in ("train", "test")}
+    for seed in range(10):
+        for split, env in envs.items():
+            info = env.reset(seed=seed)[1]
+            assert states.split[info["start"]] == states.split[info["goal"]] == split
+
+
+def test_environments_in_one_process_do_not_share(make: Make, states: States, tmp_path: Path) -> None:
+    mirrored = states.points * [1, 1, -1]
+    codes = [label(points) for points in mirrored]
+    rope = make().episodes.simulation.rope
+    other = replace(
+        states,
+        points=mirrored,
+        qpos=np.array([rope.qpos(points) for points in mirrored]),
+        gauss_code=np.array([str(code) for code in codes]),
+        gauss_code_chiral=np.array([code.chiral for code in codes]),
+    )
+    write_states(tmp_path / "mirrored.h5", other)
+    settings: list[dict[str, Any]] = [
+        {"task": "tie"},
+        {"task": "unknot"},
+        {"task": "tie", "split": "test"},
+        {"task": "tie", "states": str(tmp_path / "mirrored.h5")},
+        {"task": "tie", "reset_noise": 0.1},
+    ]
+    alone = [rollout(make(observation="both", **one), 0) for one in settings]
+    together = [make(observation="both", **one) for one in settings]
+    rngs = [np.random.default_rng(0) for _ in settings]
+    results = [[env.reset(seed=0) for env in together]]
+    for _ in range(4):
+        results.append([env.step(rng.uniform(-1, 1, 6).astype(np.float32)) for env, rng in zip(together, rngs, strict=True)])
+    assert same([list(one) for one in zip(*results, strict=True)], alone)
+    assert not any(same(alone[0], one) for one in alone[1:])
+
+
+@pytest.mark.parametrize("observation", MODES)
+def test_a_pickled_environment_goes_on_as_the_first(registered: Callable[..., gym.Env[Any, Any]], observation: str) -> None:
+    env = registered("tie", observation=observation, horizon=6)
+    rollout(env, 0, steps=3)
+    again = pickle.loads(pickle.dumps(env))
+    rng = np.random.default_rng(1)
+    for _ in range(3):
+        action = rng.uniform(-1, 1, 6).astype(np.float32)
+        assert same(again.step(action), env.step(action))
+    assert same(again.reset(), env.reset())
+
+
+def test_a_spec_survives_json(registered: Callable[..., gym.Env[Any, Any]]) -> None:
+    env = registered("convert", nx=3, split="test", observation="both", horizon=7, hold=2, reset_noise=0.01)
+    assert env.spec is not None
+    again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
+    assert again.unwrapped.config == env.unwrapped.config
+    assert same(rollout(again, 0), rollout(env, 0))
+
+
+def test_every_setting_is_json(states_path: str) -> None:
+    config = TaskConfig(task="tie", states=states_path)
+    assert TaskConfig(**json.loads(json.dumps(config.__dict__))) == config
+
+
+def test_render_gives_the_picture_in_every_observation_mode(make: Make) -> None:
+    pictures = []
+    for mode in MODES:
+        env = make("tie", observation=mode)
+        env.reset(seed=0)
+        pictures.append(env.render())
+    assert pictures[0] is not None and pictures[0].shape == (128, 256, 3)
+    assert same(pictures[0], pictures[1]) and same(pictures[0], pictures[2])
+
+
+def test_render_gives_nothing_where_no_mode_was_asked_for(make: Make) -> None:
+    env = make("tie", render_mode=None)
+    env.reset(seed=0)
+    assert env.render() is None

@@ -1,0 +1,103 @@
+"""Files appear whole or not at all."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from knotgym.datasets.files import sha256, whole
+
+
+class Interrupted(Exception):
+    """Stands for whatever stops a writer."""
+
+
+def test_a_file_appears_with_what_was_written(tmp_path: Path) -> None:
+    with whole(tmp_path / "made" / "on" / "the way" / "a.txt") as part:
+        part.write_text("whole")
+    assert (tmp_path / "made" / "on" / "the way" / "a.txt").read_text() == "whole"
+
+
+def test_nothing_appears_before_the_end(tmp_path: Path) -> None:
+    with whole(tmp_path / "a.txt") as part:
+        part.write_text("half")
+        assert not (tmp_path / "a.txt").exists()
+
+
+def test_an_error_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(Interrupted), whole(tmp_path / "a.txt") as part:
+        part.write_text("half")
+        raise Interrupted
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_error_leaves_the_file_that_was_there(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text("old")
+    with pytest.raises(Interrupted), whole(tmp_path / "a.txt") as part:
+        part.write_text("half")
+        raise Interrupted
+    assert (tmp_path / "a.txt").read_text() == "old" and len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_file_is_replaced(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text("old")
+    with whole(tmp_path / "a.txt") as part:
+        part.write_text("new")
+    assert (tmp_path / "a.txt").read_text() == "new" and len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_folder_is_replaced_whole(tmp_path: Path) -> None:
+    (tmp_path / "set" / "sub").mkdir(parents=True)
+    (tmp_path / "set" / "sub" / "old.txt").write_text("old")
+    with whole(tmp_path / "set") as part:
+        (part / "sub").mkdir(parents=True)
+        (part / "sub" / "new.txt").write_text("new")
+    assert [path.name for path in (tmp_path / "set" / "sub").iterdir()] == ["new.txt"]
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_folder_stays_when_nothing_was_written(tmp_path: Path) -> None:
+    (tmp_path / "set").mkdir()
+    (tmp_path / "set" / "old.txt").write_text("old")
+    with pytest.raises(FileNotFoundError), whole(tmp_path / "set"):
+        pass
+    assert (tmp_path / "set" / "old.txt").read_text() == "old"
+
+
+def test_a_relative_path_is_written_where_it_points(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with whole("a.txt") as part:
+        part.write_text("whole")
+    assert (tmp_path / "a.txt").read_text() == "whole"
+
+
+def test_a_kill_leaves_nothing_under_the_final_name(tmp_path: Path) -> None:
+    writer = f"""
+import time
+from knotgym.datasets.files import whole
+with whole({str(tmp_path / "a.txt")!r}) as part:
+    part.write_text("half")
+    print("written", flush=True)
+    time.sleep(60)
+"""
+    process = subprocess.Popen([sys.executable, "-c", writer], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None and process.stdout.readline() == "written\n"
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    process.stdout.close()
+    assert [path.name[:6] for path in tmp_path.iterdir()] == [".part-"]
+
+
+def test_two_writers_of_one_name_leave_one_of_the_two(tmp_path: Path) -> None:
+    with whole(tmp_path / "a.txt") as one, whole(tmp_path / "a.txt") as other:
+        one.write_text("one")
+        other.write_text("other")
+    assert (tmp_path / "a.txt").read_text() in ("one", "other") and len(list(tmp_path.iterdir())) == 1
+
+
+def test_sha256_is_of_the_bytes(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(b"abc")
+    assert sha256(tmp_path / "a") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"

@@ -1,0 +1,283 @@
+"""The rope is the published one, and configurations and generalized positions are two names of one thing."""
+
+import json
+from dataclasses import asdict, replace
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from knotgym.crossings import label
+from knotgym.rope import InvalidCurve, Rope, RopeConfig, clearance, noised, sub_chains
+
+from .conftest import curled, trefoil
+
+ROPE = Rope()  # hypothesis tests cannot take function-scoped fixtures
+BEAD = RopeConfig().bead_length
+
+
+def chords(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
+
+
+@pytest.mark.parametrize(
+    "nonsense",
+    [
+        {"beads": 5},
+        {"beads": 100.0},
+        {"sub_chains": 1},
+        {"sub_chains": 50},
+        {"length": 0.0},
+        {"length": float("inf")},
+        {"radius": -0.005},
+        {"radius": 0.02},
+        {"density": float("nan")},
+        {"medium_density": 0},
+        {"joint_damping": -0.01},
+        {"joint_damping": float("nan")},
+        {"rooted": "end"},
+        {"closure_solref": (0.02,)},
+        {"closure_solimp": (0.9, 0.95, 0.001, 0.5, float("nan"))},
+        {"timestep": 0},
+        {"frame_skip": 0},
+        {"frame_skip": 1.5},
+        {"max_force": -1},
+        {"reach": 0},
+    ],
+    ids=str,
+)
+def test_config_refuses_nonsense(nonsense: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=next(iter(nonsense)).replace("radius", "radius|bead").replace("sub_chains", "sub").replace("beads", "bead")):
+        RopeConfig(**nonsense)
+
+
+def test_config_survives_json() -> None:
+    config = RopeConfig(radius=0.004)
+    again = RopeConfig(**json.loads(json.dumps(asdict(config))))
+    assert again == config and hash(again) == hash(config) and again.fingerprint == config.fingerprint
+
+
+@pytest.mark.parametrize("name", ["length", "radius", "joint_damping", "timestep", "frame_skip", "rooted"])
+def test_fingerprint_changes_with_every_number(name: str) -> None:
+    value = "start" if name == "rooted" else 2 * getattr(RopeConfig(), name) if name != "radius" else 0.004
+    assert RopeConfig(**{name: value}).fingerprint != RopeConfig().fingerprint
+
+
+def test_model_has_the_published_sizes(rope: Rope) -> None:
+    assert (rope.model.nq, rope.model.nv, rope.model.nbody - 1, rope.model.neq) == (421, 321, 100, 7)
+
+
+def test_model_has_the_published_physics(rope: Rope) -> None:
+    option = rope.model.opt
+    assert option.integrator == mujoco.mjtIntegrator.mjINT_EULER and option.solver == mujoco.mjtSolver.mjSOL_PGS
+    assert not option.gravity.any() and option.density == 10000 and option.timestep == 0.008
+    assert (rope.model.geom_condim == 1).all() and (rope.model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE).all()
+    assert np.allclose(rope.model.geom_size[:, :2], [0.005, BEAD / 2])
+    assert set(rope.model.dof_damping) == {0.0, 0.01} and (rope.model.dof_damping == 0).sum() == 7 * 6
+    assert (rope.model.eq_type == mujoco.mjtEq.mjEQ_CONNECT).all() and rope.model.nexclude == 7
+
+
+def test_sub_chains_cover_the_loop_once() -> None:
+    chains = sub_chains(RopeConfig())
+    assert [bead for first, last in chains for bead in range(first, last + 1)] == list(range(100))
+
+
+@pytest.mark.parametrize("rooted", ["middle", "start"])
+def test_vertices_are_mujocos_body_positions(rooted: str, tangled: NDArray[np.float64]) -> None:
+    rope = Rope(RopeConfig(rooted=rooted))
+    data = mujoco.MjData(rope.model)
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        data.qpos[:] = tangled[0] + rng.normal(0, 0.3, rope.nq)
+        mujoco.mj_kinematics(rope.model, data)
+        assert np.abs(rope.points(data.qpos) - data.xpos[rope.bodies]).max() < 1e-12
+
+
+def test_reference_pose_is_the_plain_loop(rope: Rope) -> None:
+    assert np.abs(rope.points(rope.model.qpos0) - rope.loop()).max() < 1e-12
+
+
+def test_many_points_at_once_are_the_points_one_by_one(rope: Rope, tangled: NDArray[np.float64]) -> None:
+    many = rope.points(tangled[:6].reshape(2, 3, -1))
+    assert many.shape == (2, 3, 100, 3)
+    assert np.array_equal(many.reshape(6, 100, 3), [rope.points(one) for one in tangled[:6]])
+
+
+def test_points_come_back_from_qpos(rope: Rope, tangled: NDArray[np.float64]) -> None:
+    for points in rope.points(tangled):
+        assert np.abs(rope.points(rope.qpos(points)) - points).max() < 1e-6
+
+
+def test_points_come_back_from_the_other_root(rope: Rope, tangled: NDArray[np.float64]) -> None:
+    other = Rope(RopeConfig(rooted="start"))
+    for points in rope.points(tangled):
+        assert np.abs(other.points(other.qpos(points)) - points).max() < 1e-6
+
+
+def test_qpos_holds_unit_quaternions(rope: Rope, tangled: NDArray[np.float64]) -> None:
+    qpos = rope.qpos(rope.points(tangled[0]))
+    for joint in range(rope.model.njnt):
+        free = rope.model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE
+        at = rope.model.jnt_qposadr[joint] + (3 if free else 0)
+        assert abs(np.linalg.norm(qpos[at : at + 4]) - 1) < 1e-12
+
+
+def test_qpos_bears_a_rope_folded_back_on_itself(rope: Rope) -> None:
+    flat = rope.loop()
+    flat[50:] = flat[49] + np.cumsum(np.where(np.arange(50)[:, None] % 2 == 0, 1, -1) * [[BEAD, 0.0, 0.0]], axis=0)  # beads there and back
+    assert np.isfinite(rope.qpos(flat)).all()
+
+
+def test_gaps_are_measured_where_the_sub_chains_join(rope: Rope) -> None:
+    qpos = rope.qpos(rope.loop())
+    assert rope.points_and_gaps(qpos)[1] < 1e-12
+    last = rope.model.jnt_qposadr[rope.model.body_jntadr[1]]
+    qpos[last + 2] += 0.02  # lift the first sub-chain whole
+    assert rope.points_and_gaps(qpos)[1] == pytest.approx(0.02)
+
+
+def test_loop_is_a_flat_ring_of_equal_beads(rope: Rope) -> None:
+    assert np.allclose(chords(rope.loop()), BEAD, atol=1e-15) and not rope.loop()[:, 2].any()
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_trefoil_comes_in_at_any_scale(rope: Rope, scale: float) -> None:
+    points = rope.from_curve(scale * trefoil() + 5 * scale)
+    assert label(points).nx == 3
+    assert np.abs(chords(points) - BEAD).max() < 1e-9
+    assert np.abs(points.mean(axis=0)).max() < 1e-9
+    assert np.abs(points - rope.from_curve(trefoil())).max() < 1e-6
+
+
+def test_trefoil_stays_on_its_curve(rope: Rope) -> None:
+    fine = trefoil()
+    fine *= rope.config.length / chords(fine).sum()
+    off = np.linalg.norm(rope.from_curve(fine)[:, None] - fine[None], axis=2).min(axis=1)
+    assert off.max() < 0.003
+
+
+def test_a_curve_starts_at_its_first_point_and_keeps_its_direction(rope: Rope) -> None:
+    points = rope.from_curve(3 * np.roll(rope.loop(), -25, axis=0))
+    assert np.abs(points - np.roll(rope.loop(), -25, axis=0)).max() < 1e-9
+
+
+def test_repeating_the_first_point_changes_nothing(rope: Rope) -> None:
+    curve = trefoil()
+    assert np.array_equal(rope.from_curve(np.concatenate([curve, curve[:1]])), rope.from_curve(curve))
+
+
+def test_a_square_of_four_points_is_a_rope(rope: Rope) -> None:
+    points = rope.from_curve([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    assert np.abs(chords(points) - BEAD).max() < 1e-12
+
+
+def test_own_points_come_back_as_they_are(rope: Rope, tangled: NDArray[np.float64]) -> None:
+    for points in rope.points(tangled):
+        assert np.abs(rope.from_curve(points, max_overlap=1.0) - points).max() < 1e-6
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 6))
+@settings(max_examples=60)
+def test_every_smooth_curve_becomes_equal_beads(seed: int, modes: int) -> None:
+    rng = np.random.default_rng(seed)
+    at = np.arange(1, modes + 1)[:, None] * np.linspace(0, 2 * np.pi, 240, endpoint=False)
+    curve = np.concatenate([np.cos(at), np.sin(at)]).T @ rng.normal(size=(2 * modes, 3))
+    points = ROPE.from_curve(curve, max_overlap=1.0)
+    assert np.abs(chords(points) - BEAD).max() < 1e-9
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(4, 60))
+@settings(max_examples=60)
+def test_every_polygon_becomes_equal_beads(seed: int, corners: int) -> None:
+    curve = np.random.default_rng(seed).normal(size=(corners, 3))
+    points = ROPE.from_curve(np.concatenate([curve, curve[:1]]), max_overlap=1.0)
+    assert np.abs(chords(points) - BEAD).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("curve", "message"),
+    [
+        (trefoil()[:3], "at least 4 different points, got 3"),
+        (np.ones((7, 3)), "at least 4 different points, got 1"),
+        (np.zeros((0, 3)), "at least 4 different points, got 0"),
+        (trefoil()[:, :2], r"\(n, 3\) array"),
+        (np.zeros(3), r"\(n, 3\) array"),
+        (trefoil()[:200], "isn't closed"),
+        (np.where(np.arange(300)[:, None] == 7, np.nan, trefoil()), "finite coordinates"),
+        (np.where(np.arange(300)[:, None] == 7, np.inf, trefoil()), "finite coordinates"),
+        (trefoil() * [1, 1, 0], "beads would overlap by 10.0 mm"),
+        (np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0], [0, 0, 0]]), "beads would overlap"),
+    ],
+)
+def test_what_is_no_rope_is_refused_in_one_line(rope: Rope, curve: NDArray[np.float64], message: str) -> None:
+    with pytest.raises(InvalidCurve, match=message) as caught:
+        rope.from_curve(curve)
+    assert "\n" not in str(caught.value)
+
+
+def test_from_curve_leaves_its_input_alone(rope: Rope) -> None:
+    curve = trefoil()
+    rope.from_curve(curve)
+    assert np.array_equal(curve, trefoil())
+
+
+def test_clearance_is_the_smallest_distance_between_beads_apart() -> None:
+    rope = Rope()
+    points = rope.from_curve(curled(1))
+    lifted = points + 0.02 * np.array([0, 0, 1])
+    assert clearance(points) == pytest.approx(clearance(lifted))
+    cross = np.array([[-1.0, 0, 0], [1, 0, 0], [1, 2, 0], [0, 2, 0.3], [0, -2, 0.3], [-1, -2, 0]])
+    assert clearance(cross) == pytest.approx(0.3)
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.0, 0.2))
+@settings(max_examples=60)
+def test_noise_keeps_beads_equal_and_the_rope_closed(seed: int, scale: float) -> None:
+    moved = noised(ROPE.loop(), scale, np.random.default_rng(seed))
+    assert np.abs(chords(moved) - BEAD).max() < 1e-9
+
+
+def test_noise_on_a_moving_rope_is_exactly_closed(rope: Rope, tangled: NDArray[np.float64]) -> None:
+    for points in rope.points(tangled[:10]):
+        moved = noised(points, 0.015, np.random.default_rng(0))
+        assert np.ptp(chords(moved)) < 1e-12
+        assert rope.points_and_gaps(rope.qpos(moved))[1] < 1e-6
+
+
+def test_noise_of_scale_zero_is_nothing() -> None:
+    points = ROPE.from_curve(trefoil())
+    assert np.abs(noised(points, 0.0, np.random.default_rng(0)) - points).max() < 1e-12
+
+
+def test_noise_is_what_the_generator_says() -> None:
+    points = ROPE.from_curve(trefoil())
+    first, again, other = (noised(points, 0.015, np.random.default_rng(seed)) for seed in (3, 3, 4))
+    assert np.array_equal(first, again) and not np.array_equal(first, other)
+
+
+def test_noise_takes_306_draws_whatever_happens() -> None:
+    for scale in (0.0, 0.1):
+        rng, counted = np.random.default_rng(0), np.random.default_rng(0)
+        noised(ROPE.loop(), scale, rng)
+        counted.uniform(-1, 1, 306)
+        assert rng.uniform() == counted.uniform()
+
+
+def test_noise_moves_every_bead_by_about_its_scale() -> None:
+    moved = noised(ROPE.loop(), 0.015, np.random.default_rng(0))
+    far = np.linalg.norm(moved - ROPE.loop(), axis=1)
+    assert 0.001 < far.min() and far.max() < 0.1
+
+
+def test_noise_leaves_its_input_alone() -> None:
+    points = ROPE.loop()
+    noised(points, 0.1, np.random.default_rng(0))
+    assert np.array_equal(points, ROPE.loop())
+
+
+def test_models_of_equal_configs_are_compiled_once() -> None:
+    assert Rope().model is Rope(replace(RopeConfig())).model

@@ -1,0 +1,181 @@
+"""The state file gives back what was written, and refuses what it cannot read in one line."""
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from knotgym.crossings import label
+from knotgym.datasets.states import InvalidStates, States, read_states, shipped, write_states
+from knotgym.gauss import GaussCode
+from knotgym.picture import draw
+from knotgym.rope import Rope
+
+COLUMNS = ("qpos", "points", "image", "gauss_code", "gauss_code_chiral", "knot", "nx", "split")
+
+
+@pytest.fixture
+def copy(states_path: str, tmp_path: Path) -> Path:
+    """A state file to do harm to."""
+    path = tmp_path / "copy.h5"
+    path.write_bytes(Path(states_path).read_bytes())
+    return path
+
+
+def test_states_come_back_as_written(states: States, states_path: str) -> None:
+    read = read_states(states_path)
+    for name in COLUMNS:
+        ours, theirs = getattr(states, name), getattr(read, name)
+        assert np.array_equal(ours, theirs) and ours.dtype.kind == theirs.dtype.kind, name
+    for name in ("quality", "source"):
+        assert getattr(read, name).keys() == getattr(states, name).keys()
+        for key, values in getattr(states, name).items():
+            assert np.array_equal(getattr(read, name)[key], values), key
+    assert read.units == states.units
+    assert read.attributes == states.attributes
+
+
+def test_numbers_keep_their_types(states_path: str) -> None:
+    read = read_states(states_path)
+    assert read.qpos.dtype == read.points.dtype == np.float64 and read.image is not None and read.image.dtype == np.uint8
+    assert read.gauss_code.dtype.kind == "U" and read.nx.dtype.kind == "i"
+
+
+def test_images_are_left_out_when_not_asked_for(states_path: str) -> None:
+    assert read_states(states_path, images=False).image is None
+
+
+def test_read_arrays_cannot_be_written_to(states_path: str) -> None:
+    read = read_states(states_path)
+    for array in (read.qpos, read.points, read.nx, read.gauss_code, *read.quality.values(), *read.source.values()):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = array[1]
+
+
+def test_every_reading_has_memory_of_its_own(states_path: str) -> None:
+    assert not np.shares_memory(read_states(states_path).qpos, read_states(states_path).qpos)
+
+
+def test_rows_are_those_of_nx_and_split(states: States) -> None:
+    for nx in range(5):
+        for split in ("train", "test"):
+            rows = states.rows(nx, split)
+            assert len(rows) == 3 and set(states.nx[rows]) == {nx} and set(states.split[rows]) == {split}
+    assert len(states.rows(9, "train")) == len(states.rows(2, "dev")) == 0
+
+
+def test_no_states_at_all_come_back(states: States, tmp_path: Path) -> None:
+    assert states.image is not None
+    none = States(*(getattr(states, name)[:0] for name in COLUMNS), attributes=states.attributes)
+    write_states(tmp_path / "none.h5", none)
+    assert len(read_states(tmp_path / "none.h5")) == 0
+
+
+def test_configurations_in_the_attributes_become_json(states: States, tmp_path: Path) -> None:
+    write_states(tmp_path / "a.h5", replace(states, attributes={"configuration": {"seed": 3}}))
+    assert read_states(tmp_path / "a.h5").attributes == {"configuration": '{"seed": 3}'}
+
+
+def test_columns_of_different_lengths_are_refused(states: States) -> None:
+    with pytest.raises(InvalidStates, match="column nx has 29 rows, qpos has 30"):
+        replace(states, nx=states.nx[1:])
+
+
+def test_states_without_images_are_not_written(states: States, tmp_path: Path) -> None:
+    with pytest.raises(InvalidStates, match="read without"):
+        write_states(tmp_path / "a.h5", replace(states, image=None))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"no state file at .*absent\.h5"):
+        read_states(tmp_path / "absent.h5")
+
+
+@pytest.mark.parametrize("kept", [0, 7, 100, 2000, 0.3, 0.7, 0.999])
+def test_a_truncated_file_is_refused_in_one_line(copy: Path, kept: float) -> None:
+    raw = copy.read_bytes()
+    copy.write_bytes(raw[: int(kept if kept >= 1 else kept * len(raw))])
+    with pytest.raises(InvalidStates, match="isn't a whole state file") as caught:
+        read_states(copy)
+    assert "\n" not in str(caught.value) and str(copy) in str(caught.value)
+
+
+def test_a_file_that_is_no_hdf5_is_refused_in_one_line(copy: Path) -> None:
+    copy.write_text("qpos,points\n1,2\n")
+    with pytest.raises(InvalidStates, match="isn't a whole state file") as caught:
+        read_states(copy)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_foreign_hdf5_is_refused(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "foreign.h5", "w") as file:
+        file["qpos"] = np.zeros(3)
+    with pytest.raises(InvalidStates, match="format 'none' version none; this version reads 'knotgym-states' version 1"):
+        read_states(tmp_path / "foreign.h5")
+
+
+def test_another_format_version_is_refused(copy: Path) -> None:
+    with h5py.File(copy, "a") as file:
+        file.attrs["format_version"] = 2
+    with pytest.raises(InvalidStates, match="format 'knotgym-states' version 2; this version reads 'knotgym-states' version 1"):
+        read_states(copy)
+
+
+@pytest.mark.parametrize("name", [*COLUMNS, "quality", "source"])
+def test_a_missing_column_is_refused(copy: Path, name: str) -> None:
+    with h5py.File(copy, "a") as file:
+        del file[name]
+    with pytest.raises(InvalidStates, match=name):
+        read_states(copy)
+
+
+@pytest.mark.parametrize("name", ["gauss_code", "quality", "source", "qpos"])
+def test_a_column_of_another_kind_is_refused(copy: Path, name: str) -> None:
+    with h5py.File(copy, "a") as file:
+        del file[name]
+        file[name] = 3.0
+    with pytest.raises(InvalidStates):
+        read_states(copy)
+
+
+def test_flipped_bytes_are_read_as_written_or_refused(copy: Path, states: States) -> None:
+    raw, rng = copy.read_bytes(), np.random.default_rng(0)
+    refused = 0
+    for _ in range(60):
+        harmed = bytearray(raw)
+        for at in rng.integers(0, len(raw), 20):
+            harmed[at] = int(rng.integers(256))
+        copy.write_bytes(harmed)
+        try:
+            assert len(read_states(copy)) == len(states)
+        except InvalidStates:
+            refused += 1
+    assert refused > 50
+
+
+def test_curated_states_ship() -> None:
+    assert shipped().is_file()
+
+
+def test_curated_states_are_17_loops_and_40_of_each_nx_half_of_them_to_train_on() -> None:
+    states = read_states(shipped(), images=False)
+    assert Counter(states.nx.tolist()) == {0: 17, 1: 40, 2: 40, 3: 40, 4: 40}
+    for nx in range(5):
+        train, test = len(states.rows(nx, "train")), len(states.rows(nx, "test"))
+        assert abs(train - test) <= 1 and train + test == (40 if nx else 17)
+
+
+def test_curated_states_are_what_their_labels_say() -> None:
+    states, rope = read_states(shipped()), Rope()
+    assert states.attributes["rope"] == rope.config.fingerprint and states.image is not None
+    for row in range(len(states)):
+        points = rope.points(states.qpos[row])
+        code = label(points)
+        assert np.abs(points - states.points[row]).max() < 1e-9
+        assert (str(code), code.chiral, code.nx) == (states.gauss_code[row], states.gauss_code_chiral[row], states.nx[row])
+        assert GaussCode.parse(str(states.gauss_code_chiral[row])) == code
+        assert np.array_equal(draw(states.points[row]), states.image[row])

@@ -1,0 +1,289 @@
+"""Many ropes in one simulation are the same many environments, stepped together; Gymnasium's SyncVectorEnv is the measure."""
+
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers.vector import RecordEpisodeStatistics
+from numpy.typing import NDArray
+
+from knotgym.env import KnotEnv, KnotVectorEnv
+from knotgym.simulation import InvalidAction
+from knotgym.tasks import InvalidSetting
+
+from .test_env import same
+
+MODES = list(AutoresetMode)
+MakeVec = Callable[..., KnotVectorEnv]
+
+
+def actions(count: int, steps: int, seed: int = 0) -> NDArray[np.float32]:
+    return np.random.default_rng(seed).uniform(-1, 1, (steps, count, 6)).astype(np.float32)
+
+
+def blow_up(envs: KnotVectorEnv, rope: int) -> None:
+    """Give one rope velocities that no integrator survives."""
+    simulation = envs.episodes.simulation
+    states, model = simulation.states([rope]), simulation.rope.model
+    states[:, 1 + model.nq : 1 + model.nq + model.nv] = 1e8  # after time and qpos
+    simulation.restore(states, [rope])
+
+
+@pytest.fixture
+def make(states_path: str) -> MakeVec:
+    """Make a vector environment on the small state file."""
+
+    def made(task: str = "tie", num_envs: int = 3, **settings: Any) -> KnotVectorEnv:
+        return KnotVectorEnv(task, num_envs, **{"states": states_path, "observation": "state", **settings})
+
+    return made
+
+
+@pytest.fixture
+def synced(states_path: str) -> Callable[..., SyncVectorEnv]:
+    """Make Gymnasium's vector of single environments on the small state file."""
+
+    def made(task: str = "tie", num_envs: int = 3, autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP, **settings: Any) -> SyncVectorEnv:
+        wanted = {"states": states_path, "observation": "state", **settings}
+        return SyncVectorEnv([lambda: KnotEnv(task, **wanted)] * num_envs, autoreset_mode=autoreset_mode)
+
+    return made
+
+
+@pytest.mark.parametrize("observation", ["pixels", "state", "both"])
+def test_make_vec_gives_one_batched_simulation(states_path: str, observation: str) -> None:
+    envs = gym.make_vec("knotgym/Tie-v0", num_envs=4, nx=3, states=states_path, observation=observation)
+    assert isinstance(envs.unwrapped, KnotVectorEnv) and envs.unwrapped.episodes.simulation.count == 4
+    observations, _ = envs.reset(seed=0)
+    assert observations in envs.observation_space
+    observations, rewards, terminated, truncated, _ = envs.step(envs.action_space.sample())
+    assert observations in envs.observation_space
+    assert (rewards.dtype, terminated.dtype, truncated.dtype) == (np.float64, np.bool_, np.bool_)
+    assert rewards.shape == terminated.shape == truncated.shape == (4,)
+
+
+def test_make_vec_can_still_sync(states_path: str) -> None:
+    envs = gym.make_vec("knotgym/Tie-v0", num_envs=2, vectorization_mode="sync", states=states_path, observation="state")
+    batched = gym.make_vec("knotgym/Tie-v0", num_envs=2, states=states_path, observation="state")
+    assert same(envs.reset(seed=0), batched.reset(seed=0))
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+@pytest.mark.parametrize(("task", "observation"), [("tie", "state"), ("convert", "both"), ("unknot", "pixels")])
+def test_steps_and_autoresets_are_those_of_single_environments(
+    make: MakeVec, synced: Callable[..., SyncVectorEnv], mode: AutoresetMode, task: str, observation: str
+) -> None:
+    settings: dict[str, Any] = {"nx": 1, "observation": observation, "horizon": 3, "autoreset_mode": mode, "image_size": 32}
+    envs, singles = make(task, **settings), synced(task, **settings)
+    assert same(envs.reset(seed=7), singles.reset(seed=7))
+    ended = 0
+    for each in actions(3, 9):
+        ours, theirs = envs.step(each), singles.step(each)
+        assert same(ours, theirs)
+        ended += int((ours[2] | ours[3]).sum())
+    assert ended >= 6
+
+
+def test_ropes_end_and_start_over_at_steps_of_their_own(make: MakeVec, synced: Callable[..., SyncVectorEnv]) -> None:
+    envs, singles = make(horizon=3), synced(horizon=3)
+    envs.reset(seed=0), singles.reset(seed=0)
+    for step, each in enumerate(actions(3, 10)):
+        if step in (0, 4):  # rope 1 succeeds out of turn
+            envs.episodes.goals[1] = envs.episodes.codes[1]
+            singles.envs[1].episodes.goals[0] = singles.envs[1].episodes.codes[0]
+            each[1] = 0.0
+        ours = envs.step(each)
+        assert same(ours, singles.step(each))
+        if step == 0:
+            assert ours[1].tolist() == [0, 5, 0] and ours[2].tolist() == [False, True, False]
+
+
+@pytest.mark.parametrize("seed", [5, np.int64(5), [5, 6, 7], [5, None, 7]], ids=str)
+def test_rope_i_with_seed_s_starts_as_a_single_environment_with_seed_s_plus_i(make: MakeVec, states_path: str, seed: Any) -> None:
+    observations = make().reset(seed=seed)[0]
+    for i in (0, 2):
+        assert np.array_equal(observations[i], KnotEnv("tie", states=states_path, observation="state").reset(seed=5 + i)[0])
+
+
+def test_ropes_without_a_seed_start_differently(make: MakeVec) -> None:
+    assert len({one.tobytes() for one in make().reset()[0]}) == 3
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_threads_change_nothing(make: MakeVec, threads: int) -> None:
+    envs, others = make(threads=threads), make(threads=0)
+    assert same(envs.reset(seed=0), others.reset(seed=0))
+    for each in actions(3, 3):
+        assert same(envs.step(each), others.step(each))
+
+
+def test_next_step_resets_without_acting(make: MakeVec) -> None:
+    envs = make(horizon=1)
+    envs.reset(seed=0)
+    _, rewards, _, truncated, _ = envs.step(np.zeros((3, 6), np.float32))
+    assert rewards.tolist() == [-5] * 3 and truncated.all()
+    _, rewards, terminated, truncated, infos = envs.step(np.zeros((3, 6), np.float32))
+    assert not rewards.any() and not terminated.any() and not truncated.any()
+    assert infos["bead"].tolist() == [-1] * 3
+
+
+def test_same_step_hands_over_the_last_observation(make: MakeVec) -> None:
+    envs, others = make(horizon=1, autoreset_mode="SameStep"), make(horizon=1)
+    envs.reset(seed=0), others.reset(seed=0)
+    each = actions(3, 1)[0]
+    _, _, _, truncated, infos = envs.step(each)
+    last = others.step(each)[0]
+    assert truncated.all()
+    assert np.array_equal(np.stack(infos["final_obs"]), last)
+    assert infos["final_info"]["bead"].min() >= 0 and infos["bead"].tolist() == [-1] * 3
+
+
+def test_without_autoreset_an_ended_rope_cannot_be_stepped(make: MakeVec) -> None:
+    envs = make(horizon=1, autoreset_mode=AutoresetMode.DISABLED)
+    envs.reset(seed=0)
+    envs.step(np.zeros((3, 6), np.float32))
+    with pytest.raises(InvalidSetting, match=r"episodes \[0, 1, 2\] have ended"):
+        envs.step(np.zeros((3, 6), np.float32))
+
+
+def test_without_autoreset_masked_resets_are_those_of_single_environments(make: MakeVec, synced: Callable[..., SyncVectorEnv]) -> None:
+    settings: dict[str, Any] = {"horizon": 2, "autoreset_mode": AutoresetMode.DISABLED}
+    envs, singles = make(**settings), synced(**settings)
+    assert same(envs.reset(seed=0), singles.reset(seed=0))
+    for step, each in enumerate(actions(3, 6)):
+        if step == 0:  # rope 2 ends a step before the others
+            envs.episodes.steps[2] = singles.envs[2].episodes.steps[0] = 1
+        ours = envs.step(each)
+        assert same(ours, singles.step(each))
+        if (done := ours[2] | ours[3]).any():
+            assert same(envs.reset(options={"reset_mask": done.copy()}), singles.reset(options={"reset_mask": done.copy()}))
+
+
+def test_a_masked_reset_leaves_the_other_ropes(make: MakeVec) -> None:
+    envs = make()
+    envs.reset(seed=0)
+    before = envs.step(actions(3, 1)[0])[0]
+    options = {"reset_mask": np.array([False, True, False])}
+    after, infos = envs.reset(seed=9, options=options)
+    assert np.array_equal(after[[0, 2]], before[[0, 2]]) and not np.array_equal(after[1], before[1])
+    assert infos["_gauss_code"].tolist() == [False, True, False]
+    assert list(options) == ["reset_mask"]
+
+
+@pytest.mark.parametrize("mask", [np.array([True]), np.array([1, 0, 1]), "all"], ids=repr)
+def test_a_mask_of_another_shape_is_refused(make: MakeVec, mask: Any) -> None:
+    with pytest.raises(InvalidSetting, match="reset_mask must be 3 booleans"):
+        make().reset(options={"reset_mask": mask})
+
+
+def test_options_pick_rows_for_every_rope(make: MakeVec, states_path: str) -> None:
+    envs = make("convert", nx=2)
+    infos = envs.reset(seed=0, options={"start": 6, "goal": 14})[1]
+    assert infos["start"].tolist() == [6] * 3 and infos["goal"].tolist() == [14] * 3
+
+
+def test_a_wrong_number_of_seeds_is_refused(make: MakeVec) -> None:
+    with pytest.raises(InvalidSetting, match="one for each of 3 ropes, got 2"):
+        make().reset(seed=[1, 2])
+
+
+@pytest.mark.parametrize("count", [0, -1])
+def test_no_ropes_are_refused(make: MakeVec, count: int) -> None:
+    with pytest.raises(InvalidSetting, match=f"num_envs must be at least 1, got {count}"):
+        make(num_envs=count)
+
+
+def test_settings_that_cannot_be_had_are_refused(make: MakeVec) -> None:
+    with pytest.raises(InvalidSetting, match="nx must be a whole number from 1 to 6, got 9"):
+        make(nx=9)
+
+
+@pytest.mark.parametrize(
+    "bad", [np.full((3, 6), np.nan), np.full((3, 6), 1.01), np.zeros((3, 5)), np.zeros((4, 6)), np.zeros((2, 6)), np.zeros(6)], ids=lambda bad: str(bad.shape)
+)
+def test_bad_actions_are_refused_and_nothing_moves(make: MakeVec, bad: NDArray[np.float64]) -> None:
+    envs = make(horizon=1)
+    envs.reset(seed=0)
+    before, steps = envs.episodes.simulation.states(), envs.episodes.steps.copy()
+    with pytest.raises(InvalidAction):
+        envs.step(bad)
+    assert np.array_equal(envs.episodes.simulation.states(), before) and np.array_equal(envs.episodes.steps, steps)
+
+
+def test_one_bad_action_moves_no_rope(make: MakeVec) -> None:
+    envs = make()
+    envs.reset(seed=0)
+    before = envs.episodes.simulation.states()
+    bad = np.zeros((3, 6))
+    bad[2, 5] = np.nan
+    with pytest.raises(InvalidAction):
+        envs.step(bad)
+    assert np.array_equal(envs.episodes.simulation.states(), before)
+
+
+def test_a_blown_up_rope_ends_alone_and_starts_over(make: MakeVec) -> None:
+    envs, others = make(), make()
+    envs.reset(seed=0), others.reset(seed=0)
+    blow_up(envs, 1)
+    each = actions(3, 2)
+    ours, theirs = envs.step(each[0]), others.step(each[0])
+    assert ours[1].tolist() == [0, 0, 0] and ours[2].tolist() == [False] * 3 and ours[3].tolist() == [False, True, False]
+    assert ours[4]["simulation_failed"].tolist() == [False, True, False]
+    assert np.isfinite(ours[0]).all() and np.array_equal(ours[0][[0, 2]], theirs[0][[0, 2]])
+    ours, theirs = envs.step(each[1]), others.step(each[1])
+    assert ours[4]["simulation_failed"].tolist() == [False] * 3 and ours[4]["bead"][1] == -1
+    assert np.array_equal(ours[0][[0, 2]], theirs[0][[0, 2]])
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+def test_episode_statistics_are_right(make: MakeVec, mode: AutoresetMode) -> None:
+    envs = RecordEpisodeStatistics(make(horizon=3, autoreset_mode=mode))
+    envs.reset(seed=0)
+    seen: list[tuple[int, float, int]] = []
+    for step, each in enumerate(actions(3, 12)):
+        if step == 1:  # rope 2 succeeds with its second action
+            episodes = envs.unwrapped.episodes
+            episodes.goals[2] = episodes.codes[2]
+            each[2] = 0.0
+        infos = envs.step(each)[4]
+        if "episode" in infos:
+            seen += [(i, float(infos["episode"]["r"][i]), int(infos["episode"]["l"][i])) for i in np.flatnonzero(infos["_episode"])]
+    assert seen[0] == (2, 5.0, 2)
+    assert set(seen[1:]) <= {(i, -5.0, 3) for i in range(3)} | {(i, 5.0, length) for i in range(3) for length in (1, 2, 3)}
+    assert len(seen) == (9 if mode == AutoresetMode.NEXT_STEP else 12)
+
+
+def test_infos_are_copies(make: MakeVec) -> None:
+    envs = make()
+    envs.reset(seed=0)
+    first = envs.step(actions(3, 1)[0])
+    kept = pickle.loads(pickle.dumps(first))
+    envs.step(actions(3, 1, seed=1)[0])
+    assert same(first, kept)
+
+
+def test_a_pickled_vector_environment_goes_on_as_the_first(make: MakeVec) -> None:
+    envs = make(horizon=3)
+    envs.reset(seed=0)
+    envs.step(actions(3, 1)[0])
+    again = pickle.loads(pickle.dumps(envs))
+    for each in actions(3, 5, seed=1):
+        assert same(again.step(each), envs.step(each))
+
+
+def test_render_gives_one_picture_a_rope(make: MakeVec) -> None:
+    envs = make(observation="pixels")
+    observations = envs.reset(seed=0)[0]
+    pictures = envs.render()
+    assert pictures is not None and np.array_equal(np.stack(pictures), observations)
+    assert make(render_mode=None).render() is None
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_the_autoreset_mode_stands_in_the_metadata(make: MakeVec, mode: AutoresetMode) -> None:
+    assert make(autoreset_mode=mode).metadata["autoreset_mode"] is mode
+    assert KnotVectorEnv.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
