@@ -107,11 +107,12 @@ def main() -> None:
         }
     table = Table("observation", "steps/s", "raw steps/s", "share of raw", "ms of our own", "bar")
     for mode, row in rows.items():
-        bar = f"{row['bar']:.2f}" if row["bar"] else ""
-        table.add_row(mode, f"{row['steps_per_second']:.1f}", f"{row['raw_steps_per_second']:.1f}", f"{row['raw_share']:.3f}", f"{row['own_ms']:.2f}", bar)
+        forms = {"steps_per_second": ".1f", "raw_steps_per_second": ".1f", "raw_share": ".3f", "own_ms": ".2f"}
+        table.add_row(mode, *(format(row[name], form) for name, form in forms.items()), str(row["bar"] or ""))
     Console().print(table)
-    machine = {"processor": platform.processor() or platform.machine(), "python": platform.python_version(), "mujoco": mujoco.__version__, "opencv": cv2.__version__}
-    args.out.write_text(json.dumps({"knotgym": knotgym.__version__, "machine": machine, **vars(args), "out": str(args.out), "modes": rows}, indent=1) + "\n")
+    versions = {"knotgym": knotgym.__version__, "python": platform.python_version(), "mujoco": mujoco.__version__, "opencv": cv2.__version__}
+    settings = {name: value for name, value in vars(args).items() if name != "out"}
+    args.out.write_text(json.dumps({"versions": versions, "settings": settings, "modes": rows}, indent=1) + "\n")
 
 
 if __name__ == "__main__":

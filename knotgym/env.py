@@ -8,6 +8,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
@@ -51,6 +52,7 @@ class KnotEnv(gym.Env[Any, NDArray[np.float32]]):
 
     def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Pull once; raises InvalidAction for NaN or numbers outside [-1, 1], and then nothing has moved."""
+        _require_reset(self.episodes)
         reward, terminated, truncated = self.episodes.step(np.asarray(action)[None], np.array([0]))
         return self.episodes.observation(0), float(reward[0]), bool(terminated[0]), bool(truncated[0]), self.episodes.info(0)
 
@@ -102,7 +104,9 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         mask = np.asarray(wanted.pop("reset_mask", np.ones(self.num_envs, dtype=bool)))
         if mask.shape != (self.num_envs,) or mask.dtype != bool:
             raise InvalidSetting(f"reset_mask must be {self.num_envs} booleans, got {mask.dtype} of shape {mask.shape}")
-        seeds = [None if seed is None else seed + i for i in range(self.num_envs)] if seed is None or isinstance(seed, (int, np.integer)) else list(seed)
+        if isinstance(seed, (int, np.integer)):
+            seed = [int(seed) + i for i in range(self.num_envs)]
+        seeds = [None] * self.num_envs if seed is None else list(seed)
         if len(seeds) != self.num_envs:
             raise InvalidSetting(f"a list of seeds needs one for each of {self.num_envs} ropes, got {len(seeds)}")
         for i in np.flatnonzero(mask):
@@ -114,6 +118,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
 
     def step(self, actions: NDArray[np.float32]) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Pull every rope once; ended episodes start over as `autoreset_mode` says."""
+        _require_reset(self.episodes)
         done = self._done.copy()
         actions = np.asarray(actions)
         if actions.shape != self.action_space.shape:
@@ -160,6 +165,11 @@ def _config(task: str, settings: dict[str, Any]) -> TaskConfig:
     if unknown:
         raise InvalidSetting(f"no keyword {', '.join(map(repr, unknown))}; there is {', '.join(name for name in known if name != 'task')}")
     return TaskConfig(task=task, **settings)
+
+
+def _require_reset(episodes: Episodes) -> None:
+    if episodes.goal_row.min() < 0:
+        raise ResetNeeded("reset the environment before its first step")
 
 
 def _checked(render_mode: str | None) -> str | None:

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.crossings import label, label_many
 from knotgym.datasets.states import States, read_states, shipped
 from knotgym.gauss import GaussCode
-from knotgym.picture import PictureConfig, draw
+from knotgym.observations import picture_config, pixels, state
+from knotgym.picture import draw
 from knotgym.rope import Array, Rope, clearance, noised
 from knotgym.simulation import Simulation
 from knotgym.tasks import InvalidSetting, TaskConfig
@@ -40,14 +41,14 @@ class Episodes:
         self.config = config
         self.count = count
         self.simulation = Simulation(count, Rope(), threads)
-        self._picture = PictureConfig(size=config.image_size, camera=config.camera, renderer=config.renderer)
+        self._picture = picture_config(config)
         self._starts = _side(config, config.start_nx, self.simulation.rope)
         self._goals = _side(config, config.goal_nx, self.simulation.rope)
         self._goal_images: dict[int, NDArray[np.uint8]] = {}
         self.codes = [GaussCode(())] * count
         self.goals = [GaussCode(())] * count
         self.start_row = np.zeros(count, dtype=np.int64)
-        self.goal_row = np.zeros(count, dtype=np.int64)
+        self.goal_row = np.full(count, -1, dtype=np.int64)  # until the first reset
         self.steps = np.zeros(count, dtype=np.int64)
         self.held = np.zeros(count, dtype=np.int64)
         self.failed = np.zeros(count, dtype=bool)
@@ -101,12 +102,13 @@ class Episodes:
         goal = int(self.goal_row[index])
         if goal not in self._goal_images:
             self._goal_images[goal] = draw(self._goals.points[goal], self._picture)
-        return np.concatenate([draw(self.simulation.points[index], self._picture), self._goal_images[goal]], axis=1)
+        seen: NDArray[np.uint8] = pixels(self.simulation.points[index][None], self._goal_images[goal], self._picture)[0]
+        return seen
 
     def state(self, index: int) -> NDArray[np.float32]:
         """Vertices of the rope now, then of its goal, metres: float32 (6 beads,)."""
-        goal = self._goals.points[self.goal_row[index]]
-        return np.concatenate([self.simulation.points[index].ravel(), goal.ravel()]).astype(np.float32)
+        seen: NDArray[np.float32] = state(self.simulation.points[index][None], self._goals.points[self.goal_row[index]])[0]
+        return seen
 
     def observation(self, index: int) -> Any:
         """What the agent of episode `index` sees, as `config.observation` says."""

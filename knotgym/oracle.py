@@ -24,7 +24,7 @@ _ALIASES: dict[str, type] = {"float": float, "int": int, "complex": complex}
 _BEAD = 10.0  # length to which the mean bead is scaled; pyknotid goes wrong under 0.1
 
 
-class InvalidCurve(KnotgymError, ValueError):
+class UnreadableCurve(KnotgymError, ValueError):
     """pyknotid cannot be asked about these points."""
 
     def __init__(self, problem: str) -> None:
@@ -38,14 +38,14 @@ def pyknotid_code(points: ArrayLike) -> GaussCode:
         points: (beads, 3), metres; the last bead is joined to the first.
 
     Raises:
-        InvalidCurve: another shape, not finite, or all beads at one place.
+        UnreadableCurve: another shape, not finite, or all beads at one place.
     """
     rope = np.asarray(points, dtype=np.float64)
     if rope.ndim != 2 or rope.shape[1] != 3 or len(rope) < 3:
-        raise InvalidCurve(f"the array has shape {rope.shape}")
+        raise UnreadableCurve(f"the array has shape {rope.shape}")
     bead = float(np.linalg.norm(np.roll(rope, -1, axis=0) - rope, axis=1).mean())
     if not np.isfinite(bead) or bead == 0.0:
-        raise InvalidCurve(f"the mean bead is {bead} long")
+        raise UnreadableCurve(f"the mean bead is {bead} long")
     scaled = (rope - rope.mean(axis=0)) * (_BEAD / bead)
     with _lent_aliases(), contextlib.redirect_stdout(io.StringIO()):
         from pyknotid.spacecurves import SpaceCurve

@@ -210,7 +210,8 @@ class Rope:
                 raise InvalidCurve(f"the curve turns too sharply for a rope of {self.config.beads} beads")
         depth = 2 * self.config.radius - clearance(p)
         if depth > max_overlap:
-            raise InvalidCurve(f"beads would overlap by {1000 * depth:.1f} mm, at most {1000 * max_overlap:.1f} mm can be had: the curve passes too close to itself")
+            most = f"{1000 * max_overlap:.1f} mm"
+            raise InvalidCurve(f"beads would overlap by {1000 * depth:.1f} mm, at most {most} can be had: the curve passes too close to itself")
         return p
 
     def _is_configuration(self, points: Array) -> bool:
@@ -290,7 +291,11 @@ def _compile(config: RopeConfig) -> mujoco.MjModel:
     def add_bead(parent: mujoco.MjsBody, index: int, pos: list[float], angle: float) -> mujoco.MjsBody:
         body = parent.add_body(name=f"bead{index}", pos=pos, quat=[np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])
         body.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[0.0, 0.0, 0.0, length, 0.0, 0.0], size=[config.radius, 0.0, 0.0], density=config.density, condim=1
+            type=mujoco.mjtGeom.mjGEOM_CAPSULE,
+            fromto=[0.0, 0.0, 0.0, length, 0.0, 0.0],
+            size=[config.radius, 0.0, 0.0],
+            density=config.density,
+            condim=1,
         )
         return body
 

@@ -19,6 +19,8 @@ from knotgym.rope import Array, Rope
 
 _BLOWN_UP = [int(w.value) for w in (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)]
 
+EASED = (0.5, 0.25, 0.0)  # shares of the force that a pull which opens the rope is tried again with
+
 Ids = Sequence[int] | NDArray[np.int64] | None
 
 
@@ -83,14 +85,31 @@ class Simulation:
             forces: (len(ids), 3), newtons, world frame.
             ids: the ropes, in rising order; None for all.
 
+        A pull that would open the rope where its sub-chains meet wider than a bead is made again with EASED times the force
+        (the closures are soft, and a fold at one of them can hold it open by millimetres); if all fail, the rope stays.
+
         Returns:
-            bool (len(ids),): False where the simulation blew up (NaN, or a gap in the rope wider than a bead); such a
-            rope stands where it stood before the call.
+            bool (len(ids),): False where the simulation blew up; such a rope stands where it stood before the call.
         """
-        where = self._all(ids)
-        before = self._batch.state[where].copy()
+        where, bodies, full = self._all(ids), self.rope.bodies[np.asarray(beads)], np.asarray(forces, dtype=np.float64)
+        before, left = self._batch.state[where].copy(), np.arange(len(where))
+        whole = np.ones(len(where), dtype=bool)
+        for share in (1.0, *EASED):
+            broken, gaps = self._step(where[left], bodies[left], share * full[left])
+            back = left[broken | ~(gaps < 2 * self.rope.config.radius)]
+            whole[left[broken]] = False
+            if not len(back):
+                break
+            self.restore(before[back], where[back])
+            left = back[whole[back]]
+            if not len(left):
+                break
+        return whole
+
+    def _step(self, where: NDArray[np.int64], bodies: NDArray[np.int64], forces: Array) -> tuple[NDArray[np.bool_], Array]:
+        """Step ropes `where` through one action; which blew up, and the gaps of all, metres."""
         self._batch.warning[where] = 0  # MuJoCo starts a blown-up rope over as a plain loop, and the count with it
-        self._xfrc[where, self.rope.bodies[np.asarray(beads)], :3] = forces
+        self._xfrc[where, bodies, :3] = forces
         broken = np.zeros(len(where), dtype=bool)
         try:
             self._batch.step(where, nstep=self.rope.config.frame_skip)
@@ -98,12 +117,9 @@ class Simulation:
             broken |= np.isin(where, error.ids)
         finally:
             self._xfrc[where] = 0.0
-        broken |= self._batch.warning[where][:, _BLOWN_UP, 1].any(axis=1)
         self.points[where], gaps = self.rope.points_and_gaps(self._qpos[where])
-        broken |= ~np.isfinite(self.points[where]).all(axis=(1, 2)) | ~(gaps < 2 * self.rope.config.radius)
-        if broken.any():
-            self.restore(before[broken], where[broken])
-        return ~broken
+        broken |= self._batch.warning[where][:, _BLOWN_UP, 1].any(axis=1) | ~np.isfinite(self.points[where]).all(axis=(1, 2))
+        return broken, gaps
 
     def act(self, actions: ArrayLike, ids: Ids = None) -> NDArray[np.bool_]:
         """Take one action each: pull the bead nearest to the scaled point with the scaled force.

@@ -69,6 +69,8 @@ class TaskConfig:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or value < least or (most is not None and value > most):
                 raise InvalidSetting(f"{name} must be a whole number {f'from {least} to {most}' if most else f'of at least {least}'}, got {value!r}")
+        if self.states is not None and not isinstance(self.states, str):
+            raise InvalidSetting(f"states must be the path of a state file as a string, got {self.states!r}")
         if not 0 <= self.reset_noise < 1:
             raise InvalidSetting(f"reset_noise must be in [0, 1), got {self.reset_noise!r}")
 

@@ -13,10 +13,6 @@ from knotgym.diagrams import is_planar
 from knotgym.gauss import GaussCode
 from knotgym.orientation import side
 
-# Compiling, or another process on the same cores, is no failure.
-settings.register_profile("unhurried", deadline=None)
-settings.load_profile("unhurried")
-
 # An eight whose strands meet at (0, 0); the one from the lower left is over.
 EIGHT = np.array([[-1.0, -1.0, 1.0], [1.0, 1.0, 1.0], [2.0, 0.0, 0.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-2.0, 0.0, 0.0]])
 

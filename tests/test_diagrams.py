@@ -5,15 +5,11 @@ from itertools import product
 from pathlib import Path
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from knotgym.diagrams import NotPlanar, chiralities, drawn, faces, is_planar, parts, planar_codes, summands
 from knotgym.gauss import GaussCode, UnknownChirality
-
-# Compiling, or another process on the same cores, is no failure.
-settings.register_profile("unhurried", deadline=None)
-settings.load_profile("unhurried")
 
 CODES = Path(__file__).parent / "codes"
 TREFOIL = GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c")

@@ -12,6 +12,7 @@ import gymnasium as gym
 import h5py
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from numpy.typing import NDArray
 
@@ -37,6 +38,8 @@ def same(ours: Any, theirs: Any) -> bool:
         return ours.keys() == theirs.keys() and all(same(ours[key], theirs[key]) for key in ours)
     if isinstance(ours, tuple | list):
         return len(ours) == len(theirs) and all(map(same, ours, theirs))
+    if isinstance(ours, np.ndarray) and ours.dtype == object:
+        return ours.shape == theirs.shape and same(ours.tolist(), theirs.tolist())
     if isinstance(ours, np.ndarray):
         return ours.dtype == theirs.dtype and np.array_equal(ours, theirs)
     return type(ours) is type(theirs) and bool(ours == theirs)
@@ -140,6 +143,12 @@ def test_both_is_the_picture_and_the_state(make: Make) -> None:
 def test_the_perspective_camera_shows_another_picture(make: Make) -> None:
     one, other = (make(nx=4, observation="pixels", camera=camera).reset(seed=0)[0] for camera in ("orthographic", "perspective"))
     assert one.shape == other.shape and not np.array_equal(one, other)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_a_step_needs_a_reset_first(make: Make, task: str) -> None:
+    with pytest.raises(ResetNeeded, match="before its first step"):
+        make(task).step(IDLE)
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -373,7 +382,9 @@ def test_settings_that_cannot_be_had_are_refused_in_one_line(make: Make, setting
     assert "\n" not in str(caught.value)
 
 
-def test_crossings_that_no_file_has_are_refused_with_the_command_that_makes_them(make: Make, states_path: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_crossings_that_no_file_has_are_refused_with_the_command_that_makes_them(
+    make: Make, states_path: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("knotgym.episodes.shipped", lambda: Path(states_path))
     with pytest.raises(InvalidSetting, match="no states with nx = 6 in split 'train' of .*knotgym-generate --nx 6"):
         make("tie", nx=6)

@@ -5,15 +5,11 @@ from dataclasses import FrozenInstanceError
 from itertools import product
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from knotgym.errors import KnotgymError
 from knotgym.gauss import GaussCode, InvalidGaussCode, UnknownChirality
-
-# Compiling, or another process on the same cores, is no failure.
-settings.register_profile("unhurried", deadline=None)
-settings.load_profile("unhurried")
 
 
 @st.composite

@@ -15,10 +15,6 @@ from knotgym.knots import UndecidedKnot, handedness, is_unknot, knot_type
 from knotgym.polynomials import alexander_polynomial, jones_polynomial, mirrored_jones
 from knotgym.reidemeister import simplify, without_bigons
 
-# Compiling, or another process on the same cores, is no failure.
-settings.register_profile("unhurried", deadline=None)
-settings.load_profile("unhurried")
-
 CODES = Path(__file__).parent / "codes"
 TREFOIL = GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c")
 

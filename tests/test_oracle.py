@@ -5,7 +5,7 @@ import pytest
 
 from knotgym.crossings import find_crossings, label, visit_spacing
 from knotgym.gauss import GaussCode
-from knotgym.oracle import InvalidCurve, pyknotid_code
+from knotgym.oracle import UnreadableCurve, pyknotid_code
 
 EIGHT = np.array([[-1.0, -1.0, 1.0], [1.0, 1.0, 1.0], [2.0, 0.0, 0.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-2.0, 0.0, 0.0]])
 
@@ -69,5 +69,5 @@ def test_the_points_are_left_alone() -> None:
 
 @pytest.mark.parametrize("points", [np.zeros((2, 3)), np.zeros((4, 2)), np.zeros((4, 3)), np.full((4, 3), np.nan)])
 def test_no_curve_is_refused(points: np.ndarray) -> None:
-    with pytest.raises(InvalidCurve):
+    with pytest.raises(UnreadableCurve):
         pyknotid_code(points)

@@ -7,6 +7,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from numpy.typing import NDArray
@@ -203,7 +204,9 @@ def test_settings_that_cannot_be_had_are_refused(make: MakeVec) -> None:
 
 
 @pytest.mark.parametrize(
-    "bad", [np.full((3, 6), np.nan), np.full((3, 6), 1.01), np.zeros((3, 5)), np.zeros((4, 6)), np.zeros((2, 6)), np.zeros(6)], ids=lambda bad: str(bad.shape)
+    "bad",
+    [np.full((3, 6), np.nan), np.full((3, 6), 1.01), np.zeros((3, 5)), np.zeros((4, 6)), np.zeros((2, 6)), np.zeros(6)],
+    ids=lambda bad: str(bad.shape),
 )
 def test_bad_actions_are_refused_and_nothing_moves(make: MakeVec, bad: NDArray[np.float64]) -> None:
     envs = make(horizon=1)
@@ -255,6 +258,13 @@ def test_episode_statistics_are_right(make: MakeVec, mode: AutoresetMode) -> Non
     assert seen[0] == (2, 5.0, 2)
     assert set(seen[1:]) <= {(i, -5.0, 3) for i in range(3)} | {(i, 5.0, length) for i in range(3) for length in (1, 2, 3)}
     assert len(seen) == (9 if mode == AutoresetMode.NEXT_STEP else 12)
+
+
+def test_a_step_needs_every_rope_to_have_been_reset(make: MakeVec) -> None:
+    envs = make()
+    envs.reset(options={"reset_mask": np.array([True, False, True])})
+    with pytest.raises(ResetNeeded, match="before its first step"):
+        envs.step(np.zeros((3, 6), np.float32))
 
 
 def test_infos_are_copies(make: MakeVec) -> None:

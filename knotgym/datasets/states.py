@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
@@ -135,6 +136,57 @@ def read_states(path: str | os.PathLike[str], *, images: bool = True) -> States:
         raise
     except (OSError, KeyError, RuntimeError, TypeError, ValueError, AttributeError) as error:  # whatever h5py says to foreign bytes
         raise InvalidStates(f"{path} isn't a whole state file: {' '.join(str(error).split())}") from error
+
+
+def merge_states(parts: Sequence[States]) -> States:
+    """Put the rows of several state files one after another, in order of nx; rows of one nx keep their order.
+
+    Args:
+        parts: read with images; made for the same rope, with the same measures.
+
+    Raises:
+        InvalidStates: they don't go together.
+    """
+    if not parts:
+        raise InvalidStates("nothing to merge: name at least one state file")
+    first = parts[0]
+    for other in parts[1:]:
+        if other.attributes.get("rope") != first.attributes.get("rope"):
+            raise InvalidStates(f"states of one rope model can be merged, got {first.attributes.get('rope')} and {other.attributes.get('rope')}")
+        if set(other.quality) != set(first.quality) or set(other.source) != set(first.source):
+            raise InvalidStates("the files have different quality or source columns")
+    longest = max(part.source["actions"].shape[1] for part in parts) if "actions" in first.source else 0
+    order = np.argsort(np.concatenate([part.nx for part in parts]), kind="stable")
+
+    def joined(columns: Sequence[NDArray[Any]]) -> NDArray[Any]:
+        return np.concatenate(columns)[order]
+
+    def padded(actions: NDArray[Any]) -> NDArray[Any]:
+        return np.pad(actions, ((0, 0), (0, longest - actions.shape[1]), (0, 0)))
+
+    configs = [config for part in parts for config in _configs(part)]
+    images = [part.image for part in parts if part.image is not None]
+    return States(
+        qpos=joined([part.qpos for part in parts]),
+        points=joined([part.points for part in parts]),
+        image=joined(images) if len(images) == len(parts) else None,
+        gauss_code=joined([part.gauss_code for part in parts]),
+        gauss_code_chiral=joined([part.gauss_code_chiral for part in parts]),
+        knot=joined([part.knot for part in parts]),
+        nx=joined([part.nx for part in parts]),
+        split=joined([part.split for part in parts]),
+        quality={name: joined([part.quality[name] for part in parts]) for name in first.quality},
+        units=dict(first.units),
+        source={
+            name: joined([padded(part.source[name]) if name == "actions" else part.source[name] for part in parts]) for name in first.source
+        },
+        attributes={**first.attributes, "config": json.dumps(configs if len(configs) > 1 else configs[0])},
+    )
+
+
+def _configs(part: States) -> list[Any]:
+    config = json.loads(part.attributes.get("config", "{}"))
+    return config if isinstance(config, list) else [config]
 
 
 def _write(file: h5py.File, name: str, values: NDArray[Any]) -> h5py.Dataset:

@@ -22,6 +22,7 @@ from knotgym.errors import KnotgymError
 from knotgym.gauss import GaussCode
 from knotgym.generate.manoeuvres import Way
 from knotgym.generate.symmetry import class_of, members
+from knotgym.generate.transitions import Transitions
 from knotgym.rope import Array
 
 FORMAT = "knotgym-archive"
@@ -61,12 +62,14 @@ class Archive:
         visits: class -> how often the search set out from it.
         growth: one row a round: actions taken so far, classes and codes known by then.
         settings: of the search, JSON-able; a resumed search must agree with them.
+        transitions: what the manoeuvres of the search did to codes.
     """
 
     niches: dict[GaussCode, list[Elite]] = field(default_factory=dict)
     visits: dict[GaussCode, int] = field(default_factory=dict)
     growth: list[dict[str, int]] = field(default_factory=list)
     settings: dict[str, object] = field(default_factory=dict)
+    transitions: Transitions = field(default_factory=Transitions)
 
     def offer(self, elite: Elite) -> bool:
         """Keep an elite if it is among the KEPT shortest or the KEPT best-looking of its class; say whether the class is new."""
@@ -109,6 +112,7 @@ class Archive:
             file.create_dataset("beads", data=np.concatenate([elite.way.beads for elite in elites]), **squeezed)
             file.create_dataset("forces", data=np.concatenate([elite.way.forces for elite in elites]), **squeezed)
             file.create_dataset("state", data=np.stack([elite.state for elite in elites]), **squeezed)
+            self.transitions.write(file.create_group("transitions"))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Archive:
@@ -128,6 +132,7 @@ class Archive:
                     visits={GaussCode.parse(code): int(count) for code, count in json.loads(file.attrs["visits"]).items()},
                     growth=json.loads(file.attrs["growth"]),
                     settings=json.loads(file.attrs["settings"]),
+                    transitions=Transitions.read(file["transitions"]) if "transitions" in file else Transitions(),
                 )
                 ends = np.cumsum(file["length"][()])
                 beads, forces, states = file["beads"][()], file["forces"][()], file["state"][()]

@@ -1,7 +1,6 @@
-"""Curation: which accepted states make a set, and which of them are for training.
+"""Curation: which codes there are to curate, which accepted states make a set, and which of them are for training.
 
-Two states are near-duplicates when one, turned about z and moved, comes within NEAR of the other: root mean square distance
-of their beads, which is three pixels of the picture. A set holds no two of them, so none straddle its splits.
+A set holds no two near-duplicates (`datasets.near`), so none straddle its splits.
 """
 
 from __future__ import annotations
@@ -12,12 +11,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.datasets.near import NEAR, distances
 from knotgym.diagrams import planar_codes
 from knotgym.gauss import GaussCode
 from knotgym.knots import is_unknot, knot_type
 from knotgym.rope import Array
-
-NEAR = 0.015  # metres
 
 
 @lru_cache(maxsize=32)
@@ -25,24 +23,6 @@ def codes_of(knot: str, nx: int) -> tuple[GaussCode, ...]:
     """Every code, without chirality and in order, that a rope of this knot type can show with nx crossings; exact."""
     certified = is_unknot if knot == "0_1" else lambda code: knot_type(code) == knot
     return tuple(sorted((code for code in planar_codes(nx) if certified(code)), key=lambda code: code.visits))
-
-
-def distances(points: Array, others: Array) -> Array:
-    """How far each of `others` is from a configuration at best, over turns about z and shifts.
-
-    Args:
-        points: float64 (beads, 3), metres.
-        others: float64 (n, beads, 3), metres.
-
-    Returns:
-        float64 (n,), root mean square distance of the beads, metres.
-    """
-    a = points - points.mean(axis=0)
-    b = others - others.mean(axis=1, keepdims=True)
-    flat_a, flat_b = a[:, 0] + 1j * a[:, 1], b[..., 0] + 1j * b[..., 1]
-    # the best turn makes the sum of conj(a) b real and positive
-    agreement = np.abs(flat_b @ flat_a.conj()) + b[..., 2] @ a[:, 2]
-    return np.asarray(np.sqrt(np.maximum(0.0, (a**2).sum() + (b**2).sum(axis=(1, 2)) - 2 * agreement) / len(points)))
 
 
 def is_near_duplicate(points: Array, accepted: Sequence[Array]) -> bool:

@@ -46,7 +46,7 @@ def knot_curve(knot: str) -> Array:
         return KNOTS[knot]()
     path = Path(knot)
     if not path.is_file():
-        raise InvalidCurveFile(f"no knot {knot!r}; there is 0_1, {', '.join(KNOTS)}, or the path of a file with a closed curve, three numbers a line or .npy")
+        raise InvalidCurveFile(f"no knot {knot!r}; there is 0_1, {', '.join(KNOTS)}, or a file with a closed curve, three numbers a line or .npy")
     try:
         curve = np.load(path, allow_pickle=False) if path.suffix == ".npy" else np.loadtxt(path, delimiter="," if path.suffix == ".csv" else None)
     except (ValueError, OSError) as error:

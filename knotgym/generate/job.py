@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from knotgym.crossings import label
 from knotgym.errors import KnotgymError
 from knotgym.gauss import GaussCode
 from knotgym.generate.archive import Archive
@@ -48,7 +49,7 @@ class GenerateConfig:
         balance: "even" over codes and chirality, or "natural": codes as often as a random policy meets them.
         split_by: "state", or "code" for splits that share no code.
         train_share: of the states (or codes) that are for training.
-        knot: type of the rope's knot; "0_1" starts from the plain loop.
+        knot: type of the rope's knot; "0_1" starts from the plain loop, any other name or file as `curves.knot_curve`.
         seed: of everything.
         attempts: instances tried, for each state wanted, before giving up.
         wave: instances made in a cycle.
@@ -92,6 +93,8 @@ class Job:
     Attributes:
         config: what is wanted.
         archive: of the search.
+        knot: the certified type of the rope's knot.
+        existing: nx -> how many codes, without chirality, there are.
         shares: nx -> code -> states wanted of it at most.
         accepted: nx -> instances, in the order of acceptance.
         rejected: nx -> reason -> how many.
@@ -103,6 +106,8 @@ class Job:
 
     config: GenerateConfig
     archive: Archive
+    knot: str = "0_1"
+    existing: dict[int, int] = field(default_factory=dict)
     shares: dict[int, dict[GaussCode, int]] = field(default_factory=dict)
     accepted: dict[int, list[Instance]] = field(default_factory=dict)
     rejected: dict[int, Counter[str]] = field(default_factory=dict)
@@ -118,9 +123,14 @@ class Job:
         Raises:
             InvalidJob: there are no such states.
         """
-        job = cls(config, archive or new_archive(search_config(config), start_of(config)))
+        start = start_of(config)
+        knot = knot_type(label(start))
+        if knot == "unknown":
+            raise InvalidJob(f"the knot type of {config.knot} cannot be certified: knots of up to 7 crossings can")
+        job = cls(config, archive or new_archive(search_config(config), None if config.knot == "0_1" else start), knot)
         for nx in config.nx:
-            job.shares[nx] = _shares(config, nx)
+            job.existing[nx] = len(codes_of(knot, nx))
+            job.shares[nx] = _shares(config, knot, nx)
             job.accepted[nx], job.rejected[nx], job.tried[nx] = [], Counter(), Counter()
         return job
 
@@ -155,7 +165,7 @@ def run(job: Job, pool: Pool, each_cycle: Callable[[Job], None]) -> None:
         for nx in config.nx:
             have, tried = len(job.accepted[nx]), sum(job.tried[nx].values())
             if have < job.wanted(nx) and max(tried, 8 * job.cycle) >= config.attempts * job.wanted(nx):
-                raise NotEnough(f"{have} of {job.wanted(nx)} states with nx = {nx} accepted in {tried} attempts; go on with --resume and more --attempts")
+                raise NotEnough(f"{have} of {job.wanted(nx)} states with nx = {nx} accepted in {tried} attempts; use --resume and more --attempts")
 
 
 def search_config(config: GenerateConfig) -> SearchConfig:
@@ -169,14 +179,16 @@ def start_of(config: GenerateConfig) -> Array:
     return rope.loop() if config.knot == "0_1" else rope.from_curve(knot_curve(config.knot))
 
 
-def _shares(config: GenerateConfig, nx: int) -> dict[GaussCode, int]:
+def _shares(config: GenerateConfig, knot: str, nx: int) -> dict[GaussCode, int]:
     """How many states of each code are wanted at most; of an even share, rounded up, the first accepted fill the count."""
-    known = codes_of(config.knot, nx)
+    known = codes_of(knot, nx)
     if not known:
-        raise InvalidJob(f"no diagram of {config.knot} has {nx} crossings")
+        raise InvalidJob(f"no diagram of {knot} has {nx} crossings")
     if config.every_code:
         return dict.fromkeys(known, config.every_code)
     if config.balance == "natural":
+        if knot != "0_1":
+            raise InvalidJob(f"natural balance is known for ropes that start as a plain loop, not as {knot}")
         return natural_shares(nx, config.count, config.seed, config.instance.rope)
     return dict.fromkeys(known, -(-config.count // len(known)))
 
@@ -208,7 +220,7 @@ def _orders(job: Job) -> list[tuple[int, Order]]:
 def _judge(job: Job, nx: int, instance: Instance) -> None:
     """Accept an instance, or count why not."""
     reasons = list(instance.faults)
-    if not reasons and knot_type(instance.code) != job.config.knot:
+    if not reasons and knot_type(instance.code) != job.knot:
         reasons = ["knot type changed"]
     if not reasons and is_near_duplicate(instance.points[-1], [one.points[-1] for one in job.accepted[nx]]):
         reasons = ["near-duplicate"]

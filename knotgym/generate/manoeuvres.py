@@ -23,11 +23,18 @@ LIFT = 0.03  # metres above or below a strand that a bead passes it at
 
 @dataclass(frozen=True)
 class Manoeuvre:
-    """Lead `bead` past `waypoints`, float64 (k, 3), metres, world frame."""
+    """Lead `bead` past `waypoints`, float64 (k, 3), metres, world frame.
+
+    Attributes:
+        target: the bead of the strand to be passed, -1 where there is none.
+        side: +1 over it, -1 under it.
+    """
 
     kind: str
     bead: int
     waypoints: Array
+    target: int = -1
+    side: int = 0
 
 
 def propose(points: Array, rng: np.random.Generator) -> Manoeuvre:
@@ -35,24 +42,29 @@ def propose(points: Array, rng: np.random.Generator) -> Manoeuvre:
     beads = len(points)
     kind = KINDS[rng.choice(4, p=(0.4, 0.25, 0.1, 0.25))]
     bead = int(rng.integers(beads))
-    here = points[bead]
     side = float(rng.choice((-1.0, 1.0)))
     if kind in ("pass", "curl"):
         apart = int(rng.integers(6, 25)) * int(rng.choice((-1, 1))) if kind == "curl" else int(rng.integers(12, beads - 12))
-        there = points[(bead + apart) % beads]
-        way = there[:2] - here[:2]
-        far = min(float(np.hypot(*way)), 0.3)
-        heading = np.arctan2(way[1], way[0]) + rng.normal(0, 0.3)
-        height = there[2] + side * LIFT
-        reach = far + rng.uniform(0.02, 0.09)
-    else:
-        way = here[:2] - points[:, :2].mean(axis=0)
-        heading = np.arctan2(way[1], way[0]) + rng.normal(0, 0.5) if kind == "spread" else rng.uniform(-np.pi, np.pi)
-        far = reach = rng.uniform(0.03, 0.2)
-        height = here[2] + (0.0 if kind == "spread" else side * LIFT)
-    ahead = np.array([np.cos(heading), np.sin(heading)])
-    rise, end = here[:2] + ahead * min(0.03, far), here[:2] + ahead * reach
-    return Manoeuvre(kind, bead, np.array([[*rise, height], [*end, height], [*end, points[:, 2].mean()]]))
+        return pass_strand(points, kind, bead, (bead + apart) % beads, int(side), rng)
+    return move_aside(points, kind, bead, int(side), rng)
+
+
+def move_aside(points: Array, kind: str, bead: int, side: int, rng: np.random.Generator) -> Manoeuvre:
+    """Lead `bead` away from the rope's middle ("spread"), or anywhere, lifted (side +1) or lowered (-1) ("shift")."""
+    way = points[bead, :2] - points[:, :2].mean(axis=0)
+    heading = np.arctan2(way[1], way[0]) + rng.normal(0, 0.5) if kind == "spread" else rng.uniform(-np.pi, np.pi)
+    far = rng.uniform(0.03, 0.2)
+    height = points[bead, 2] + (0.0 if kind == "spread" else side * LIFT)
+    return Manoeuvre(kind, bead, _waypoints(points, bead, heading, height, far, far), -1, 0 if kind == "spread" else side)
+
+
+def pass_strand(points: Array, kind: str, bead: int, target: int, side: int, rng: np.random.Generator) -> Manoeuvre:
+    """Lead `bead` over (side +1) or under (-1) the bead `target` and some way on."""
+    way = points[target, :2] - points[bead, :2]
+    far = min(float(np.hypot(*way)), 0.3)
+    heading = np.arctan2(way[1], way[0]) + rng.normal(0, 0.3)
+    waypoints = _waypoints(points, bead, heading, points[target, 2] + side * LIFT, far, far + rng.uniform(0.02, 0.09))
+    return Manoeuvre(kind, bead, waypoints, target, side)
 
 
 class Hand:
@@ -85,6 +97,13 @@ class Hand:
         far = np.linalg.norm(way, axis=1, keepdims=True)
         pull = way / np.maximum(far, 1e-9) * np.minimum(1.0, far / STRIDE)
         return np.where((self._stage < 3)[:, None], pull, 0.0)
+
+
+def _waypoints(points: Array, bead: int, heading: float, height: float, far: float, reach: float) -> Array:
+    """Up or down to `height` within the first 3 cm, `reach` metres ahead, and back to the rope's level; float64 (3, 3)."""
+    ahead = np.array([np.cos(heading), np.sin(heading)])
+    rise, end = points[bead, :2] + ahead * min(0.03, far), points[bead, :2] + ahead * reach
+    return np.array([[*rise, height], [*end, height], [*end, points[:, 2].mean()]])
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from knotgym.generate.engines import Pool
 from knotgym.generate.manoeuvres import NO_WAY, Hand, Way, propose, pull
 from knotgym.generate.quality import Limits, base_spacing, measure
 from knotgym.generate.symmetry import Symmetry, rolled, rolls
+from knotgym.generate.transitions import Transitions, Watch
 from knotgym.rope import Array, Rope, RopeConfig
 from knotgym.simulation import Simulation
 
@@ -111,7 +112,8 @@ def advance(archive: Archive, config: SearchConfig, pool: Pool, chunk: int = 16)
         actions += sum(len(way) for way in trial.ways)
         for find in finds:
             archive.offer(Elite(find.code, find.roll, trial.ways[find.slot], find.state, find.badness))
-    for finds, beads, forces, taken in pool.map(play, shifts):
+    for finds, beads, forces, taken, transitions in pool.map(play, shifts):
+        archive.transitions.add(transitions)
         actions += int(taken.sum())
         for find in finds:
             row = find.slot % chunk
@@ -141,12 +143,12 @@ def confirm(trial: Trial) -> list[Find]:
     return out
 
 
-def play(shift: Shift) -> tuple[list[Find], Array, Array, Array]:
+def play(shift: Shift) -> tuple[list[Find], Array, Array, Array, Transitions]:
     """Lead the ropes of a shift through manoeuvres.
 
     Returns:
         The finds, by slot and then by pull; beads int16 (slots, pulls) and forces float32 (slots, pulls, 3) of every pull;
-        and how many pulls each slot made before its rope broke, int (slots,).
+        how many pulls each slot made before its rope broke, int (slots,); and what the manoeuvres did to codes.
     """
     config, slots = shift.config, len(shift.slots)
     simulation = _simulation(slots, config.rope)
@@ -159,9 +161,12 @@ def play(shift: Shift) -> tuple[list[Find], Array, Array, Array]:
     alive = np.ones(slots, dtype=bool)
     last = label_many(simulation.points)
     finds: list[Find] = []
+    watches = [Watch(rolls(config.rope), config.rope.beads) for _ in shift.slots]
     for step in range(config.pulls):
         for row in np.flatnonzero(hand.idle(simulation.points)):
-            hand.take(int(row), propose(simulation.points[row], rngs[row]))
+            manoeuvre = propose(simulation.points[row], rngs[row])
+            hand.take(int(row), manoeuvre)
+            watches[row].set_out(find_crossings(simulation.points[row]), manoeuvre)
         hand.idle(simulation.points)
         beads[:, step] = hand.beads
         forces[:, step] = hand.forces(simulation.points)
@@ -171,12 +176,17 @@ def play(shift: Shift) -> tuple[list[Find], Array, Array, Array]:
         ended = hand.idle(simulation.points)
         codes = label_many(simulation.points)
         for row in np.flatnonzero(alive):
+            if codes[row] != last[row]:
+                watches[row].show(find_crossings(simulation.points[row]))
             if codes[row].nx <= config.max_nx and (codes[row] != last[row] or ended[row] or step == config.pulls - 1):
                 state = simulation.states([row])[0]
                 for code, roll, badness in _readings(simulation.points[row], limits, config.rope):
                     finds.append(Find(shift.slots[row], step + 1, code, roll, badness, state))
         last = codes
-    return sorted(finds, key=lambda find: (find.slot, find.pulls, find.roll)), beads, forces, taken
+    transitions = Transitions()
+    for watch in watches:
+        transitions.add(watch.transitions)
+    return sorted(finds, key=lambda find: (find.slot, find.pulls, find.roll)), beads, forces, taken, transitions
 
 
 def _readings(points: Array, limits: Limits, rope: RopeConfig) -> list[tuple[GaussCode, int, float]]:

@@ -1,0 +1,192 @@
+"""Reading episode files: whole episodes or single frames, in any process.
+
+    /                   attributes: format, format_version, task (JSON), rope, stored, versions (JSON), card (JSON, in datasets)
+    /episode_{k}        attributes: id, number, total_steps, policy, goal_gauss_code, relabelled, hold, digest, seed, options/start, options/goal
+        actions rewards terminations truncations infos/*            what Minari reads
+        observations    pixels and state, one of them, or none      what Minari reads; redrawn from `rope/points`, they are the same bytes
+        rope/start_qpos rope/points rope/goal_points                float64: what everything else can be made from again
+
+`stored` is "pixels", "state", "both" or, in the compact form, "none".
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.datasets.episodes import INFOS, Episode, InvalidEpisode
+from knotgym.errors import KnotgymError
+from knotgym.tasks import TaskConfig
+
+FORMAT = "knotgym-episodes"
+FORMAT_VERSION = 1
+STORED = ("pixels", "state", "both", "none")
+
+_ROPE = ("start_qpos", "points", "goal_points")
+_STEPS = ("actions", "rewards", "terminations", "truncations")
+
+
+class InvalidEpisodeFile(KnotgymError, ValueError):
+    """A file that isn't an episode file this version can read, or files that don't go together."""
+
+
+class EpisodeReader:
+    """Reads an episode file or a dataset, whole episodes or single frames; opens it once in each process, pickles without it.
+
+    Attributes:
+        path: of the HDF5 file.
+        task: the environment; its `observation` is what `observations` returns by default.
+        stored: the observations in the file.
+        rows: the k of the groups `episode_{k}` read here, in order.
+        lengths: int64 (len(rows),), the T of each.
+    """
+
+    def __init__(self, source: Any) -> None:
+        """Open a file, a dataset's folder or id, or a `minari.MinariDataset` (of whose episodes it keeps to the chosen ones).
+
+        Raises:
+            InvalidEpisodeFile: not written by knotgym, truncated, or of a format this version doesn't know.
+            FileNotFoundError: there is none.
+        """
+        self.path = episode_file(source)
+        self._opened: tuple[int, h5py.File] | None = None
+        try:
+            attributes = dict(self.file.attrs)
+        except OSError as error:
+            raise InvalidEpisodeFile(f"{self.path} isn't a whole HDF5 file: {' '.join(str(error).split())}") from error
+        found = attributes.get("format", "none"), attributes.get("format_version", "none")
+        if found != (FORMAT, FORMAT_VERSION):
+            raise InvalidEpisodeFile(f"{self.path} has format {found[0]!r} version {found[1]}; this one reads {FORMAT!r} version {FORMAT_VERSION}")
+        self.task = TaskConfig(**json.loads(attributes["task"]))
+        self.stored = str(attributes["stored"])
+        self.rope = str(attributes["rope"])
+        self.versions: dict[str, str] = json.loads(attributes["versions"])
+        present = sorted(int(name.removeprefix("episode_")) for name in self.file)
+        self.rows: list[int] = [int(row) for row in source.episode_indices] if hasattr(source, "episode_indices") else present
+        self.lengths: NDArray[np.int64] = np.array([self.group(i).attrs["total_steps"] for i in range(len(self.rows))], dtype=np.int64)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_opened": None}
+
+    def __len__(self) -> int:
+        """Episodes."""
+        return len(self.rows)
+
+    def __iter__(self) -> Iterator[Episode]:
+        return (self.episode(index) for index in range(len(self)))
+
+    @property
+    def file(self) -> h5py.File:
+        """The open file, this process's own."""
+        if self._opened is None or self._opened[0] != os.getpid():
+            self._opened = os.getpid(), h5py.File(self.path, "r")
+        return self._opened[1]
+
+    def close(self) -> None:
+        """Close the file; it opens again when needed."""
+        if self._opened is not None and self._opened[0] == os.getpid():
+            self._opened[1].close()
+        self._opened = None
+
+    def group(self, index: int) -> h5py.Group:
+        """The HDF5 group of an episode."""
+        return self.file[f"episode_{self.rows[index]}"]
+
+    def column(self, index: int, name: str) -> NDArray[Any]:
+        """One array of an episode, by `Episode`'s name for it."""
+        return _read(self.group(index)[place(name)])
+
+    def episode(self, index: int) -> Episode:
+        """A whole episode, without its observations.
+
+        Raises:
+            InvalidEpisodeFile: something is missing, misshapen or unreadable; the message names it.
+        """
+        try:
+            group = self.group(index)
+            arrays = {name: _read(group[place(name)]) for name in (*_ROPE, *_STEPS, *INFOS) if name != "move" or place(name) in group}
+            said = dict(group.attrs)
+            return Episode(
+                **arrays,
+                goal_gauss_code=str(said["goal_gauss_code"]),
+                policy=str(said["policy"]),
+                seed=int(said["seed"]) if "seed" in said else None,
+                options={name.removeprefix("options/"): int(row) for name, row in said.items() if name.startswith("options/")},
+                relabelled=bool(said["relabelled"]),
+                hold=int(said["hold"]) if "hold" in said else None,
+            )
+        except (KeyError, OSError, RuntimeError, TypeError, InvalidEpisode) as error:
+            raise InvalidEpisodeFile(f"{self.path}, episode {self.rows[index]}: {' '.join(str(error).split())}") from error
+
+    def observations(
+        self, index: int, steps: slice = slice(None), *, goal_step: int | None = None, observation: str = "", picture: Any = None
+    ) -> Any:
+        """What the agent saw at some states of an episode.
+
+        Args:
+            index: of the episode.
+            steps: which of its T + 1 states.
+            goal_step: show this state of the episode as the goal instead.
+            observation: "pixels", "state" or "both"; "" for the task's.
+            picture: a `knotgym.picture.PictureConfig` to draw with, instead of what the file holds.
+
+        Returns:
+            uint8 (n, size, 2 size, 3), float32 (n, 6 beads), or a dict of both; drawn where the file holds none.
+        """
+        wanted = observation or self.task.observation
+        if wanted not in STORED[:3]:
+            raise InvalidEpisodeFile(f"observation must be pixels, state or both, got {wanted!r}")
+        held = self.stored in (wanted, "both") and picture is None
+        return self._stored(index, steps, goal_step, wanted) if held else self._drawn(index, steps, goal_step, wanted, picture)
+
+    def _stored(self, index: int, steps: slice, goal_step: int | None, wanted: str) -> Any:
+        found = self.group(index)["observations"]
+        seen = {name: (found[name] if self.stored == "both" else found)[steps] for name in (("pixels", "state") if wanted == "both" else (wanted,))}
+        if goal_step is not None:
+            for name, array in seen.items():
+                goal = (found[name] if self.stored == "both" else found)[goal_step]
+                side = 2 if name == "pixels" else 1
+                half = array.shape[side] // 2
+                np.moveaxis(array, side, 0)[half:] = np.moveaxis(goal[None], side, 0)[:half]
+        return seen if wanted == "both" else seen[wanted]
+
+    def _drawn(self, index: int, steps: slice, goal_step: int | None, wanted: str, picture: Any) -> Any:
+        from knotgym.observations import observe, picture_config
+
+        points = self.group(index)["rope/points"]
+        goal = self.group(index)["rope/goal_points"][()] if goal_step is None else points[goal_step]
+        return observe(points[steps], goal, wanted, picture or picture_config(self.task))
+
+
+def episode_file(source: Any) -> Path:
+    """The HDF5 file of a dataset: a file, a dataset's folder or the `data` in it, a `minari.MinariDataset`, or an id that Minari would find."""
+    if hasattr(source, "storage"):
+        return Path(source.storage.data_path) / "main_data.hdf5"
+    tried = [Path(source), minari_root() / str(source)]
+    for path in tried:
+        for inside in (path, path / "main_data.hdf5", path / "data" / "main_data.hdf5"):
+            if inside.is_file():
+                return inside
+    raise FileNotFoundError(f"no episodes at {tried[0]}, nor a dataset of this id under {minari_root()}")
+
+
+def minari_root() -> Path:
+    """Where Minari keeps datasets: MINARI_DATASETS_PATH, else its default."""
+    return Path(os.environ.get("MINARI_DATASETS_PATH") or Path.home() / ".minari" / "datasets")
+
+
+def place(name: str) -> str:
+    """Where an array of an episode stands in its group."""
+    return f"rope/{name}" if name in _ROPE else f"infos/{name}" if name in INFOS else name
+
+
+def _read(data: h5py.Dataset) -> NDArray[Any]:
+    values = data[()]
+    return np.char.decode(values, "utf-8") if values.dtype.kind == "S" else values

@@ -1,0 +1,194 @@
+"""Episodes: T actions and the T + 1 states around them; and hindsight, by which a code that was reached becomes the goal.
+
+states   s0  s1  s2  s3     action t leads from s[t] to s[t + 1]; no action leaves s3
+actions    a0  a1  a2       rewards, terminations and truncations go with the actions
+infos    i0  i1  i2  i3     labels of the states; bead, force and move say what led to the state, nothing led to s0
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.errors import KnotgymError
+
+RELABEL = ("last", "all")
+
+# name -> dtype kind, how many there are beyond T (None: one an episode), shape of each ("beads" for the rope's)
+_ARRAYS: dict[str, tuple[Any, int | None, tuple[Any, ...]]] = {
+    "start_qpos": (np.float64, None, (None,)),
+    "goal_points": (np.float64, None, ("beads", 3)),
+    "points": (np.float64, 1, ("beads", 3)),
+    "actions": (np.float32, 0, (6,)),
+    "rewards": (np.float64, 0, ()),
+    "terminations": (np.bool_, 0, ()),
+    "truncations": (np.bool_, 0, ()),
+    "gauss_code": (np.str_, 1, ()),
+    "gauss_code_chiral": (np.str_, 1, ()),
+    "crossings": (np.int64, 1, ()),
+    "bead": (np.int64, 1, ()),
+    "force": (np.float64, 1, (3,)),
+    "is_success": (np.bool_, 1, ()),
+    "simulation_failed": (np.bool_, 1, ()),
+    "move": (np.str_, 1, ()),
+}
+INFOS = ("gauss_code", "gauss_code_chiral", "crossings", "bead", "force", "is_success", "simulation_failed", "move")
+
+
+class InvalidEpisode(KnotgymError, ValueError):
+    """Arrays that make no episode, or a cut that cannot be made."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Episode:
+    """T actions, at least one, and the T + 1 states around them; two are the same when their digests are.
+
+    Attributes:
+        start_qpos: float64 (nq,); laid there at rest (`Simulation.lay`) and pulled by `actions` (`Simulation.act`), the rope
+            goes through `points` bit for bit.
+        points: float64 (T + 1, beads, 3), metres.
+        goal_points: float64 (beads, 3), metres, the goal's exemplar.
+        actions: float32 (T, 6), in [-1, 1].
+        rewards: float64 (T,).
+        terminations, truncations: bool (T,).
+        gauss_code, gauss_code_chiral: str (T + 1,).
+        crossings: int64 (T + 1,).
+        bead, force: int64 (T + 1,) and float64 (T + 1, 3), newtons: what was pulled to come here; -1 and 0 at the start.
+        is_success, simulation_failed: bool (T + 1,), as the environment's infos.
+        move: str (T + 1,), why the policy pulled so, "" at the start; None where the policy gives no reasons.
+        goal_gauss_code: the code to reach.
+        seed: of the reset, None where no seed makes this episode.
+        options: of the reset: rows `start` and `goal` of the state file.
+        policy: who acted.
+        relabelled: the goal is a state that was reached; then no reset has this goal.
+        hold: consecutive steps that the goal was to be shown in this episode, None where as the task says; the ways to
+            curated states go on past their code until the rope lies open.
+
+    Raises:
+        InvalidEpisode: an array of another dtype, shape or length.
+    """
+
+    start_qpos: NDArray[np.float64]
+    points: NDArray[np.float64]
+    goal_points: NDArray[np.float64]
+    actions: NDArray[np.float32]
+    rewards: NDArray[np.float64]
+    terminations: NDArray[np.bool_]
+    truncations: NDArray[np.bool_]
+    gauss_code: NDArray[np.str_]
+    gauss_code_chiral: NDArray[np.str_]
+    crossings: NDArray[np.int64]
+    bead: NDArray[np.int64]
+    force: NDArray[np.float64]
+    is_success: NDArray[np.bool_]
+    simulation_failed: NDArray[np.bool_]
+    move: NDArray[np.str_] | None = None
+    goal_gauss_code: str
+    seed: int | None = None
+    options: Mapping[str, int] = field(default_factory=dict)
+    policy: str
+    relabelled: bool = False
+    hold: int | None = None
+
+    def __post_init__(self) -> None:
+        if not len(self.actions):
+            raise InvalidEpisode("an episode has at least 1 action, got none")
+        beads = np.shape(self.goal_points)[0]
+        for name, array in self.arrays().items():
+            dtype, beyond, each = _ARRAYS[name]
+            right = (*(() if beyond is None else (len(self) + beyond,)), *(beads if n == "beads" else n for n in each))
+            fits = array.ndim == len(right) and all(n is None or n == m for n, m in zip(right, array.shape, strict=True))
+            if not fits or not np.issubdtype(array.dtype, dtype):
+                raise InvalidEpisode(f"{name} must be {np.dtype(dtype).name} of shape {right}, got {array.dtype} of shape {array.shape}")
+
+    def __len__(self) -> int:
+        """T, the actions."""
+        return len(self.actions)
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Every array there is, by its attribute's name."""
+        return {name: np.asarray(getattr(self, name)) for name in _ARRAYS if getattr(self, name) is not None}
+
+    def labels(self) -> dict[str, Any]:
+        """What is said once an episode, JSON-able."""
+        names = ("goal_gauss_code", "seed", "policy", "relabelled", "hold")
+        return {**{name: getattr(self, name) for name in names}, "options": {name: int(row) for name, row in self.options.items()}}
+
+    def digest(self) -> str:
+        """Hexadecimal SHA-256 of all it holds."""
+        hashed = hashlib.sha256(json.dumps(self.labels(), sort_keys=True).encode())
+        for name, array in self.arrays().items():
+            whole = "\n".join(array.tolist()).encode() if array.dtype.kind == "U" else np.ascontiguousarray(array).tobytes()
+            hashed.update(f"{name} {array.shape} {'U' if array.dtype.kind == 'U' else array.dtype.str} ".encode() + whole)
+        return hashed.hexdigest()
+
+
+def goals_reached(codes: Sequence[str] | NDArray[np.str_], hold: int = 1) -> list[int]:
+    """The states at which a code other than the first is shown for the `hold`-th time running, the first time for each code.
+
+    >>> goals_reached(["", "1+,1-", "", "1+,1-", "1-,1+"])
+    [1, 4]
+    >>> goals_reached(["", "1+,1-", "", "1+,1-", "1+,1-"], hold=2)
+    [4]
+    """
+    first: dict[str, int] = {}
+    running = 0
+    for step, code in enumerate(codes):
+        running = running + 1 if step and code == codes[step - 1] else 1
+        if code != codes[0] and running >= hold:
+            first.setdefault(str(code), step)
+    return sorted(first.values())
+
+
+def goal_steps(codes: Sequence[str] | NDArray[np.str_], relabel: str, hold: int = 1) -> list[int]:
+    """Where to cut an episode that shows these codes: at the "last" of `goals_reached`, or at "all" of them; perhaps nowhere."""
+    if relabel not in RELABEL:
+        raise InvalidEpisode(f"relabel must be {' or '.join(map(repr, RELABEL))}, got {relabel!r}")
+    steps = goals_reached(codes, hold)
+    return steps if relabel == "all" else steps[-1:]
+
+
+def relabelled(episode: Episode, goal_step: int, *, hold: int = 1, reward: float = 5.0) -> Episode:
+    """Cut an episode so that the last state left is the goal, reached for the first time.
+
+    Args:
+        episode: T actions; left as it was.
+        goal_step: which state becomes the goal, one of `goals_reached`.
+        hold: consecutive steps the goal code must show.
+        reward: paid at success.
+
+    Raises:
+        InvalidEpisode: the goal would not be reached there, or would be before.
+    """
+    possible = goals_reached(episode.gauss_code, hold)
+    if goal_step not in possible:
+        raise InvalidEpisode(f"goal_step must be a state that reaches another code first, one of {possible}, got {goal_step}")
+    end = np.arange(goal_step + 1) == goal_step
+    cut = {name: array[: goal_step + (_ARRAYS[name][1] or 0)] for name, array in episode.arrays().items() if _ARRAYS[name][1] is not None}
+    return replace(
+        episode,
+        **{
+            **cut,
+            "goal_points": episode.points[goal_step],
+            "goal_gauss_code": str(episode.gauss_code[goal_step]),
+            "rewards": np.where(end[1:], reward, 0.0),
+            "terminations": end[1:],
+            "truncations": np.zeros(goal_step, dtype=bool),
+            "is_success": end,
+            "options": {name: row for name, row in episode.options.items() if name != "goal"},
+            "relabelled": True,
+        },
+    )
+
+
+def relabel_all(episodes: Iterable[Episode], relabel: str = "last", *, hold: int = 1, reward: float = 5.0) -> Iterator[Episode]:
+    """Yield each episode cut at its `goal_steps`; an episode that shows no code but its first yields nothing."""
+    for episode in episodes:
+        for step in goal_steps(episode.gauss_code, relabel, hold):
+            yield relabelled(episode, step, hold=hold, reward=reward)

@@ -1,0 +1,30 @@
+"""Near-duplicates: when two configurations are so alike that one may not be for training and the other for testing.
+
+Two configurations are near-duplicates when one, turned about z and moved, comes within NEAR of the other: root mean square
+distance of their beads, which is three pixels of the picture.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+NEAR = 0.015  # metres
+
+
+def distances(points: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How far each of `others` is from a configuration at best, over turns about z and shifts.
+
+    Args:
+        points: float64 (beads, 3), metres.
+        others: float64 (n, beads, 3), metres.
+
+    Returns:
+        float64 (n,), root mean square distance of the beads, metres.
+    """
+    a = points - points.mean(axis=0)
+    b = others - others.mean(axis=1, keepdims=True)
+    flat_a, flat_b = a[:, 0] + 1j * a[:, 1], b[..., 0] + 1j * b[..., 1]
+    # the best turn makes the sum of conj(a) b real and positive
+    agreement = np.abs(flat_b @ flat_a.conj()) + b[..., 2] @ a[:, 2]
+    return np.asarray(np.sqrt(np.maximum(0.0, (a**2).sum() + (b**2).sum(axis=(1, 2)) - 2 * agreement) / len(points)))

@@ -1,0 +1,110 @@
+"""The command line: what a user types, turned into a configuration; every mistake is one line and exit status 2."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from knotgym.errors import KnotgymError
+from knotgym.generate.dataset_commands import dataset_app
+
+app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help="Data for spatial reasoning on knots.")
+app.add_typer(dataset_app, name="dataset")
+
+Nx = Annotated[str, typer.Option("--nx", help="Crossings: 3, or 2,3, or 0-4.")]
+Seed = Annotated[int, typer.Option(help="Of everything; the same seed gives the same bytes.")]
+Workers = Annotated[int, typer.Option(help="Processes; 0 for one a core. Does not change the result.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Say nothing but errors.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Finish an interrupted run.")]
+
+_USAGE = typer.BadParameter.__mro__[2]  # ClickException, be it Click's own or the copy inside typer
+_FAILED, _MISTAKEN, _INTERRUPTED = 1, 2, 130
+
+
+def numbers(text: str) -> tuple[int, ...]:
+    """Read "3", "2,3" or "0-4".
+
+    >>> numbers("0-2,4")
+    (0, 1, 2, 4)
+    """
+    out: list[int] = []
+    for word in text.split(","):
+        low, dash, high = word.strip().partition("-")
+        if not low.isdecimal() or (dash and not high.isdecimal()) or (dash and int(high) < int(low)):
+            raise typer.BadParameter(f"--nx takes numbers of crossings such as 3, 2,3 or 0-4, got {text!r}")
+        out += range(int(low), int(high if dash else low) + 1)
+    return tuple(dict.fromkeys(out))
+
+
+@app.command()
+def generate(
+    nx: Nx = "3",
+    count: Annotated[int, typer.Option(help="States for each number of crossings, of as many different codes as there are.")] = 40,
+    out: Annotated[Path | None, typer.Option(help="Folder to make; knotgym-data/nx3 for --nx 3.")] = None,
+    every_code: Annotated[int, typer.Option(help="Instead of --count: so many states of every code there is.")] = 0,
+    balance: Annotated[str, typer.Option(help='"even" over codes, or "natural": as often as a random policy meets them.')] = "even",
+    split_by: Annotated[str, typer.Option(help='"state", or "code": train and test share no code.')] = "state",
+    knot: Annotated[str, typer.Option(help="0_1, 3_1, 4_1, 5_1, or a file with a closed curve, three numbers a line or .npy.")] = "0_1",
+    archive: Annotated[Path | None, typer.Option(help="Go on from the archive of another run (its archive.h5).")] = None,
+    attempts: Annotated[int, typer.Option(help="Instances tried, for each state wanted, before giving up.")] = 100,
+    seed: Seed = 0,
+    workers: Workers = 0,
+    resume: Resume = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make curated states, split into train and test, with the trajectories that reach them."""
+    from knotgym.generate.job import GenerateConfig
+    from knotgym.generate.main_job import generate as run_job
+
+    wanted = numbers(nx)
+    config = GenerateConfig(
+        nx=wanted, count=count, every_code=every_code, balance=balance, split_by=split_by, knot=knot, seed=seed, attempts=attempts
+    )
+    target = out or Path("knotgym-data") / f"nx{nx.replace(' ', '')}"
+    run_job(config, target, archive=archive, workers=workers, resume=resume, quiet=quiet, console=Console())
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run `knotgym`; exits with 0 only when everything asked for was done."""
+    _run(app, arguments)
+
+
+def main_generate(arguments: Sequence[str] | None = None) -> None:
+    """Run `knotgym-generate`, the same as `knotgym generate`."""
+    _run(app, ["generate", *(sys.argv[1:] if arguments is None else arguments)])
+
+
+def _run(command: typer.Typer, arguments: Sequence[str] | None) -> None:
+    from knotgym.generate.job import NotEnough
+
+    signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        result = command(args=arguments, standalone_mode=False)
+        status = result if isinstance(result, int) else 0
+    except NotEnough as error:
+        status = _say(str(error), _FAILED)
+    except _USAGE as error:
+        status = _say(error.format_message(), _MISTAKEN)
+    except (KnotgymError, ValueError, FileNotFoundError) as error:
+        status = _say(str(error), _MISTAKEN)
+    except OSError as error:
+        status = _say(f"{error.strerror or error} {error.filename or ''}", _FAILED)
+    except (KeyboardInterrupt, typer.Abort):
+        status = _say("interrupted; nothing half-written is left, --resume goes on from the last cycle", _INTERRUPTED)
+    sys.exit(status)
+
+
+def _interrupt(number: int, frame: object) -> None:
+    raise KeyboardInterrupt
+
+
+def _say(text: str, status: int) -> int:
+    """One line on standard error."""
+    print(f"knotgym: {' '.join(text.split())}", file=sys.stderr)
+    return status

@@ -1,0 +1,111 @@
+"""`knotgym generate` from end to end: one run to a folder, saved after every cycle, resumed after any kill."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import pickle
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+from pathlib import Path
+
+from rich.console import Console
+
+from knotgym.datasets.files import whole
+from knotgym.errors import KnotgymError
+from knotgym.generate import output
+from knotgym.generate.archive import Archive
+from knotgym.generate.engines import engine
+from knotgym.generate.job import GenerateConfig, InvalidJob, Job, run
+from knotgym.generate.progress import Progress
+
+
+class Occupied(KnotgymError, ValueError):
+    """The folder cannot be written to now."""
+
+
+def generate(config: GenerateConfig, out: Path, *, archive: Path | None, workers: int, resume: bool, quiet: bool, console: Console) -> None:
+    """Make curated states in the new folder `out`.
+
+    While it runs, everything stands in the hidden folder `.NAME.partial` beside `out`; only a finished run takes the name.
+
+    Args:
+        config: what is wanted.
+        out: the folder; with `resume` it may be there already, finished.
+        archive: of another run, to go on from.
+        workers: processes, 0 for one a core.
+        resume: go on from the last cycle that was saved.
+        quiet: show nothing.
+        console: to show progress on.
+
+    Raises:
+        Occupied: there is something in the way, or another run is at it.
+        InvalidJob: nothing of the kind can be made, or what is resumed was another job.
+    """
+    if workers < 0:
+        raise InvalidJob(f"workers must be at least 0, got {workers}")
+    partial = out.parent / f".{out.name}.partial"
+    if out.exists():
+        if resume and not partial.exists() and _finished(out) == json.loads(json.dumps(asdict(config))):
+            if not quiet:
+                console.print(f"{out} is finished already", soft_wrap=True)
+            return
+        raise Occupied(f"{out} is there already; choose another --out, or remove it")
+    if not resume and partial.exists() and _unlocked(partial):
+        shutil.rmtree(partial)
+    with _locked(partial):
+        job = _resumed(partial / "job.pickle", config) if resume else None
+        job = job or Job.begin(config, Archive.load(archive) if archive else None)
+        job.config = replace(job.config, attempts=config.attempts)
+
+        def each_cycle(job: Job) -> None:
+            with whole(partial / "job.pickle") as part:
+                part.write_bytes(pickle.dumps(job))
+            progress.cycle(job)
+
+        with engine(workers) as pool, Progress(console, quiet) as progress:
+            run(job, pool, each_cycle)
+        shutil.rmtree(partial / out.name, ignore_errors=True)
+        output.write(job, partial / out.name)
+        (partial / out.name).rename(out)
+    shutil.rmtree(partial)
+    if not quiet:
+        total = sum(len(instances) for instances in job.accepted.values())
+        codes = len({one.code.plain for instances in job.accepted.values() for one in instances})
+        console.print(f"{out}: {total} states of {codes} codes in {job.seconds:.0f} s", soft_wrap=True, highlight=False)
+
+
+def _finished(out: Path) -> object:
+    try:
+        return json.loads((out / "manifest.json").read_text())["config"]
+    except (OSError, ValueError, KeyError):
+        return None
+
+
+def _resumed(path: Path, config: GenerateConfig) -> Job | None:
+    """The job saved at `path`, None if nothing is; only ever a file that this program wrote."""
+    if not path.is_file():
+        return None
+    job = pickle.loads(path.read_bytes())
+    if not isinstance(job, Job) or replace(job.config, attempts=config.attempts) != config:
+        raise InvalidJob(f"{path.parent} holds another job than the one asked for; give the same options again, or start without --resume")
+    return job
+
+
+@contextmanager
+def _locked(partial: Path) -> Iterator[None]:
+    """Hold the partial folder; the lock goes with the process, however it ends."""
+    partial.mkdir(parents=True, exist_ok=True)
+    with open(partial / "lock", "w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise Occupied(f"another run is writing {partial.name[1:-8]} now") from error
+        yield
+
+
+def _unlocked(partial: Path) -> bool:
+    with _locked(partial):
+        return True

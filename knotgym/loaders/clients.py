@@ -1,0 +1,129 @@
+"""Datasets for the learners' own libraries: a torch Dataset, a d3rlpy replay buffer, a TensorDict."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.errors import KnotgymError
+from knotgym.loaders.rows import rows
+from knotgym.loaders.transitions import Transitions
+
+
+class MissingExtra(KnotgymError, ImportError):
+    """An optional dependency isn't installed."""
+
+    def __init__(self, needed: str, extra: str) -> None:
+        super().__init__(f"this loader needs {needed}, which isn't installed; install it: pip install 'knotgym[{extra}]'")
+
+
+def torch_dataset(dataset: Any, kind: str = "transitions", *, observation: str | None = None, picture: Any = None, relabel: str | None = None) -> Any:
+    """Make a `torch.utils.data.Dataset` that reads from the file when asked; any number of DataLoader workers may share it.
+
+    Args:
+        dataset, observation, picture, relabel: see `knotgym.loaders`.
+        kind: what an item is:
+            "transitions": observation, action, reward, next_observation, terminal, timeout;
+            "episodes": observations (T + 1, ...), actions, rewards, terminals, timeouts (T, ...), of unequal T;
+            "frames": observation, gauss_code, crossings, episode, step: a state, the last of an episode too.
+
+    Returns:
+        A Dataset of dicts of tensors: observations uint8 (size, 2 size, 3) as the environment's, or float32 (6 beads,), or a
+        dict of both; rewards float32; frames' gauss_code a str.
+
+    Raises:
+        MissingExtra: torch isn't installed.
+        ValueError: no such kind.
+    """
+    _needed("torch", "torch")
+    from knotgym.loaders.pytorch import KINDS
+
+    if kind not in KINDS:
+        raise ValueError(f"kind must be one of {', '.join(KINDS)}, got {kind!r}")
+    return KINDS[kind](Transitions(dataset, observation=observation, picture=picture, relabel=relabel))
+
+
+def to_d3rlpy(dataset: Any, *, observation: str | None = None, picture: Any = None, relabel: str | None = None) -> Any:
+    """Make a `d3rlpy.dataset.ReplayBuffer` that holds every transition; pictures channels first, "both" a tuple of pixels and state.
+
+    d3rlpy keeps T observations for T actions and drops the last transition of an episode that didn't terminate, here the one
+    that pays for failing. So such an episode has its last state as one more step, of a zero action and reward: no transition
+    starts there, one ends there.
+
+    Args:
+        dataset, observation, picture, relabel: see `knotgym.loaders`.
+
+    Raises:
+        MissingExtra: d3rlpy isn't installed.
+    """
+    d3rlpy = _needed("d3rlpy", "d3rlpy")
+    transitions = Transitions(dataset, observation=observation, picture=picture, relabel=relabel)
+    episodes = []
+    for segment in range(transitions.segments):
+        part = slice(*transitions.starts[segment : segment + 2])
+        actions, rewards = transitions.actions[part], transitions.rewards[part, None].astype(np.float32)
+        terminated = bool(transitions.terminals[part][-1])
+        if not terminated:
+            actions, rewards = np.concatenate([actions, np.zeros_like(actions[:1])]), np.concatenate([rewards, np.zeros_like(rewards[:1])])
+        seen = transitions.observations(segment, 0, len(actions))
+        both = isinstance(seen, dict)
+        observations = tuple(_channels_first(seen[name]) for name in seen) if both else _channels_first(seen)
+        episodes.append(d3rlpy.dataset.Episode(observations, actions, rewards, terminated))
+    return d3rlpy.dataset.ReplayBuffer(d3rlpy.dataset.InfiniteBuffer(), episodes=episodes, action_space=d3rlpy.ActionSpace.CONTINUOUS, action_size=6)
+
+
+def to_tensordict(dataset: Any, *, observation: str | None = None, picture: Any = None, relabel: str | None = None) -> Any:
+    """Make a `tensordict.TensorDict` of N transitions in TorchRL's layout, ready for a replay buffer's `extend`.
+
+    Args:
+        dataset, observation, picture, relabel: see `knotgym.loaders`.
+
+    Returns:
+        batch size [N]: observation (or pixels and state, for "both"), action, done, terminated, truncated (N, 1), all False;
+        episode int64 (N,), the number of the segment, a SliceSampler's `traj_key`; and under next: observation, reward
+        float32 (N, 1), done, terminated, truncated.
+
+    Raises:
+        MissingExtra: tensordict or torch isn't installed.
+    """
+    tensordict = _needed("tensordict", "tensordict")
+    transitions = Transitions(dataset, observation=observation, picture=picture, relabel=relabel)
+    held = rows(transitions)
+    terminated, truncated = held["terminals"][:, None], held["timeouts"][:, None]
+    running = np.zeros_like(terminated)
+
+    def seen(observations: Any) -> dict[str, NDArray[Any]]:
+        return observations if isinstance(observations, dict) else {"observation": observations}
+
+    return tensordict.TensorDict(
+        {
+            **seen(held["observations"]),
+            "action": held["actions"],
+            "episode": np.repeat(np.arange(transitions.segments), np.diff(transitions.starts)),
+            "done": running,
+            "terminated": running.copy(),
+            "truncated": running.copy(),
+            "next": {
+                **seen(held["next_observations"]),
+                "reward": held["rewards"][:, None].astype(np.float32),
+                "done": terminated | truncated,
+                "terminated": terminated,
+                "truncated": truncated,
+            },
+        },
+        batch_size=[len(transitions)],
+    )
+
+
+def _channels_first(observations: NDArray[Any]) -> NDArray[Any]:
+    return np.ascontiguousarray(np.moveaxis(observations, -1, 1)) if observations.ndim == 4 else observations
+
+
+def _needed(module: str, extra: str) -> Any:
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        raise MissingExtra(str(error.name), extra) from error

@@ -1,0 +1,95 @@
+"""Torch datasets over `Transitions`, one for each kind of item; imported only by who has torch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch.utils.data import Dataset
+
+from knotgym.loaders.transitions import Transitions
+
+
+class TransitionDataset(Dataset[dict[str, Any]]):
+    """An item is a transition."""
+
+    def __init__(self, transitions: Transitions) -> None:
+        self.transitions = transitions
+
+    def __len__(self) -> int:
+        return len(self.transitions)
+
+    def __getitem__(self, index: int) -> dict[str, Any]:
+        row = _checked(index, len(self))
+        segment, step = self.transitions.place(row)
+        seen = self.transitions.observations(segment, step, step + 2)
+        return {
+            "observation": _tensor(_at(seen, 0)),
+            "action": torch.from_numpy(self.transitions.actions[row].copy()),
+            "reward": torch.tensor(self.transitions.rewards[row], dtype=torch.float32),
+            "next_observation": _tensor(_at(seen, 1)),
+            "terminal": torch.tensor(bool(self.transitions.terminals[row])),
+            "timeout": torch.tensor(bool(self.transitions.timeouts[row])),
+        }
+
+
+class EpisodeDataset(Dataset[dict[str, Any]]):
+    """An item is an episode."""
+
+    def __init__(self, transitions: Transitions) -> None:
+        self.transitions = transitions
+
+    def __len__(self) -> int:
+        return self.transitions.segments
+
+    def __getitem__(self, index: int) -> dict[str, Any]:
+        segment = _checked(index, len(self))
+        part = slice(*self.transitions.starts[segment : segment + 2])
+        return {
+            "observations": _tensor(self.transitions.observations(segment)),
+            "actions": torch.from_numpy(self.transitions.actions[part].copy()),
+            "rewards": torch.from_numpy(self.transitions.rewards[part].astype(np.float32)),
+            "terminals": torch.from_numpy(self.transitions.terminals[part].copy()),
+            "timeouts": torch.from_numpy(self.transitions.timeouts[part].copy()),
+        }
+
+
+class FrameDataset(Dataset[dict[str, Any]]):
+    """An item is a state and what it shows."""
+
+    def __init__(self, transitions: Transitions) -> None:
+        self.transitions = transitions
+        self._codes = np.array([code for segment in range(transitions.segments) for code in transitions.codes(segment)])
+
+    def __len__(self) -> int:
+        return len(self._codes)
+
+    def __getitem__(self, index: int) -> dict[str, Any]:
+        frame = _checked(index, len(self))
+        segment, step = self.transitions.frame_place(frame)
+        code = str(self._codes[frame])
+        return {
+            "observation": _tensor(_at(self.transitions.observations(segment, step, step + 1), 0)),
+            "gauss_code": code,
+            "crossings": (code.count(",") + 1) // 2 if code else 0,
+            "episode": segment,
+            "step": step,
+        }
+
+
+KINDS = {"transitions": TransitionDataset, "episodes": EpisodeDataset, "frames": FrameDataset}
+
+
+def _checked(index: int, length: int) -> int:
+    if not -length <= index < length:
+        raise IndexError(f"index {index} is outside a dataset of {length}")
+    return index % length
+
+
+def _at(seen: Any, row: int) -> Any:
+    return {name: array[row] for name, array in seen.items()} if isinstance(seen, dict) else seen[row]
+
+
+def _tensor(seen: Any) -> Any:
+    return {name: _tensor(array) for name, array in seen.items()} if isinstance(seen, dict) else torch.from_numpy(np.ascontiguousarray(seen))

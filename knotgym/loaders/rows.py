@@ -1,0 +1,48 @@
+"""A whole dataset in memory, as a dict of arrays with one row a transition (the keys of D4RL and OGBench)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from knotgym.loaders.transitions import Transitions
+
+
+def arrays(dataset: Any, *, observation: str | None = None, picture: Any = None, relabel: str | None = None) -> dict[str, Any]:
+    """Load a dataset of N transitions, episode after episode.
+
+    Args:
+        dataset, observation, picture, relabel: see `knotgym.loaders`.
+
+    Returns:
+        observations, next_observations: uint8 (N, size, 2 size, 3) or float32 (N, 6 beads), or dicts of both. They hold each
+            picture twice: 200 kB a transition at size 128.
+        actions: float32 (N, 6).
+        rewards: float64 (N,).
+        terminals, timeouts: bool (N,); each episode's last row has one of them set.
+    """
+    return rows(Transitions(dataset, observation=observation, picture=picture, relabel=relabel))
+
+
+def rows(transitions: Transitions) -> dict[str, Any]:
+    """As `arrays`, of transitions already chosen."""
+    before: dict[str, Any] = {}
+    after: dict[str, Any] = {}
+    plain = False
+    for segment in range(transitions.segments):
+        seen = transitions.observations(segment)
+        plain = not isinstance(seen, dict)
+        for name, array in {"": seen}.items() if plain else seen.items():
+            shape = (len(transitions), *array.shape[1:])
+            part = slice(*transitions.starts[segment : segment + 2])
+            before.setdefault(name, np.empty(shape, array.dtype))[part] = array[:-1]
+            after.setdefault(name, np.empty(shape, array.dtype))[part] = array[1:]
+    return {
+        "observations": before[""] if plain else before,
+        "actions": transitions.actions,
+        "rewards": transitions.rewards,
+        "next_observations": after[""] if plain else after,
+        "terminals": transitions.terminals,
+        "timeouts": transitions.timeouts,
+    }

@@ -1,0 +1,153 @@
+"""The package as a stranger meets it: what importing it costs and gives, that its errors travel, and what the wheel holds."""
+
+import importlib
+import importlib.metadata
+import os
+import pickle
+import pkgutil
+import shutil
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import knotgym
+from knotgym.crossings import label
+from knotgym.diagrams import drawn
+from knotgym.errors import KnotgymError
+from knotgym.gauss import GaussCode
+from knotgym.oracle import pyknotid_code
+from knotgym.picture import PictureConfig
+from knotgym.rope import Rope
+from knotgym.tasks import TaskConfig
+
+ROOT = Path(__file__).parents[1]
+HEAVY = ("torch", "dask", "distributed", "minari", "pandas", "pyarrow", "pyknotid", "matplotlib", "mujoco", "numba", "cv2", "h5py")
+DRAWING = ("mujoco.renderer", "mujoco.rendering", "mujoco.egl", "mujoco.osmesa", "mujoco.glfw", "OpenGL", "glfw")  # some of it by mujoco itself
+
+
+def imported(statement: str, folder: Path | None = None) -> set[str]:
+    """The modules that a fresh interpreter holds after a statement."""
+    code = f"import sys\n{statement}\nprint(*sys.modules)"
+    run = subprocess.run([sys.executable, "-c", code], cwd=folder or ROOT, capture_output=True, text=True, check=True)
+    return set(run.stdout.split())
+
+
+def every_error() -> list[type[KnotgymError]]:
+    """Every error class in every module whose dependencies are installed."""
+    for module in pkgutil.walk_packages(knotgym.__path__, "knotgym."):
+        try:
+            importlib.import_module(module.name)
+        except ImportError as error:  # an extra that isn't installed
+            assert error.name is None or not error.name.startswith("knotgym"), error
+    found: list[type[KnotgymError]] = [KnotgymError]
+    for one in found:
+        found += [sub for sub in one.__subclasses__() if sub not in found and sub.__module__.startswith("knotgym.")]
+    return found
+
+
+def test_importing_knotgym_is_light() -> None:
+    assert imported("import knotgym") & {*HEAVY, *DRAWING} == set()
+
+
+def test_making_an_environment_pulls_in_no_learner_and_no_more_of_a_renderer_than_mujoco_does(states_path: str) -> None:
+    statement = f"import gymnasium, knotgym; gymnasium.make('knotgym/Tie-v0', states={states_path!r}).reset(seed=0)"
+    extra = imported(statement) - imported("import mujoco.batch")
+    assert extra & {"torch", "dask", "distributed", "minari", "pandas", "pyarrow", "pyknotid", "matplotlib", *DRAWING} == set()
+
+
+@pytest.mark.parametrize("room", ["knotgym.datasets", "knotgym.loaders"])
+def test_importing_a_room_pulls_in_neither_torch_nor_dask_nor_a_renderer(room: str) -> None:
+    assert imported(f"import {room}") & {"torch", "dask", "distributed", *DRAWING} == set()
+
+
+def test_datasets_do_not_import_the_environment() -> None:
+    modules = imported("import knotgym.datasets.states, knotgym.datasets.files")
+    assert modules & {"knotgym.env", "knotgym.episodes", "knotgym.simulation", "mujoco"} == set()
+
+
+def test_the_core_imports_neither_generate_nor_loaders() -> None:
+    modules = imported("import knotgym.env, knotgym.crossings, knotgym.knots, knotgym.oracle, knotgym.picture")
+    assert not [name for name in modules if name.startswith(("knotgym.generate", "knotgym.loaders"))]
+
+
+def test_nothing_is_imported_through_the_links() -> None:
+    names = "knotgym.env, knotgym.generate, knotgym.datasets.states, knotgym.loaders"
+    assert imported(f"import {names}") & {"generate", "datasets", "loaders"} == set()
+
+
+def test_public_names_are_these() -> None:
+    assert sorted(knotgym.__all__) == ["GaussCode", "KnotgymError", "__version__"]
+    assert all(hasattr(knotgym, name) for name in knotgym.__all__)
+
+
+def test_the_version_is_that_of_the_distribution() -> None:
+    assert knotgym.__version__ == importlib.metadata.version("knotgym")
+
+
+def test_three_environments_are_registered() -> None:
+    ids = {name for name in gym.registry if name.startswith("knotgym/")}
+    assert ids == {"knotgym/Unknot-v0", "knotgym/Tie-v0", "knotgym/Convert-v0"}
+
+
+@pytest.mark.parametrize("task", ["Unknot", "Tie", "Convert"])
+def test_a_task_is_made_alone_in_a_fresh_process(task: str, states_path: str) -> None:
+    modules = imported(f"import gymnasium; gymnasium.make('knotgym:knotgym/{task}-v0', states={states_path!r}, observation='state').reset(seed=0)")
+    assert "knotgym.env" in modules
+
+
+@pytest.mark.parametrize("error", every_error(), ids=lambda error: f"{error.__module__}.{error.__qualname__}")
+def test_every_error_pickles_with_its_message(error: type[KnotgymError]) -> None:
+    again = pickle.loads(pickle.dumps(error.__new__(error, "what was wrong")))
+    assert type(again) is error and str(again) == "what was wrong"
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        lambda: label(np.full((100, 3), np.nan)),
+        lambda: GaussCode.parse("1+,1+"),
+        lambda: GaussCode((1, -1)).writhe,
+        lambda: drawn(GaussCode.parse("1+,2-,1-,2+")),
+        lambda: pyknotid_code(np.zeros((2, 3))),
+        lambda: PictureConfig(size=-1),
+        lambda: Rope().from_curve(np.zeros((3, 3))),
+        lambda: TaskConfig(task="plait"),
+    ],
+    ids=["points", "code", "chirality", "planar", "oracle", "picture", "curve", "setting"],
+)
+def test_errors_raised_pickle_with_their_one_line(fault: Callable[[], object]) -> None:
+    with pytest.raises(KnotgymError) as caught:
+        fault()
+    again = pickle.loads(pickle.dumps(caught.value))
+    assert type(again) is caught.type and str(again) == str(caught.value) and "\n" not in str(again)
+
+
+@pytest.mark.slow
+def test_the_wheel_installs_elsewhere_and_loads_its_assets(tmp_path: Path) -> None:
+    source = tmp_path / "source"  # without the links at the top level, as a checkout that cannot have them
+    shutil.copytree(ROOT, source, ignore=shutil.ignore_patterns(".*", "build", "dist", "*.egg-info", "__pycache__", "tests"))
+    for link in ("datasets", "generate", "loaders"):
+        shutil.rmtree(source / link)
+    subprocess.run([sys.executable, "-m", "pip", "wheel", "--no-deps", "--wheel-dir", tmp_path, source], check=True, capture_output=True)
+    (wheel,) = tmp_path.glob("knotgym-*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+        archive.extractall(tmp_path / "site")
+    assert {"knotgym/py.typed", "knotgym/datasets/curated/states.h5"} <= names
+    assert {name.split("/")[0] for name in names if ".dist-info" not in name} == {"knotgym"}
+    code = "import gymnasium, knotgym; gymnasium.make('knotgym/Convert-v0', nx=4).reset(seed=0); print(knotgym.__file__)"
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path / "site")}
+    run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    assert Path(run.stdout.strip()) == tmp_path / "site" / "knotgym" / "__init__.py"
+
+
+def test_the_links_are_links_to_the_rooms() -> None:
+    for name in ("datasets", "generate", "loaders"):
+        if (ROOT / name).is_symlink():
+            assert os.readlink(ROOT / name) == f"knotgym/{name}"
