@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -24,12 +24,13 @@ def observation_space(config: TaskConfig, beads: int = 100) -> spaces.Space[Any]
     """What one agent sees."""
     pixels = spaces.Box(0, 255, (config.image_size, 2 * config.image_size, 3), np.uint8)
     state = spaces.Box(-np.inf, np.inf, (6 * beads,), np.float32)
-    return {"pixels": pixels, "state": state, "both": spaces.Dict({"pixels": pixels, "state": state})}[config.observation]
+    choices: dict[str, spaces.Space[Any]] = {"pixels": pixels, "state": state, "both": spaces.Dict({"pixels": pixels, "state": state})}
+    return choices[config.observation]
 
 
-def action_space() -> spaces.Box:
+def action_space() -> spaces.Space[NDArray[np.float32]]:
     """(x, y, z, fx, fy, fz): the bead nearest to the scaled point is pulled with the scaled force."""
-    return spaces.Box(-1.0, 1.0, (6,), np.float32)
+    return cast("spaces.Space[NDArray[np.float32]]", spaces.Box(-1.0, 1.0, (6,), np.float32))
 
 
 class KnotEnv(gym.Env[Any, NDArray[np.float32]]):

@@ -7,6 +7,7 @@ Rows are drawn from the state file, laid with noise that keeps their Gauss code,
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -164,7 +165,7 @@ def start_qpos(rope: Rope, states: States, row: int, code: GaussCode, scale: flo
 
 def _side(config: TaskConfig, nx: int, rope: Rope) -> States:
     """The states that a side of the task draws from: the file asked for, or for want of rows the one that ships."""
-    paths = [shipped()] if config.states is None else [config.states, shipped()]
+    paths: list[str | Path] = [shipped()] if config.states is None else [config.states, shipped()]
     for path in paths:
         states = read_states(path, images=False)
         made_for = states.attributes.get("rope")

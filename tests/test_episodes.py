@@ -25,6 +25,7 @@ from knotgym.datasets.episode_files import EpisodeWriter, merge
 from knotgym.datasets.episode_reader import EpisodeReader, InvalidEpisodeFile
 from knotgym.datasets.episodes import INFOS, Episode, InvalidEpisode, goals_reached, relabel_all, relabelled
 from knotgym.datasets.minari_files import MinariMetadata, compact, metadata_of, publish
+from knotgym.loaders import arrays
 from knotgym.tasks import TaskConfig
 
 ID = "knotgym/tie-nx2/random-v0"
@@ -313,6 +314,12 @@ def test_minari_iterates_what_was_written(dataset: minari.MinariDataset, episode
         assert dataset.observation_space.contains({name: array[-1] for name, array in read.observations.items()})
 
 
+def test_loaders_keep_to_the_episodes_that_minari_chose(dataset: minari.MinariDataset, episodes: list[Episode]) -> None:
+    chosen = dataset.filter_episodes(lambda episode: len(episode) < 15)
+    right = [episode.actions for episode in episodes if len(episode) < 15]
+    assert right and np.array_equal(arrays(chosen, observation="state")["actions"], np.concatenate(right))
+
+
 def test_minari_samples(dataset: minari.MinariDataset) -> None:
     assert len(list(dataset.sample_episodes(4))) == 4
 
@@ -361,6 +368,12 @@ def test_the_metadata_names_what_minari_names(root: Path) -> None:
     assert entries["algorithm_name"] == "random" and entries["num_episodes_average_score"] == 64
     size = sum(file.stat().st_size for file in (root / ID / "data").iterdir()) / 1e6
     assert abs(entries["dataset_size"] - size) < 0.051
+
+
+def test_a_dataset_is_two_files_and_names_no_folder_of_its_maker(root: Path) -> None:
+    files = sorted(file for file in (root / ID).rglob("*") if file.is_file())
+    assert [file.name for file in files] == ["main_data.hdf5", "metadata.json"]
+    assert not any(str(root).encode() in file.read_bytes() for file in files)
 
 
 # checks

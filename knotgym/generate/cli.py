@@ -6,7 +6,7 @@ import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -23,7 +23,7 @@ Workers = Annotated[int, typer.Option(help="Processes; 0 for one a core. Does no
 Quiet = Annotated[bool, typer.Option("--quiet", help="Say nothing but errors.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Finish an interrupted run.")]
 
-_USAGE = typer.BadParameter.__mro__[2]  # ClickException, be it Click's own or the copy inside typer
+_USAGE: Any = typer.BadParameter.__mro__[2]  # ClickException, be it Click's own or the copy inside typer
 _FAILED, _MISTAKEN, _INTERRUPTED = 1, 2, 130
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +34,7 @@ def figure_eight_knot() -> Array:
     return np.stack([radius * np.cos(3 * t), radius * np.sin(3 * t), np.sin(4 * t)], axis=1)
 
 
-KNOTS = {"3_1": lambda: torus_knot(2, 3), "4_1": figure_eight_knot, "5_1": lambda: torus_knot(2, 5)}
+KNOTS: dict[str, Callable[[], Array]] = {"3_1": lambda: torus_knot(2, 3), "4_1": figure_eight_knot, "5_1": lambda: torus_knot(2, 5)}
 
 
 def knot_curve(knot: str) -> Array:

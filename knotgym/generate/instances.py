@@ -90,13 +90,13 @@ def make(order: Order) -> Instance:
     """Make an instance; the same order gives the same bytes."""
     config, rng = order.config, np.random.default_rng(order.seed)
     rope = _rope(config.rope)
-    elite = order.elites[rng.integers(len(order.elites))]
+    elite = order.elites[int(rng.integers(len(order.elites)))]
     simulation = _simulations(config.rope, config.opening.tries)
     one = np.array([0])
     symmetry = _symmetry(elite, order.code, rng)
     start_qpos = rope.qpos(symmetry.configuration(noised(order.start, config.start_noise, rng)))
     simulation.lay(start_qpos[None], one)
-    way = Way(symmetry.beads(elite.way.beads, config.rope.beads).astype(np.int16), symmetry.vectors(elite.way.forces).astype(np.float32))
+    way = Way(symmetry.beads(elite.way.beads, config.rope.beads).astype(np.int16), symmetry.vectors(elite.way.forces.astype(np.float64)).astype(np.float32))
     actions, points = [], [simulation.points[0].copy()]
 
     def follow(along: Way) -> bool:

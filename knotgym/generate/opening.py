@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from knotgym.crossings import find_crossings
 from knotgym.gauss import GaussCode
@@ -78,7 +79,7 @@ def _seen(points: Array) -> tuple[GaussCode, Quality]:
     return crossings.code, measure(points, crossings, quick=True)
 
 
-def _proposals(points: Array, tries: int, rng: np.random.Generator) -> tuple[Array, Array]:
+def _proposals(points: Array, tries: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], Array]:
     """Pulls that may open the rope: half of them on beads near the tightest spot, away from it; the rest outwards or anywhere."""
     spot, middle = tightest_spot(points), points[:, :2].mean(axis=0)
     near = np.argsort(np.linalg.norm(points[:, :2] - spot, axis=1))[:30]

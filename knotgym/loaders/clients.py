@@ -12,12 +12,19 @@ from knotgym.errors import KnotgymError
 from knotgym.loaders.rows import rows
 from knotgym.loaders.transitions import Transitions
 
+# d3rlpy 2.8.1 pins gymnasium 1.0.0, older than the environments need, so no extra can hold it; the loaders run with any
+_HOW = {
+    "torch": "pip install 'knotgym[torch]'",
+    "tensordict": "pip install 'knotgym[torchrl]'",
+    "d3rlpy": "in an environment of its own, for it pins gymnasium: pip install d3rlpy, then pip install --no-deps knotgym",
+}
+
 
 class MissingExtra(KnotgymError, ImportError):
     """An optional dependency isn't installed."""
 
-    def __init__(self, needed: str, extra: str) -> None:
-        super().__init__(f"this loader needs {needed}, which isn't installed; install it: pip install 'knotgym[{extra}]'")
+    def __init__(self, needed: str, how: str) -> None:
+        super().__init__(f"this loader needs {needed}, which isn't installed; install it: {how}")
 
 
 def torch_dataset(dataset: Any, kind: str = "transitions", *, observation: str | None = None, picture: Any = None, relabel: str | None = None) -> Any:
@@ -38,7 +45,7 @@ def torch_dataset(dataset: Any, kind: str = "transitions", *, observation: str |
         MissingExtra: torch isn't installed.
         ValueError: no such kind.
     """
-    _needed("torch", "torch")
+    _needed("torch")
     from knotgym.loaders.pytorch import KINDS
 
     if kind not in KINDS:
@@ -59,7 +66,7 @@ def to_d3rlpy(dataset: Any, *, observation: str | None = None, picture: Any = No
     Raises:
         MissingExtra: d3rlpy isn't installed.
     """
-    d3rlpy = _needed("d3rlpy", "d3rlpy")
+    d3rlpy = _needed("d3rlpy")
     transitions = Transitions(dataset, observation=observation, picture=picture, relabel=relabel)
     episodes = []
     for segment in range(transitions.segments):
@@ -89,7 +96,7 @@ def to_tensordict(dataset: Any, *, observation: str | None = None, picture: Any 
     Raises:
         MissingExtra: tensordict or torch isn't installed.
     """
-    tensordict = _needed("tensordict", "tensordict")
+    tensordict = _needed("tensordict")
     transitions = Transitions(dataset, observation=observation, picture=picture, relabel=relabel)
     held = rows(transitions)
     terminated, truncated = held["terminals"][:, None], held["timeouts"][:, None]
@@ -122,8 +129,8 @@ def _channels_first(observations: NDArray[Any]) -> NDArray[Any]:
     return np.ascontiguousarray(np.moveaxis(observations, -1, 1)) if observations.ndim == 4 else observations
 
 
-def _needed(module: str, extra: str) -> Any:
+def _needed(module: str) -> Any:
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
-        raise MissingExtra(str(error.name), extra) from error
+        raise MissingExtra(str(error.name), _HOW[module]) from error
