@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from rope_states import tangled
 
 from knotgym.crossings import find_crossings, label, label_many, visit_spacing
 from knotgym.oracle import pyknotid_code
@@ -133,12 +134,15 @@ def show(title: str, found: Comparison, console: Console) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--curves", type=int, default=10_000)
+    parser.add_argument("--ropes", type=int, default=2000, help="rope states beside them, tangled by random manoeuvres")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, help="JSON file to write")
     settings = parser.parse_args()
     if settings.curves < 1:
         parser.error(f"--curves must be at least 1, got {settings.curves}")
-    found = {"fourier": compare(fourier_curves(settings.curves, np.random.default_rng(settings.seed)))}
+    found = {"Fourier curves": compare(fourier_curves(settings.curves, np.random.default_rng(settings.seed)))}
+    if settings.ropes:
+        found["rope states"] = compare(tangled(settings.ropes, np.random.default_rng(settings.seed), least=0))
     for title, comparison in found.items():
         show(title, comparison, Console())
     if settings.out is not None:

@@ -35,7 +35,7 @@ class InstanceConfig:
         limits: of accepted states.
         opening: how hard to open them up.
         start_noise: of the plain loop each begins as, as `rope.noised`; a tenth of a degree loses three ways in ten.
-        stir: random pulls after the way, so that two instances of one way lie differently; one that changes the code is
+        stir: random pulls after the way at most, so that two instances of one way lie differently; one that changes the code is
             taken back.
         stir_loop: the same for plain loops, which have no way.
         reset_noise: that accepted states must survive.
@@ -113,7 +113,7 @@ def make(order: Order) -> Instance:
     if label(simulation.points[0]) != order.code:
         return _rejected("way missed the code", order, rope)
     before = simulation.states(one)[0]
-    stirred, stirring = _stir(simulation, config.stir if order.code.nx else config.stir_loop, rng)
+    stirred, stirring = _stir(simulation, int(rng.integers(config.stir + 1)) if order.code.nx else config.stir_loop, rng)
     _, opening = open_up(simulation, stirred, config.limits, config.opening, rng)
     simulation.restore(before[None], one)
     still = Way(np.zeros(REST, dtype=np.int16), np.zeros((REST, 3), dtype=np.float32))

@@ -85,7 +85,7 @@ class Limits:
         smallest_region: at least; a kink's eye three pixels wide is the least that a person finds without looking for it.
         margin: at least; the rope stays in the picture after reset noise, which moves no bead by more than three pixels as a rule.
         clearance: at least, millimetres; beads that are pressed into each other spring apart when the episode begins.
-        excess_crossing_number: at most; a coil seen end-on hides about one crossing a turn.
+        excess_crossing_number: at most; a coil seen end-on hides about one crossing a turn, and two turns of it still read well.
         total_curvature: at most, turns, per crossing and one more for the loop itself.
         noise_survival: at least.
     """
@@ -97,7 +97,7 @@ class Limits:
     smallest_region: float = 9.0
     margin: float = 3.0
     clearance: float = 8.0
-    excess_crossing_number: float = 1.5
+    excess_crossing_number: float = 2.5
     total_curvature: float = 2.0
     noise_survival: float = 0.95
 

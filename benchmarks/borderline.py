@@ -1,0 +1,66 @@
+"""A page of borderline pictures: for every quality limit, states that just pass it beside states that just fail it.
+
+    python benchmarks/borderline.py --out docs/borderline.png
+
+The states are ropes tangled by random manoeuvres, at rest or not, with one to four crossings; those shown differ from
+acceptable ones in that measure alone, or nearly so. Prints how many of all states miss each limit.
+"""
+
+import argparse
+from collections import Counter
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+from rope_states import tangled
+
+from knotgym.crossings import find_crossings
+from knotgym.datasets.gallery import contact_sheet, write_png
+from knotgym.generate.quality import UNITS, Limits, measure, noise_survival
+from knotgym.picture import draw
+
+EACH = 6  # pictures on either side of a limit
+SHORT = {"degrees": "deg", "pixels": "px", "square pixels": "px2", "millimetres": "mm", "crossings": "crossings", "turns": "turns", "share": ""}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--states", type=int, default=4000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=Path("borderline.png"))
+    args = parser.parse_args()
+    rng, limits = np.random.default_rng(args.seed), Limits()
+    seen = []
+    for points in tangled(args.states, rng, least=1, most=4):
+        crossings = find_crossings(points)
+        quality = measure(points, crossings)
+        if len(limits.faults(quality, crossings.nx)) <= 1:
+            quality = replace(quality, noise_survival=noise_survival(points, 0.015, rng))
+        seen.append((points, crossings.nx, quality, limits.faults(quality, crossings.nx)))
+    missed = Counter(fault for *_, faults in seen for fault in faults)
+    print(f"{len(seen)} states; {sum(not faults for *_, faults in seen)} keep to every limit")
+    images, captions, colours = [], [], []
+    for limit in fields(Limits):
+        name = limit.name
+        print(f"{name:24} missed by {missed[name]}")
+
+        def over(one: tuple, name: str = name) -> float:
+            """How far past its limit, in shares of it; negative where it fails."""
+            bound = getattr(limits, name) * (one[1] + 1 if name == "total_curvature" else 1)
+            share = (getattr(one[2], name) - bound) / bound
+            return -share if name in ("excess_crossing_number", "total_curvature") else share
+
+        fine = sorted((one for one in seen if not one[3]), key=over)[:EACH]
+        short = sorted((one for one in seen if one[3] == [name]), key=over, reverse=True)[:EACH]
+        for group, colour in ((short, (255, 120, 120)), (fine, (120, 255, 120))):
+            for k in range(EACH):
+                images.append(draw(group[k][0]) if k < len(group) else np.zeros((128, 128, 3), dtype=np.uint8))
+                word = "rejected" if group is short else "accepted"
+                value = f"{word}: {getattr(group[k][2], name):.3g} {SHORT[UNITS[name]]}" if k < len(group) else f"no {word}"
+                captions.append((name.replace("_", " "), value))
+                colours.append(colour)
+    write_png(args.out, contact_sheet(np.stack(images), captions, colours, columns=2 * EACH))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,35 @@
+"""Rope states for the other scripts: ropes that random manoeuvres have tangled, as they come, none chosen."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from knotgym.crossings import count_crossings
+from knotgym.generate.manoeuvres import Hand, propose, pull
+from knotgym.rope import Array
+from knotgym.simulation import Simulation
+
+ROPES = 32
+LONGEST = 60  # pulls before a rope starts over
+
+
+def tangled(count: int, rng: np.random.Generator, least: int = 1, most: int = 15) -> Iterator[Array]:
+    """Yield `count` configurations (beads, 3) with `least` to `most` crossings, at most every fourth pull of a rope."""
+    simulation, hand = Simulation(ROPES, threads=0), Hand(ROPES)
+    loop = np.repeat(simulation.rope.qpos(simulation.rope.loop())[None], ROPES, axis=0)
+    step = given = 0
+    while True:
+        if step % LONGEST == 0:
+            simulation.lay(loop)
+            for rope in range(ROPES):
+                hand.take(rope, propose(simulation.points[rope], rng))
+        for rope in np.flatnonzero(hand.idle(simulation.points)):
+            hand.take(int(rope), propose(simulation.points[rope], rng))
+        pull(simulation, hand.beads, hand.forces(simulation.points))
+        step += 1
+        for points in simulation.points if step % 4 == 0 else ():
+            if least <= count_crossings(points) <= most:
+                yield points.copy()
+                given += 1
+                if given == count:
+                    return
