@@ -60,7 +60,7 @@ class Archive:
     Attributes:
         niches: class -> elites, the shortest way first.
         visits: class -> how often the search set out from it.
-        growth: one row a round: actions taken so far, classes and codes known by then.
+        growth: one row a round: actions taken so far, classes known by then.
         settings: of the search, JSON-able; a resumed search must agree with them.
         transitions: what the manoeuvres of the search did to codes.
     """
@@ -101,9 +101,9 @@ class Archive:
         elites = list(self._elites())
         with whole(path) as part, h5py.File(part, "w") as file:
             file.attrs["format"], file.attrs["format_version"] = FORMAT, FORMAT_VERSION
-            file.attrs["settings"] = json.dumps(self.settings)
-            file.attrs["growth"] = json.dumps(self.growth)
-            file.attrs["visits"] = json.dumps({niche.chiral: count for niche, count in self.visits.items()})
+            file["settings"] = json.dumps(self.settings)  # datasets: an attribute holds 64 kB at most
+            file["growth"] = json.dumps(self.growth)
+            file["visits"] = json.dumps({niche.chiral: count for niche, count in self.visits.items()})
             squeezed = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
             file.create_dataset("code", data=[elite.code.chiral for elite in elites], dtype=h5py.string_dtype("utf-8"))
             file.create_dataset("roll", data=[elite.roll for elite in elites])
@@ -129,9 +129,9 @@ class Archive:
                 if (file.attrs.get("format"), file.attrs.get("format_version")) != (FORMAT, FORMAT_VERSION):
                     raise InvalidArchive(f"{path} isn't an archive of format {FORMAT!r} version {FORMAT_VERSION}")
                 archive = cls(
-                    visits={GaussCode.parse(code): int(count) for code, count in json.loads(file.attrs["visits"]).items()},
-                    growth=json.loads(file.attrs["growth"]),
-                    settings=json.loads(file.attrs["settings"]),
+                    visits={GaussCode.parse(code): int(count) for code, count in json.loads(file["visits"][()]).items()},
+                    growth=json.loads(file["growth"][()]),
+                    settings=json.loads(file["settings"][()]),
                     transitions=Transitions.read(file["transitions"]) if "transitions" in file else Transitions(),
                 )
                 ends = np.cumsum(file["length"][()])

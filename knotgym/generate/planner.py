@@ -21,6 +21,7 @@ from knotgym.generate.transitions import Grip, Places
 from knotgym.rope import Array
 from knotgym.simulation import Simulation
 
+_DRAWN = 3  # variations of a manoeuvre, of which the shortest is taken
 REST = "rest"  # the kind of a pull with no force, by which a code is held
 
 
@@ -39,6 +40,8 @@ class PlannerConfig:
         longest: pulls of one manoeuvre.
         kept: states kept for a code.
         greed: how much likelier a state is to be set out from the nearer it is; 0 for not at all.
+        stride: pulls that a change of code takes, about.
+        patience: pulls later at which a state is e times less likely to be set out from.
     """
 
     budget: int = 6000
@@ -47,6 +50,8 @@ class PlannerConfig:
     longest: int = 10
     kept: int = 6
     greed: float = 2.0
+    stride: float = 6.0
+    patience: float = 10.0
 
     def __post_init__(self) -> None:
         for name in ("slots", "longest", "kept"):
@@ -248,9 +253,10 @@ class _Search:
         codes = [code for code, nodes in self.pool.items() if nodes]
         far = np.array([self.distances(code) for code in codes])
         tries = np.array([self.tries.get(code, 0) for code in codes])
-        weights = (1 + far) ** -self.config.greed / np.sqrt(1 + tries / 4)
+        late = np.array([min(node.pulls for node in self.pool[code]) + self.config.stride * self.distances.hops.get(code, 2) for code in codes])
+        weights = (1 + far) ** -self.config.greed / np.sqrt(1 + tries / 4) * np.exp(-(late - late.min()) / self.config.patience)
         nodes = self.pool[codes[self.rng.choice(len(codes), p=weights / weights.sum())]]
-        fresh = np.array([1 / (1 + node.tries) for node in nodes])
+        fresh = np.array([np.exp(-node.pulls / self.config.patience) / (1 + node.tries) for node in nodes])
         return nodes[self.rng.choice(len(nodes), p=fresh / fresh.sum())]
 
     def _met(self, row: int, slot: _Slot, code: GaussCode) -> Node:
@@ -283,7 +289,8 @@ def _like(points: Array, steps: list[Step], places: Places, rng: np.random.Gener
         return propose(points, rng)
     weights = np.array([step.chance * step.gain for step in steps])
     grips = steps[rng.choice(len(steps), p=weights / weights.sum())].grips
-    return held_so(points, grips[rng.integers(len(grips))], places, rng)
+    drawn = [held_so(points, grips[rng.integers(len(grips))], places, rng) for _ in range(_DRAWN)]
+    return min(drawn, key=lambda one: np.linalg.norm(np.diff(one.waypoints[:2, :2], axis=0, prepend=points[one.bead, None, :2]), axis=1).sum())
 
 
 def held_so(points: Array, grip: Grip, places: Places, rng: np.random.Generator) -> Manoeuvre:
