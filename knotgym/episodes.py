@@ -111,6 +111,10 @@ class Episodes:
         seen: NDArray[np.float32] = state(self.simulation.points[index][None], self._goals.points[self.goal_row[index]])[0]
         return seen
 
+    def goal_points(self, index: int) -> Array:
+        """The goal's exemplar, float64 (beads, 3), metres; a copy."""
+        return self._goals.points[self.goal_row[index]].copy()
+
     def observation(self, index: int) -> Any:
         """What the agent of episode `index` sees, as `config.observation` says."""
         if self.config.observation == "pixels":

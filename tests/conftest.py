@@ -9,9 +9,14 @@ from numpy.typing import NDArray
 
 from knotgym.crossings import label
 from knotgym.datasets.states import States, write_states
+from knotgym.generate.archive import Archive
+from knotgym.generate.engines import InProcess
+from knotgym.generate.search import SearchConfig, advance, new_archive
 from knotgym.picture import draw
 from knotgym.rope import Rope
 from knotgym.simulation import Simulation
+
+from .small_job import knotgym
 
 # Compiling, or another process on the same cores, is no failure.
 settings.register_profile("unhurried", deadline=None)
@@ -82,3 +87,23 @@ def tangled(rope: Rope) -> NDArray[np.float64]:
         simulation.act(rng.uniform(-1, 1, (8, 6)))
         seen.append(simulation.qpos())
     return np.concatenate(seen[-5:])
+
+
+SEARCH = SearchConfig(max_nx=3, slots=8, pulls=8)
+
+
+@pytest.fixture(scope="session")
+def searched() -> Archive:
+    """What three short rounds found; copy it before it grows."""
+    archive = new_archive(SEARCH)
+    for _ in range(3):
+        advance(archive, SEARCH, InProcess())
+    return archive
+
+
+@pytest.fixture(scope="session")
+def curated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of the main job: four loops and four states with one crossing; only ever read, harm is done to copies."""
+    folder = tmp_path_factory.mktemp("curated") / "nx0-1"
+    assert knotgym("generate", "--nx", "0,1", "--count", 4, "--workers", 1, "--out", folder, "--quiet") == 0
+    return folder

@@ -72,6 +72,7 @@ COLUMNS: dict[str, Any] = {
     "source": {
         "walk": "int64",
         "pulls": "int64",
+        "rounds": "int64",
         "reflect": "bool",
         "switch": "bool",
         "reverse": "bool",

@@ -16,7 +16,6 @@ from knotgym.datasets.states import InvalidStates, States, read_states
 def state_faults(states: States) -> Iterator[str]:
     """Faults of the rows: schema, labels by both labellers, knot type, picture, replay of the provenance, split leakage."""
     from knotgym.crossings import label
-    from knotgym.gauss import GaussCode
     from knotgym.knots import knot_type
     from knotgym.oracle import pyknotid_code
     from knotgym.picture import draw
@@ -26,6 +25,10 @@ def state_faults(states: States) -> Iterator[str]:
     rope = Rope()
     if states.attributes.get("rope") != rope.config.fingerprint:
         yield f"rope model {states.attributes.get('rope')} is not this version's, {rope.config.fingerprint}"
+        return
+    misshapen = _misshapen(states, rope.nq, rope.config.beads)
+    if misshapen:
+        yield from misshapen
         return
     simulation = Simulation(1, rope)
     for row in range(len(states)):
@@ -52,10 +55,10 @@ def state_faults(states: States) -> Iterator[str]:
             yield f"{where}: split is {states.split[row]!r}"
         simulation.lay(states.source["start_qpos"][row][None])
         actions = states.source["actions"][row, : states.source["steps"][row]]
-        if not all(simulation.act(action[None]).all() for action in actions) or not np.array_equal(simulation.qpos()[0], states.qpos[row]):
+        if not (np.abs(actions) <= 1).all():
+            yield f"{where}: an action lies outside [-1, 1]"
+        elif not all(simulation.act(action[None]).all() for action in actions) or not np.array_equal(simulation.qpos()[0], states.qpos[row]):
             yield f"{where}: replay of its start and actions does not end in qpos bit for bit"
-        if GaussCode.parse(str(states.gauss_code_chiral[row])).plain != GaussCode.parse(str(states.gauss_code[row])):
-            yield f"{where}: the code with chirality is another code"
     yield from _leaks(states)
 
 
@@ -65,8 +68,8 @@ def folder_faults(folder: Path) -> Iterator[str]:
 
     try:
         manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
-        listed, config = manifest["files"], manifest["config"]
-    except (OSError, ValueError, KeyError) as error:
+        listed, config = dict(manifest["files"]), dict(manifest["config"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
         yield f"manifest.json can't be read: {error}"
         listed, config = {}, None
     for name, digest in listed.items():
@@ -83,10 +86,23 @@ def folder_faults(folder: Path) -> Iterator[str]:
     for dataset in sorted(folder.glob("minari/**/main_data.hdf5")):
         yield from verify_episodes(dataset, act_out=True)
     if config is not None:
-        if config["split_by"] == "code":
+        if config.get("split_by") == "code":
             shared = set(states.gauss_code[states.split == "train"]) & set(states.gauss_code[states.split == "test"])
             yield from (f"code {code or 'loop'} is in both splits, which share no code" for code in sorted(shared))
         yield from _misplaced(states, manifest)
+
+
+def _misshapen(states: States, nq: int, beads: int) -> list[str]:
+    """Columns that a curated state needs and that are missing or of another shape."""
+    n, out = len(states), []
+    columns = {"qpos": states.qpos, "points": states.points, **{f"source/{name}": values for name, values in states.source.items()}}
+    shapes = {"qpos": (n, nq), "points": (n, beads, 3), "source/start_qpos": (n, nq), "source/actions": (n, None, 6)}
+    for name, shape in {**shapes, "source/steps": (n,), "source/seed": (n, None)}.items():
+        found = columns[name].shape if name in columns else None
+        if found is None or len(found) != len(shape) or any(right is not None and size != right for size, right in zip(found, shape, strict=True)):
+            yours = "missing" if found is None else f"of shape {found}"
+            out.append(f"states.h5: {name} is {yours}, should be ({', '.join('any' if size is None else str(size) for size in shape)})")
+    return out
 
 
 def _misplaced(states: States, manifest: dict[str, object]) -> Iterator[str]:

@@ -136,12 +136,16 @@ class Archive:
                 )
                 ends = np.cumsum(file["length"][()])
                 beads, forces, states = file["beads"][()], file["forces"][()], file["state"][()]
+                if {len(beads), len(forces)} != {int(ends[-1])}:
+                    raise ValueError("its ways are cut short")
                 for row, (text, roll, badness) in enumerate(zip(file["code"].asstr()[()], file["roll"][()], file["badness"][()], strict=True)):
                     code, start = GaussCode.parse(text), 0 if row == 0 else ends[row - 1]
                     elite = Elite(code, int(roll), Way(beads[start : ends[row]], forces[start : ends[row]]), states[row], float(badness))
                     archive.niches.setdefault(class_of(code), []).append(elite)
                 return archive
-        except (OSError, KeyError, RuntimeError) as error:
+        except InvalidArchive:
+            raise
+        except (OSError, KeyError, RuntimeError, TypeError, ValueError, AttributeError, IndexError) as error:  # whatever h5py says to foreign bytes
             raise InvalidArchive(f"{path} isn't a whole archive: {' '.join(str(error).split())}") from error
 
     def _elites(self) -> Iterator[Elite]:

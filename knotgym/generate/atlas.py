@@ -14,7 +14,6 @@ from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 
 from knotgym.diagrams import chiralities
 from knotgym.gauss import GaussCode
@@ -74,21 +73,20 @@ class Atlas:
             chance = seen / (transitions.tried[before] + 1)
             self._after.setdefault(before, []).append((after, chance))
             self._before.setdefault(class_of(after), []).append((before, after, chance))
-        self._known: dict[tuple[GaussCode, int], Distances] = {}
+        self._known: dict[GaussCode, Distances] = {}
+        self._backwards: dict[GaussCode, list[tuple[GaussCode, float]]] = {}
 
-    def distances(self, goal: GaussCode, start: GaussCode, margin: float = 1.5) -> Distances:
-        """Distances to a goal, whose chirality is left open, of all codes up to `margin` times as far as `start`; kept."""
-        nx = max(start.nx, goal.nx) + 1
-        key = goal.plain, nx
-        if key not in self._known or start not in self._known[key].far:
-            self._known[key] = self._search(goal, start, margin, nx)
-        return self._known[key]
+    def distances(self, goal: GaussCode) -> Distances:
+        """Distances of all codes to a goal, whose chirality is left open; kept, as they take about a third of a second."""
+        if goal.plain not in self._known:
+            self._known[goal.plain] = self._search(goal.plain)
+        return self._known[goal.plain]
 
     def steps(self, code: GaussCode, distances: Distances) -> list[Step]:
         """Changes out of a code that lead nearer to the goal, with chances and grips for a rope that shows this very code."""
         out = []
         base, here, arcs = class_of(code), distances(code), 2 * code.nx + 1
-        for spin in list(spins(code))[:1]:
+        for spin in spins(code):
             for shown, chance in self._after.get(base, []):
                 after = spun(shown, spin)
                 if distances(after) < here - 1e-9:
@@ -96,42 +94,39 @@ class Atlas:
                     out.append(Step(after, chance, here - distances(after), grips))
         return out
 
-    def _search(self, goal: GaussCode, start: GaussCode, margin: float, max_nx: int) -> Distances:
-        goals = frozenset(GaussCode(goal.visits, letters) for letters in chiralities(goal.plain))
+    def _search(self, goal: GaussCode) -> Distances:
+        goals = frozenset(GaussCode(goal.visits, letters) for letters in chiralities(goal))
         out = Distances(goal.nx, goals)
         ties = itertools.count()
         queue: list[tuple[float, int, int, GaussCode]] = [(0.0, next(ties), 0, code) for code in sorted(goals, key=lambda one: one.chiral)]
-        heapq.heapify(queue)
-        limit = np.inf
         while queue:
             far, _, hops, code = heapq.heappop(queue)
             if code in out.far:
                 continue
-            if far > limit:
-                break
             out.far[code], out.hops[code], out.beyond = far, hops, far
-            if code == start:
-                limit = margin * far
             for before, chance in self._leading_to(code):
-                if before not in out.far and before.nx <= max_nx:
+                if before not in out.far:
                     heapq.heappush(queue, (far + 1 / chance, next(ties), hops + 1, before))
         return out
 
     def _leading_to(self, code: GaussCode) -> list[tuple[GaussCode, float]]:
         """Codes from which a change leads to this one, with its chance."""
+        if code in self._backwards:
+            return self._backwards[code]
         best: dict[GaussCode, float] = {}
         for before, after, chance in self._before.get(class_of(code), []):
             for spin in _between(after, code):
                 origin = spun(before, spin)
                 best[origin] = max(best.get(origin, 0.0), chance)
-        return list(best.items())
+        self._backwards[code] = list(best.items())
+        return self._backwards[code]
 
 
 @lru_cache(maxsize=200_000)
 def _between(one: GaussCode, other: GaussCode) -> tuple[tuple[bool, bool, bool], ...]:
     """The spins that take one code to another of its class."""
-    all_spins = itertools.product((False, True), repeat=3)
-    return tuple(spin for spin in all_spins if spun(one, spin) == other)
+    each = (False, True)
+    return tuple((a, b, c) for a in each for b in each for c in each if spun(one, (a, b, c)) == other)
 
 
 @lru_cache(maxsize=4)

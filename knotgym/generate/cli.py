@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Sequence
+from concurrent.futures import BrokenExecutor
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,9 +14,12 @@ from rich.console import Console
 
 from knotgym.errors import KnotgymError
 from knotgym.generate.dataset_commands import dataset_app
+from knotgym.generate.policy_commands import collect, evaluate
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help="Data for spatial reasoning on knots.")
 app.add_typer(dataset_app, name="dataset")
+app.command()(collect)
+app.command()(evaluate)
 
 Nx = Annotated[str, typer.Option("--nx", help="Crossings: 3, or 2,3, or 0-4.")]
 Seed = Annotated[int, typer.Option(help="Of everything; the same seed gives the same bytes.")]
@@ -25,6 +29,7 @@ Resume = Annotated[bool, typer.Option("--resume", help="Finish an interrupted ru
 
 _USAGE: Any = typer.BadParameter.__mro__[2]  # ClickException, be it Click's own or the copy inside typer
 _FAILED, _MISTAKEN, _INTERRUPTED = 1, 2, 130
+_STOPPED = "interrupted; nothing half-written is left, --resume goes on from the last cycle"
 
 
 def numbers(text: str) -> tuple[int, ...]:
@@ -70,6 +75,44 @@ def generate(
     run_job(config, target, archive=archive, workers=workers, resume=resume, quiet=quiet, console=Console())
 
 
+@app.command()
+def images(
+    nx: Nx = "0-4",
+    count: Annotated[int, typer.Option(help="Pictures in all, evenly over the numbers of crossings.")] = 20_000,
+    out: Annotated[Path | None, typer.Option(help="Folder to make; knotgym-data/images-nx0-4 for --nx 0-4.")] = None,
+    archive: Annotated[Path | None, typer.Option(help="Set out from the archive of a run (its archive.h5).")] = None,
+    states: Annotated[Path | None, typer.Option(help="Set out from a states.h5; without either, from the states that ship.")] = None,
+    test_nx: Annotated[str, typer.Option(help="Crossings that only split test-nx shows; the largest, or none.")] = "largest",
+    test_share: Annotated[float, typer.Option(help="Share of split test.")] = 0.15,
+    code_share: Annotated[float, typer.Option(help="Share of split test-code, and of codes that only it shows.")] = 0.15,
+    vary: Annotated[str, typer.Option(help="Of colours,width,background,turn,zoom,noise,blur; all, or none.")] = "none",
+    size: Annotated[str, typer.Option(help="Pixels of a side, 64 to 512; several, such as 64,128, are drawn from.")] = "128",
+    seed: Seed = 0,
+    workers: Workers = 0,
+    resume: Resume = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make a perception dataset: pictures with Gauss code, crossings, coordinates and difficulty."""
+    from knotgym.generate.appearance import VARIED, AppearanceConfig
+    from knotgym.generate.images import ImagesConfig, make
+
+    wanted, sizes = numbers(nx), size.split(",")
+    if not all(one.strip().isdecimal() for one in sizes):
+        raise typer.BadParameter(f"--size takes pixels such as 128 or 64,128, got {size!r}")
+    varied = {"all": VARIED, "none": ()}.get(vary) if vary in ("all", "none") else tuple(word.strip() for word in vary.split(","))
+    config = ImagesConfig(
+        nx=wanted,
+        count=count,
+        test_nx={"largest": None, "none": ()}[test_nx] if test_nx in ("largest", "none") else numbers(test_nx),
+        test_share=test_share,
+        code_share=code_share,
+        seed=seed,
+        appearance=AppearanceConfig(vary=varied or (), sizes=tuple(map(int, sizes))),
+    )
+    target = out or Path("knotgym-data") / f"images-nx{nx.replace(' ', '')}"
+    make(config, target, archive=archive, states=states, workers=workers, resume=resume, quiet=quiet, console=Console())
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run `knotgym`; exits with 0 only when everything asked for was done."""
     _run(app, arguments)
@@ -87,16 +130,20 @@ def _run(command: typer.Typer, arguments: Sequence[str] | None) -> None:
     try:
         result = command(args=arguments, standalone_mode=False)
         status = result if isinstance(result, int) else 0
+        if status == _INTERRUPTED:  # what typer makes of a KeyboardInterrupt
+            _say(_STOPPED, status)
     except NotEnough as error:
         status = _say(str(error), _FAILED)
     except _USAGE as error:
-        status = _say(error.format_message(), _MISTAKEN)
+        status = _say(error.format_message(), _MISTAKEN) if error.format_message() else _MISTAKEN  # the help was shown, if empty
     except (KnotgymError, ValueError, FileNotFoundError) as error:
         status = _say(str(error), _MISTAKEN)
+    except BrokenExecutor:
+        status = _say("a worker died, perhaps for want of memory; --resume goes on from the last cycle", _FAILED)
     except OSError as error:
         status = _say(f"{error.strerror or error} {error.filename or ''}", _FAILED)
     except (KeyboardInterrupt, typer.Abort):
-        status = _say("interrupted; nothing half-written is left, --resume goes on from the last cycle", _INTERRUPTED)
+        status = _say(_STOPPED, _INTERRUPTED)
     sys.exit(status)
 
 

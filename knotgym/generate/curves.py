@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -49,8 +50,11 @@ def knot_curve(knot: str) -> Array:
     if not path.is_file():
         raise InvalidCurveFile(f"no knot {knot!r}; there is 0_1, {', '.join(KNOTS)}, or a file with a closed curve, three numbers a line or .npy")
     try:
-        curve = np.load(path, allow_pickle=False) if path.suffix == ".npy" else np.loadtxt(path, delimiter="," if path.suffix == ".csv" else None)
-    except (ValueError, OSError) as error:
+        with warnings.catch_warnings(action="error"):  # NumPy only warns of a text without numbers
+            curve = np.load(path, allow_pickle=False) if path.suffix == ".npy" else np.loadtxt(path, delimiter="," if path.suffix == ".csv" else None)
+        if not isinstance(curve, np.ndarray) or curve.dtype.kind not in "fiu":
+            raise ValueError("it isn't one array of real numbers")
+    except (ValueError, OSError, EOFError, UserWarning) as error:
         raise InvalidCurveFile(f"{path} holds no curve: {' '.join(str(error).split())}") from error
     return np.asarray(curve, dtype=np.float64)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
@@ -36,9 +37,9 @@ def engine(workers: int) -> Iterator[Pool]:
     if count == 1:
         yield InProcess()
         return
-    # forkserver: no copies of this process's threads and simulations; workers leave Ctrl-C to their parent
+    # forkserver: no copies of this process's threads and simulations; workers leave Ctrl-C to their parent, and end when it is killed
     context = multiprocessing.get_context("forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn")
-    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_quiet)
+    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_serve)
     try:
         yield pool
         pool.shutdown()
@@ -49,8 +50,16 @@ def engine(workers: int) -> Iterator[Pool]:
         raise
 
 
-def _quiet() -> None:
+def _serve() -> None:
     import cv2
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(1)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

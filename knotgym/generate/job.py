@@ -7,6 +7,7 @@ nothing had happened.
 
 from __future__ import annotations
 
+import json
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -20,9 +21,9 @@ from knotgym.gauss import GaussCode
 from knotgym.generate.archive import Archive
 from knotgym.generate.curate import codes_of, is_near_duplicate
 from knotgym.generate.curves import knot_curve
-from knotgym.generate.natural import natural_shares
 from knotgym.generate.engines import Pool
 from knotgym.generate.instances import Instance, InstanceConfig, Order, make
+from knotgym.generate.natural import natural_shares
 from knotgym.generate.search import SearchConfig, advance, new_archive
 from knotgym.knots import knot_type
 from knotgym.rope import Array, Rope
@@ -127,7 +128,10 @@ class Job:
         knot = knot_type(label(start))
         if knot == "unknown":
             raise InvalidJob(f"the knot type of {config.knot} cannot be certified: knots of up to 7 crossings can")
-        job = cls(config, archive or new_archive(search_config(config), None if config.knot == "0_1" else start), knot)
+        fresh = new_archive(search_config(config), None if config.knot == "0_1" else start)
+        if archive is not None and _origin(archive) != _origin(fresh):
+            raise InvalidJob(f"the archive's ways begin at another curve or move another rope than those of knot {config.knot} here")
+        job = cls(config, archive or fresh, knot)
         for nx in config.nx:
             job.existing[nx] = len(codes_of(knot, nx))
             job.shares[nx] = _shares(config, knot, nx)
@@ -169,14 +173,19 @@ def run(job: Job, pool: Pool, each_cycle: Callable[[Job], None]) -> None:
 
 
 def search_config(config: GenerateConfig) -> SearchConfig:
-    """The search that a job runs."""
-    return SearchConfig(max_nx=max(config.nx), seed=config.seed, rope=config.instance.rope)
+    """The search that a job runs; it also keeps what shows as many crossings as the start."""
+    return SearchConfig(max_nx=max(*config.nx, label(start_of(config)).nx), seed=config.seed, rope=config.instance.rope)
 
 
 def start_of(config: GenerateConfig) -> Array:
     """The configuration (beads, 3) that all ways begin at: the plain loop, or a curve of the knot."""
     rope = Rope(config.instance.rope)
     return rope.loop() if config.knot == "0_1" else rope.from_curve(knot_curve(config.knot))
+
+
+def _origin(archive: Archive) -> str:
+    """Where the ways of an archive begin and what they move, as text: a file has lists where a search has tuples."""
+    return json.dumps([archive.settings.get("start"), archive.settings.get("rope")], sort_keys=True)
 
 
 def _shares(config: GenerateConfig, knot: str, nx: int) -> dict[GaussCode, int]:

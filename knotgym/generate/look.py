@@ -18,10 +18,12 @@ from knotgym.datasets.card import most_first, summary
 from knotgym.datasets.episode_checks import show_episodes, verify_episodes
 from knotgym.datasets.episode_files import merge as merge_episodes
 from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.images import is_images
 from knotgym.datasets.states import merge_states, read_states, write_states
 from knotgym.datasets.verify import folder_faults, state_faults
 from knotgym.errors import KnotgymError
 from knotgym.generate.film import FRAMES_PER_SECOND, captioned, write_film
+from knotgym.generate.image_checks import image_faults, show_images
 from knotgym.picture import draw
 from knotgym.rope import Array
 from knotgym.simulation import Simulation
@@ -64,6 +66,9 @@ def states_path(path: str) -> Path:
 
 def show(path: str, console: Console) -> None:
     """Print what a dataset holds."""
+    if is_images(path):
+        show_images(path, console)
+        return
     if not is_states(path):
         for name, value in show_episodes(path).items():
             console.print(f"{name:20} {json.dumps(value) if isinstance(value, dict) else value}", highlight=False, markup=False, soft_wrap=True)
@@ -109,7 +114,9 @@ def faults(path: str, console: Console | None) -> Iterator[str]:
     given = Path(path)
     if console:
         console.print(f"verifying {path}", highlight=False, soft_wrap=True)
-    if given.is_dir() and ((given / "manifest.json").is_file() or (given / "states.h5").is_file()):
+    if is_images(given):
+        yield from image_faults(given)
+    elif given.is_dir() and ((given / "manifest.json").is_file() or (given / "states.h5").is_file()):
         yield from folder_faults(given)
     elif given.is_file() and _format(given) in ("knotgym-states", None):
         yield from state_faults(read_states(given))

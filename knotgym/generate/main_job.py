@@ -48,17 +48,22 @@ def generate(config: GenerateConfig, out: Path, *, archive: Path | None, workers
         raise InvalidJob(f"workers must be at least 0, got {workers}")
     partial = out.parent / f".{out.name}.partial"
     if out.exists():
-        if resume and not partial.exists() and _finished(out) == json.loads(json.dumps(asdict(config))):
+        if resume and _finished(out) == json.loads(json.dumps(asdict(config))):
+            shutil.rmtree(partial, ignore_errors=True)  # left if it was killed right after the renaming
             if not quiet:
                 console.print(f"{out} is finished already", soft_wrap=True)
             return
         raise Occupied(f"{out} is there already; choose another --out, or remove it")
-    if not resume and partial.exists() and _unlocked(partial):
-        shutil.rmtree(partial)
+    if partial.exists():
+        with _locked(partial):
+            pass  # nobody is at it
+    job = _resumed(partial / "job.pickle", config) if resume else None
+    job = job or Job.begin(config, Archive.load(archive) if archive else None)  # before anything is written: it may be refused
+    job.config = replace(job.config, attempts=config.attempts)
     with _locked(partial):
-        job = _resumed(partial / "job.pickle", config) if resume else None
-        job = job or Job.begin(config, Archive.load(archive) if archive else None)
-        job.config = replace(job.config, attempts=config.attempts)
+        for path in [] if resume else partial.iterdir():
+            if path.name != "lock":
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
 
         def each_cycle(job: Job) -> None:
             with whole(partial / "job.pickle") as part:
@@ -105,7 +110,3 @@ def _locked(partial: Path) -> Iterator[None]:
             raise Occupied(f"another run is writing {partial.name[1:-8]} now") from error
         yield
 
-
-def _unlocked(partial: Path) -> bool:
-    with _locked(partial):
-        return True

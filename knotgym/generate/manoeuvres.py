@@ -81,6 +81,10 @@ class Hand:
         self._waypoints[index] = manoeuvre.waypoints
         self._stage[index] = 0
 
+    def drop(self, index: int) -> None:
+        """Let go of rope `index`."""
+        self._stage[index] = 3
+
     def idle(self, points: Array) -> NDArray[np.bool_]:
         """Which ropes have reached their last waypoint, bool (n,); points (n, beads, 3)."""
         rows = np.arange(len(self.beads))

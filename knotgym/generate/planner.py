@@ -21,6 +21,7 @@ from knotgym.generate.transitions import Grip, Places
 from knotgym.rope import Array
 from knotgym.simulation import Simulation
 
+_STUCK = 24  # manoeuvres from one code
 _DRAWN = 3  # variations of a manoeuvre, of which the shortest is taken
 REST = "rest"  # the kind of a pull with no force, by which a code is held
 
@@ -44,7 +45,7 @@ class PlannerConfig:
         patience: pulls later at which a state is e times less likely to be set out from.
     """
 
-    budget: int = 6000
+    budget: int = 20000
     slots: int = 8
     guided: float = 0.7
     longest: int = 10
@@ -63,6 +64,8 @@ class PlannerConfig:
             raise InvalidPlanner(f"guided must be in [0, 1], got {self.guided}")
         if not 0 <= self.greed < np.inf:
             raise InvalidPlanner(f"greed must be at least 0 and finite, got {self.greed}")
+        if not (0 <= self.stride < np.inf and 0 < self.patience < np.inf):
+            raise InvalidPlanner(f"stride must be at least 0 and patience above 0, both finite; got {self.stride} and {self.patience}")
 
 
 @dataclass(eq=False)
@@ -191,10 +194,11 @@ class _Search:
         self.steps, self.hold = steps, hold
         simulation.restore(state[None], [0])
         self.root = Node(state, label_many(simulation.points[:1])[0])
-        self.distances = atlas.distances(goal, self.root.code)
+        self.distances = atlas.distances(goal)
         self.pool: dict[GaussCode, list[Node]] = {self.root.code: [self.root]}
         self.tries: dict[GaussCode, int] = {}
         self.towards: dict[GaussCode, list[Step]] = {}
+        self.attempts: dict[GaussCode, Array] = {}  # for each of these steps, manoeuvres meant to make it
         self.hand = Hand(simulation.count)
 
     def run(self, budget: int) -> Plan:
@@ -218,7 +222,8 @@ class _Search:
                 slot.actions.append(actions[row])
                 pulls = slot.node.pulls + len(slot.actions)
                 last = bool(ended[row]) or len(slot.actions) >= self.config.longest or pulls >= self.steps
-                if codes[row] != slot.code or last:
+                stuck = self.tries.get(slot.node.code, 0) > _STUCK  # then the same code, lying otherwise, is worth setting out from
+                if codes[row] != slot.code or (last and (stuck or codes[row] != slot.node.code)):
                     node = self._met(row, slot, codes[row])
                     if codes[row].matches(self.goal):
                         reached, cost = self._holding(row, node)
@@ -226,7 +231,7 @@ class _Search:
                         if reached is not None:
                             return _plan(reached, True, spent)
                         last = True
-                    last = last or self.distances(codes[row]) < self.distances(slot.node.code)
+                    last |= self.distances(codes[row]) < self.distances(slot.node.code)
                 slot.code = codes[row]
                 if last:
                     slots[row] = None
@@ -243,7 +248,8 @@ class _Search:
         if self.rng.random() < self.config.guided:
             if node.code not in self.towards:
                 self.towards[node.code] = self.atlas.steps(node.code, self.distances)
-            manoeuvre = _like(points, self.towards[node.code], Places(find_crossings(points), len(points)), self.rng)
+            attempts = self.attempts.setdefault(node.code, np.zeros(len(self.towards[node.code])))
+            manoeuvre = _like(points, self.towards[node.code], Places(find_crossings(points), len(points)), self.rng, attempts)
         else:
             manoeuvre = propose(points, self.rng)
         self.hand.take(row, manoeuvre)
@@ -254,7 +260,7 @@ class _Search:
         far = np.array([self.distances(code) for code in codes])
         tries = np.array([self.tries.get(code, 0) for code in codes])
         late = np.array([min(node.pulls for node in self.pool[code]) + self.config.stride * self.distances.hops.get(code, 2) for code in codes])
-        weights = (1 + far) ** -self.config.greed / np.sqrt(1 + tries / 4) * np.exp(-(late - late.min()) / self.config.patience)
+        weights = (1 + far) ** -self.config.greed / (1 + tries / 10) * np.exp(-(late - late.min()) / self.config.patience)
         nodes = self.pool[codes[self.rng.choice(len(codes), p=weights / weights.sum())]]
         fresh = np.array([np.exp(-node.pulls / self.config.patience) / (1 + node.tries) for node in nodes])
         return nodes[self.rng.choice(len(nodes), p=fresh / fresh.sum())]
@@ -283,12 +289,15 @@ class _Search:
         return Node(self.simulation.states([row])[0], node.code, node.pulls + len(still), node, REST, still), len(still)
 
 
-def _like(points: Array, steps: list[Step], places: Places, rng: np.random.Generator) -> Manoeuvre:
-    """A manoeuvre held as one that made one of these changes."""
+def _like(points: Array, steps: list[Step], places: Places, rng: np.random.Generator, attempts: Array | None = None) -> Manoeuvre:
+    """A manoeuvre held as one that made one of these changes, rather one seldom attempted so far; counts itself among the attempts."""
     if not steps:
         return propose(points, rng)
-    weights = np.array([step.chance * step.gain for step in steps])
-    grips = steps[rng.choice(len(steps), p=weights / weights.sum())].grips
+    weights = np.array([step.chance * step.gain for step in steps]) / (1 if attempts is None else 1 + attempts / _DRAWN)
+    choice = rng.choice(len(steps), p=weights / weights.sum())
+    if attempts is not None:
+        attempts[choice] += 1
+    grips = steps[choice].grips
     drawn = [held_so(points, grips[rng.integers(len(grips))], places, rng) for _ in range(_DRAWN)]
     return min(drawn, key=lambda one: np.linalg.norm(np.diff(one.waypoints[:2, :2], axis=0, prepend=points[one.bead, None, :2]), axis=1).sum())
 

@@ -308,7 +308,8 @@ def _solid_angle(a: Array, b: Array, c: Array, d: Array) -> float:
 def _normal(a: Array, b: Array) -> tuple[float, float, float]:
     x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
     size = np.sqrt(x * x + y * y + z * z)
-    return (x / size, y / size, z / size) if size > 0 else (0.0, 0.0, 0.0)
+    least = 1e-12 * np.sqrt((a * a).sum() * (b * b).sum())  # below it the direction is rounding: points in line count nothing
+    return (x / size, y / size, z / size) if size > least else (0.0, 0.0, 0.0)
 
 
 @numba.njit(cache=True, nogil=True)

@@ -23,24 +23,26 @@ def relaxed(points: Array, rounds: int, rope: Rope) -> Array | None:
 
     Args:
         points: float64 (beads, 3), metres; left alone.
-        rounds: of 20 iterations each; it ends before the first that would change the code.
+        rounds: of 20 iterations each, at least 1; it ends before the first that would change the code.
         rope: whose bead length and overlap it keeps to.
 
     Returns:
-        float64 (beads, 3), a configuration of the rope with the code of `points`; None if no round can be had.
+        float64 (beads, 3), a configuration of the rope with the code of `points`; None if it can't be had.
     """
     code = label(points)
-    moving, best = np.array(points, dtype=np.float64), None
+    moving, last = np.array(points, dtype=np.float64), None
     for _ in range(rounds):
         _iterate(moving, rope.config.bead_length, 20)
-        try:
-            laid = rope.from_curve(moving)
-        except InvalidCurve:  # strands too deep in each other for now
-            continue
-        if label(laid) != code:
+        if label(moving) != code:
             break
-        best = laid
-    return best
+        last = moving.copy()
+    if last is None:
+        return None
+    try:
+        laid = rope.from_curve(last)
+    except InvalidCurve:  # strands are too deep in each other
+        return None
+    return laid if label(laid) == code else None
 
 
 @numba.njit(cache=True, nogil=True)

@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from knotgym.crossings import find_crossings, label_many
 from knotgym.gauss import GaussCode
@@ -139,11 +140,11 @@ def confirm(trial: Trial) -> list[Find]:
     for row in np.flatnonzero(alive):
         for code, roll, badness in _readings(simulation.points[row], Limits(), trial.config.rope):
             if code.nx <= trial.config.max_nx:
-                out.append(Find(int(row), len(trial.ways[row]), code, roll, badness, simulation.states([row])[0]))
+                out.append(Find(int(row), len(trial.ways[row]), code, roll, badness, simulation.states([int(row)])[0]))
     return out
 
 
-def play(shift: Shift) -> tuple[list[Find], Array, Array, Array, Transitions]:
+def play(shift: Shift) -> tuple[list[Find], NDArray[np.int16], NDArray[np.float32], NDArray[np.int64], Transitions]:
     """Lead the ropes of a shift through manoeuvres.
 
     Returns:
@@ -179,7 +180,7 @@ def play(shift: Shift) -> tuple[list[Find], Array, Array, Array, Transitions]:
             if codes[row] != last[row]:
                 watches[row].show(find_crossings(simulation.points[row]))
             if codes[row].nx <= config.max_nx and (codes[row] != last[row] or ended[row] or step == config.pulls - 1):
-                state = simulation.states([row])[0]
+                state = simulation.states([int(row)])[0]
                 for code, roll, badness in _readings(simulation.points[row], limits, config.rope):
                     finds.append(Find(shift.slots[row], step + 1, code, roll, badness, state))
         last = codes

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
@@ -109,7 +109,7 @@ class Transitions:
         grips = [(row, grip) for row, key in enumerate(self.seen) for grip in self.grips[key]]
         squeezed = {"compression": "gzip", "compression_opts": 9, "shuffle": True}
         text = "\n".join(code.chiral for code in codes).encode()
-        columns = {
+        columns: dict[str, NDArray[Any]] = {
             "codes": np.frombuffer(text, dtype=np.uint8),
             "tried": np.array([self.tried.get(code, 0) for code in codes], dtype=np.int32),
             "before": np.array([codes[before] for before, _ in self.seen], dtype=np.int32),

@@ -10,7 +10,8 @@ Torch, d3rlpy and TensorDict are imported only by the loaders that are for them.
 """
 
 from knotgym.loaders.clients import MissingExtra, to_d3rlpy, to_tensordict, torch_dataset
+from knotgym.loaders.perception import images
 from knotgym.loaders.rows import arrays
 from knotgym.loaders.transitions import Transitions
 
-__all__ = ["MissingExtra", "Transitions", "arrays", "to_d3rlpy", "to_tensordict", "torch_dataset"]
+__all__ = ["MissingExtra", "Transitions", "arrays", "images", "to_d3rlpy", "to_tensordict", "torch_dataset"]

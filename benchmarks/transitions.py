@@ -1,0 +1,47 @@
+"""Make the table of transitions that the expert's atlas is drawn from, the one that ships.
+
+    python benchmarks/transitions.py --seeds 8 7 0 --rounds 50 20 40
+
+Plays so many rounds of the search from each seed (the defaults made the table that ships), and adds what archives of other runs
+have counted (their archive.h5). Changes seen once and codes of more than --max-nx crossings are left out.
+"""
+
+import argparse
+from pathlib import Path
+
+from rich.console import Console
+
+from knotgym.generate.archive import Archive
+from knotgym.generate.engines import engine
+from knotgym.generate.search import SearchConfig, advance, new_archive
+from knotgym.generate.transitions import Transitions
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, nargs="*", default=[8, 7, 0])
+    parser.add_argument("--rounds", type=int, nargs="*", default=[50, 20, 40], help="of the search, 768 actions each, for each seed")
+    parser.add_argument("--archive", type=Path, action="append", default=[])
+    parser.add_argument("--max-nx", type=int, default=5)
+    parser.add_argument("--least", type=int, default=2, help="times that a change was seen")
+    parser.add_argument("--workers", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=Path("knotgym/generate/data/transitions.h5"))
+    args = parser.parse_args()
+    console, table = Console(), Transitions()
+    for path in args.archive:
+        table.add(Archive.load(path).transitions)
+    with engine(args.workers) as pool:
+        for seed, rounds in zip(args.seeds, args.rounds, strict=True):
+            config = SearchConfig(max_nx=4, seed=seed)
+            archive = new_archive(config)
+            for number in range(rounds):
+                advance(archive, config, pool)
+                if number % 10 == 9:
+                    classes, changes = len(archive.niches), len(archive.transitions.seen)
+                    console.print(f"seed {seed}, round {number + 1}: {classes} classes, {changes} changes", highlight=False)
+            table.add(archive.transitions)
+    table.pruned(max_nx=args.max_nx, least=args.least).save(args.out)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,68 @@
+"""What an archive knows: codes by number of crossings, and the shortest way to each from the plain loop, followed again.
+
+    python benchmarks/ways.py knotgym-data/nx4/archive.h5
+
+A way counts when the rope, led from the plain loop at rest (turned over, mirrored or walked the other way where the code is
+such a variant), shows the code. Writes JSON, with the growth of the archive by rounds, to --out.
+"""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from knotgym.crossings import label
+from knotgym.gauss import GaussCode
+from knotgym.generate.archive import Archive, Elite
+from knotgym.generate.curate import codes_of
+from knotgym.generate.manoeuvres import pull
+from knotgym.generate.symmetry import variants
+from knotgym.simulation import Simulation
+
+
+def leads(simulation: Simulation, elite: Elite, code: GaussCode) -> bool:
+    """Whether the elite's way, carried over, ends in a rope that shows `code`."""
+    rope = simulation.rope
+    for shown, symmetry in variants(elite.code):
+        if shown.plain != code:
+            continue
+        simulation.lay(rope.qpos(symmetry.configuration(rope.loop()))[None])
+        beads = symmetry.beads(elite.way.beads, rope.config.beads)
+        forces = symmetry.vectors(elite.way.forces.astype(np.float64))
+        for bead, force in zip(beads, forces, strict=True):
+            pull(simulation, np.array([bead]), force[None].astype(np.float32))
+        if label(simulation.points[0]).plain == code:
+            return True
+    return False
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("archive", type=Path)
+    parser.add_argument("--most-nx", type=int, default=4)
+    parser.add_argument("--out", type=Path, default=Path("ways.json"))
+    args = parser.parse_args()
+    archive, simulation = Archive.load(args.archive), Simulation()
+    table = Table("nx", "codes there are", "known", "led to", "fewest", "median", "most", title=f"ways from the plain loop, {args.archive}")
+    figures = {}
+    for nx in range(args.most_nx + 1):
+        lengths: dict[str, int] = {}
+        for code in codes_of("0_1", nx):
+            elites = [one for handed in archive.handed(code) for one in archive.leading_to(handed) if one.roll == 0]
+            for elite in sorted(elites, key=lambda one: len(one.way)):
+                if leads(simulation, elite, code):
+                    lengths[str(code)] = len(elite.way)
+                    break
+        counts = [len(codes_of("0_1", nx)), len(archive.codes(nx)), len(lengths)]
+        spread = [int(value) for value in np.quantile(list(lengths.values()), [0, 0.5, 1])] if lengths else ["-"] * 3
+        table.add_row(*map(str, [nx, *counts, *spread]))
+        figures[nx] = {"there_are": counts[0], "known": counts[1], "led_to": counts[2], "actions": lengths}
+    Console().print(table)
+    args.out.write_text(json.dumps({"nx": figures, "growth": archive.growth}, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

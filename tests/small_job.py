@@ -1,0 +1,66 @@
+"""The main job made small enough for tests: shorter rounds of the search, smaller waves, less opening up.
+
+As a script it is the `knotgym` command with that change: python tests/small_job.py generate --nx 1 ...
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import pytest
+
+from knotgym.generate import cli, job, main_job
+from knotgym.generate.instances import InstanceConfig
+from knotgym.generate.job import GenerateConfig
+from knotgym.generate.opening import OpeningConfig
+from knotgym.generate.search import SearchConfig
+
+INSTANCE = InstanceConfig(opening=OpeningConfig(pulls=6, tries=4), stir_loop=4)
+WAVE = 12
+
+_search_config, _generate = job.search_config, main_job.generate
+
+
+def small_search(config: GenerateConfig) -> SearchConfig:
+    """The search of a job, in rounds of 8 slots of 8 pulls."""
+    return replace(_search_config(config), slots=8, pulls=8)
+
+
+@contextmanager
+def small() -> Iterator[None]:
+    """Let every job begun in here be small."""
+
+    def generate(config: GenerateConfig, *arguments: Any, **keywords: Any) -> None:
+        _generate(replace(config, wave=WAVE, instance=INSTANCE), *arguments, **keywords)
+
+    with mock.patch.object(job, "search_config", small_search), mock.patch.object(main_job, "generate", generate):
+        yield
+
+
+def knotgym(*arguments: object) -> int:
+    """Type a `knotgym` command, small; its exit status."""
+    handler = signal.getsignal(signal.SIGTERM)
+    try:
+        with small(), pytest.raises(SystemExit) as ended:
+            cli.main([str(one) for one in arguments])
+    finally:
+        signal.signal(signal.SIGTERM, handler)
+    assert isinstance(ended.value.code, int)
+    return ended.value.code
+
+
+def typed(*arguments: object) -> list[str]:
+    """The same as a command line for another process."""
+    return [sys.executable, str(Path(__file__)), *map(str, arguments)]
+
+
+if __name__ == "__main__":
+    with small():
+        cli.main()

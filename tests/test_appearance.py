@@ -1,0 +1,113 @@
+"""Appearance: what varies in a picture, and that none of it makes a label false."""
+
+import numpy as np
+import pytest
+
+from knotgym.crossings import find_crossings, label
+from knotgym.generate.appearance import SIZES, VARIED, Appearance, AppearanceConfig, InvalidAppearance, appearance, render
+from knotgym.picture import crossing_pixels, draw, shown_strands
+from knotgym.rope import Array, Rope
+
+from .conftest import curled
+
+ALL = AppearanceConfig(vary=VARIED, sizes=(64, 128, 256))
+
+
+@pytest.fixture(scope="module")
+def points(rope: Rope) -> Array:
+    return rope.from_curve(curled(3, 0.4))
+
+
+def looks(points: Array, config: AppearanceConfig, count: int = 40) -> list[Appearance]:
+    return [appearance(points, config, np.random.default_rng([5, k])) for k in range(count)]
+
+
+def test_without_variation_a_picture_is_the_published_one(points: Array) -> None:
+    look = appearance(points, AppearanceConfig(), np.random.default_rng(0))
+    assert look == Appearance()
+    assert np.array_equal(render(points, look), draw(points))
+
+
+def test_an_appearance_determines_every_byte(points: Array) -> None:
+    for look in looks(points, ALL, 10):
+        assert np.array_equal(render(points, look), render(points, look))
+
+
+def test_the_same_generator_gives_the_same_appearance(points: Array) -> None:
+    assert looks(points, ALL) == looks(points, ALL)
+
+
+def test_everything_varies_and_nothing_else(points: Array) -> None:
+    plain = Appearance()
+    for name in VARIED:
+        drawn = looks(points, AppearanceConfig(vary=(name,)))
+        also = {"colours": {"first", "last"}, "noise": {"seed"}}.get(name, set())
+        changed = {field for look in drawn for field in vars(plain) if getattr(look, field) != getattr(plain, field)}
+        assert name in changed and changed <= {name} | also, name
+
+
+def test_sizes_are_drawn_from_those_given(points: Array) -> None:
+    assert {look.size for look in looks(points, ALL)} == {64, 128, 256}
+    assert all(render(points, look).shape == (look.size, look.size, 3) for look in looks(points, ALL, 5))
+
+
+def test_a_zoomed_rope_stays_in_the_picture(points: Array) -> None:
+    config = AppearanceConfig(vary=("zoom", "turn", "width"), zoom=(3.0, 9.0))
+    for look in looks(points, config, 10):
+        image = render(points, look)
+        assert not image[[0, -1]].any() and not image[:, [0, -1]].any()
+
+
+def test_a_turned_or_zoomed_picture_shows_its_crossings_where_it_says(points: Array) -> None:
+    found = find_crossings(points)
+    for look in looks(points, AppearanceConfig(vary=("turn", "zoom"), sizes=(256,)), 10):
+        config = look.picture()
+        assert set(shown_strands(render(points, look), found, points, config)) <= {"over", "ambiguous"}
+        for x, y in crossing_pixels(found, points, config):
+            assert render(points, look)[int(y), int(x)].any()
+
+
+def test_a_turned_camera_is_a_turned_rope(points: Array) -> None:
+    turn = 0.8
+    c, s = np.cos(-turn), np.sin(-turn)
+    middle = points.mean(axis=0)
+    turned = (points - middle) @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]).T + middle
+    assert label(turned) == label(points)
+    assert np.abs(render(points, Appearance(turn=turn)).astype(int) - render(turned, Appearance())).mean() < 0.1
+
+
+def test_the_base_bead_is_white_whatever_the_colours() -> None:
+    for kind in ("published", "single", "gradient"):
+        look = Appearance(colours=kind, first=(200, 150, 160), last=(30, 40, 180))
+        assert look.bead_colours(100)[0].tolist() == [255, 255, 255]
+
+
+def test_a_gradient_darkens_along_the_walk(points: Array) -> None:
+    drawn = [look for look in looks(points, AppearanceConfig(vary=("colours",))) if look.colours == "gradient"]
+    assert drawn
+    for look in drawn:
+        assert sum(look.first) > sum(look.last) + 50
+        assert (np.diff(look.bead_colours(100)[1:].sum(axis=1).astype(int)) <= 1).all()
+
+
+def test_a_single_colour_is_one(points: Array) -> None:
+    look = Appearance(colours="single", first=(200, 150, 160))
+    assert len(np.unique(look.bead_colours(100)[1:], axis=0)) == 1
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"vary": ("hue",)},
+        {"sizes": ()},
+        {"sizes": (SIZES[0] - 1,)},
+        {"sizes": (SIZES[1] + 1,)},
+        {"zoom": (2.0, 1.0)},
+        {"width": (0.0, 1.0)},
+        {"noise": -1.0},
+        {"blur": float("nan")},
+    ],
+)
+def test_nonsense_is_refused(settings: dict) -> None:
+    with pytest.raises(InvalidAppearance):
+        AppearanceConfig(**settings)

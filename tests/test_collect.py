@@ -1,0 +1,134 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from rich.console import Console
+
+from knotgym.datasets.episode_checks import verify_episodes
+from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.generate.collect import CollectConfig, InvalidCollection, collect
+from knotgym.generate.main_job import Occupied
+from knotgym.generate.planner import PlannerConfig
+from knotgym.generate.policies import PolicyConfig
+from knotgym.generate.rollouts import episode_seed
+from knotgym.tasks import TaskConfig
+
+QUIET = {"workers": 1, "resume": False, "quiet": True, "console": Console()}
+
+
+def config(states_path: str, **settings: object) -> CollectConfig:
+    task = TaskConfig(task="unknot", nx=1, states=states_path, observation="state", horizon=4)
+    return CollectConfig(**{"task": task, "policy": PolicyConfig(policy="scripted"), "episodes": 6, **settings})
+
+
+def made(folder: Path) -> bytes:
+    return (folder / "data" / "main_data.hdf5").read_bytes()
+
+
+def test_the_dataset_takes_its_id_and_holds_every_episode(states_path: str, tmp_path: Path) -> None:
+    folder = collect(config(states_path), tmp_path, **QUIET)
+    assert folder == tmp_path / "knotgym/unknot-nx1/scripted-v0"
+    assert len(EpisodeReader(folder)) == 6
+    assert list(folder.parent.iterdir()) == [folder]
+
+
+def test_every_episode_can_be_acted_out_again(states_path: str, tmp_path: Path) -> None:
+    folder = collect(config(states_path), tmp_path, **QUIET)
+    assert verify_episodes(folder, act_out=True) == []
+
+
+def test_the_environment_s_reset_with_the_stored_seed_begins_the_same_episode(states_path: str, tmp_path: Path) -> None:
+    made_config = config(states_path)
+    episode = EpisodeReader(collect(made_config, tmp_path, **QUIET)).episode(3)
+    assert episode.seed == episode_seed(0, 3)
+    env = gym.make("knotgym/Unknot-v0", nx=1, states=states_path, observation="state", horizon=4)
+    for options in (None, dict(episode.options)):
+        observation, info = env.reset(seed=episode.seed, options=options)
+        assert (info["start"], info["goal"]) == (episode.options["start"], episode.options["goal"])
+        for step, action in enumerate(episode.actions):
+            assert np.array_equal(observation[:300], episode.points[step].reshape(-1).astype(np.float32))
+            observation, reward, terminated, truncated, info = env.step(action)
+            assert (reward, terminated, truncated) == (episode.rewards[step], episode.terminations[step], episode.truncations[step])
+            assert info["gauss_code_chiral"] == episode.gauss_code_chiral[step + 1]
+            assert info["bead"] == episode.bead[step + 1] and np.array_equal(info["force"], episode.force[step + 1])
+
+
+@pytest.mark.parametrize("name", ["scripted", "noisy-expert"])
+def test_workers_do_not_change_the_bytes(name: str, states_path: str, tmp_path: Path) -> None:
+    policy = PolicyConfig(policy=name, planner=PlannerConfig(budget=40, slots=2))
+    one = collect(config(states_path, policy=policy), tmp_path / "one", **QUIET)
+    two = collect(config(states_path, policy=policy), tmp_path / "two", **{**QUIET, "workers": 2})
+    assert made(one) == made(two)
+
+
+def test_failed_episodes_are_dropped_when_asked_and_counted(states_path: str, tmp_path: Path) -> None:
+    policy = PolicyConfig(policy="expert", planner=PlannerConfig(budget=24, slots=4))
+    kept = collect(config(states_path, policy=policy), tmp_path / "kept", **QUIET)
+    tally = json.loads((kept / "data" / "collection.json").read_text())["tally"]
+    assert 0 < tally["succeeded"] < tally["played"] == tally["kept"] == 6
+    dropped = collect(config(states_path, policy=policy, keep_failed=False), tmp_path / "dropped", **QUIET)
+    assert len(EpisodeReader(dropped)) == tally["succeeded"]
+    assert all(episode.is_success[-1] for episode in EpisodeReader(dropped))
+
+
+def test_with_nothing_left_nothing_is_written(states_path: str, tmp_path: Path) -> None:
+    with pytest.raises(InvalidCollection, match="nothing is left"):
+        collect(config(states_path, policy=PolicyConfig(policy="random"), episodes=1, keep_failed=False), tmp_path, **QUIET)
+    assert not (tmp_path / "knotgym/unknot-nx1/random-v0").exists()
+
+
+def test_a_finished_dataset_is_not_written_over(states_path: str, tmp_path: Path) -> None:
+    folder = collect(config(states_path, episodes=1), tmp_path, **QUIET)
+    with pytest.raises(Occupied):
+        collect(config(states_path, episodes=1), tmp_path, **QUIET)
+    assert collect(config(states_path, episodes=1), tmp_path, **{**QUIET, "resume": True}) == folder
+    with pytest.raises(Occupied):
+        collect(config(states_path, episodes=2), tmp_path, **{**QUIET, "resume": True})
+
+
+def test_a_killed_run_leaves_nothing_under_its_name_and_resumes_to_the_same_bytes(states_path: str, tmp_path: Path) -> None:
+    arguments = ["collect", "--task", "unknot", "--nx", "1", "--policy", "scripted", "--states", states_path, "--horizon", "8", "--episodes", "24"]
+    arguments += ["--observation", "state", "--workers", "1", "--quiet", "--out"]
+    program = "import sys; from knotgym.generate.cli import main; main(sys.argv[1:])"
+    broken = subprocess.Popen([sys.executable, "-c", program, *arguments, str(tmp_path / "broken")])
+    partial = tmp_path / "broken/knotgym/unknot-nx1/.scripted-v0.partial"
+    while broken.poll() is None and len(list(partial.glob("shard-*.json"))) < 2:
+        time.sleep(0.01)
+    os.kill(broken.pid, signal.SIGKILL)
+    broken.wait()
+    assert not (partial.parent / "scripted-v0").exists()
+    for where, resume in (("broken", ["--resume"]), ("whole", [])):
+        subprocess.run([sys.executable, "-c", program, *arguments, str(tmp_path / where), *resume], check=True)
+    assert made(tmp_path / "broken/knotgym/unknot-nx1/scripted-v0") == made(tmp_path / "whole/knotgym/unknot-nx1/scripted-v0")
+
+
+def test_another_collection_is_not_resumed(states_path: str, tmp_path: Path) -> None:
+    partial = tmp_path / "knotgym/unknot-nx1/.scripted-v0.partial"
+    partial.mkdir(parents=True)
+    (partial / "settings.json").write_text(json.dumps({"config": {"episodes": 3}}))
+    with pytest.raises(InvalidCollection, match="another collection"):
+        collect(config(states_path), tmp_path, **{**QUIET, "resume": True})
+
+
+@pytest.mark.parametrize("settings", [{"episodes": 0}, {"seed": -1}])
+def test_settings_that_make_no_sense_are_refused(settings: dict[str, object], states_path: str) -> None:
+    with pytest.raises(InvalidCollection):
+        config(states_path, **settings)
+
+
+@pytest.mark.parametrize("words", [["--policy", "genius"], ["--task", "knit"], ["--split", "dev"], ["--id", "no version"], ["--shares", "a"]])
+def test_a_mistake_is_one_line_and_status_2(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from knotgym.generate.cli import main
+
+    with pytest.raises(SystemExit) as left:
+        main(["collect", "--out", str(tmp_path), *words])
+    assert left.value.code == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []

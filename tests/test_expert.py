@@ -1,0 +1,168 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from knotgym.crossings import find_crossings, label
+from knotgym.episodes import Episodes
+from knotgym.gauss import GaussCode
+from knotgym.generate.atlas import Atlas, shipped_atlas
+from knotgym.generate.curate import codes_of
+from knotgym.generate.expert import BLIND, Expert
+from knotgym.generate.planner import InvalidPlanner, PlannerConfig, plan, reason
+from knotgym.generate.transitions import Grip, InvalidTransitions, Places, Transitions, spun
+from knotgym.rope import Rope
+from knotgym.simulation import Simulation
+from knotgym.tasks import TaskConfig
+
+KINK = GaussCode.parse("1+a,1-a")
+FLAT = GaussCode.parse("")
+
+
+def kinks() -> Transitions:
+    """A made-up table: half of the manoeuvres kink a loop, a quarter undo it."""
+    table = Transitions()
+    for k in range(8):
+        table.set_out(FLAT)
+        table.set_out(KINK)
+        if k % 2:
+            table.change(FLAT, KINK, Grip("curl", 1, 0.25, 0.5))
+        if k % 4 == 0:
+            table.change(KINK, FLAT, Grip("spread", 0, 1.5, -1.0))
+    return table
+
+
+@given(st.sampled_from([code for nx in range(4) for code in codes_of("0_1", nx)]), st.tuples(*[st.booleans()] * 3))
+def test_a_spin_undoes_itself(code: GaussCode, spin: tuple[bool, bool, bool]) -> None:
+    assert spun(spun(code, spin), spin) == code
+
+
+def test_changes_are_counted_alike_for_a_rope_and_its_mirror() -> None:
+    table = kinks()
+    table.set_out(FLAT)
+    table.change(FLAT, KINK.mirrored(), Grip("curl", -1, 0.25, 0.5))
+    assert sorted(table.seen.values()) == [2, 5]
+
+
+def test_the_distance_is_one_over_the_chance() -> None:
+    atlas = Atlas(kinks())
+    distances = atlas.distances(GaussCode.parse("1+,1-"))
+    assert distances(FLAT) == pytest.approx(9 / 4)
+    assert distances(KINK) == 0
+    assert distances(GaussCode.parse("1+a,1-a,2+c,2-c")) > distances(FLAT)
+
+
+def test_every_member_of_a_class_is_as_far_as_the_goal_turned_with_it() -> None:
+    atlas = Atlas(kinks())
+    assert atlas.distances(GaussCode.parse("1-,1+"))(FLAT) == atlas.distances(GaussCode.parse("1+,1-"))(FLAT)
+
+
+def test_steps_come_with_grips_turned_for_the_rope_at_hand() -> None:
+    atlas = Atlas(kinks())
+    steps = atlas.steps(FLAT, atlas.distances(GaussCode.parse("1-,1+")))
+    assert {str(step.after) for step in steps} == {"1-,1+"}
+    held = {(grip.side, round(grip.bead, 2)) for step in steps for grip in step.grips}
+    assert held == {(-1, 0.25), (1, 0.75)}  # below on the way, or above seen from the other end
+
+
+def test_transitions_come_back_from_their_file(tmp_path: Path) -> None:
+    table = kinks()
+    table.save(tmp_path / "t.h5")
+    back = Transitions.load(tmp_path / "t.h5")
+    assert (back.tried, back.seen, back.grips) == (table.tried, table.seen, table.grips)
+
+
+def test_a_foreign_file_holds_no_transitions(tmp_path: Path) -> None:
+    (tmp_path / "t.h5").write_text("no")
+    with pytest.raises(InvalidTransitions):
+        Transitions.load(tmp_path / "t.h5")
+    with pytest.raises(FileNotFoundError):
+        Transitions.load(tmp_path / "absent.h5")
+
+
+@pytest.mark.parametrize("roll", [0, 14, 86])
+def test_a_bead_is_found_again_by_its_arc(roll: int, rope: Rope, states_path: str) -> None:
+    episodes = Episodes(TaskConfig(task="unknot", nx=3, states=states_path))
+    episodes.begin(0, np.random.default_rng(0))
+    places = Places(find_crossings(episodes.simulation.points[0]), 100, roll)
+    assert [places.bead(places.arc(bead)) for bead in range(100)] == list(range(100))
+    assert int(max(places.arc(bead) for bead in range(100))) == 6
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "said"),
+    [
+        ("", "1+a,1-a", "R1+ pass"),
+        ("1+a,1-a", "", "R1- pass"),
+        ("", "1+a,2+c,2-c,1-a", "R2+ pass"),
+        ("1+a,2+c,1-a,2-c", "1+c,2-a,1-c,2+a", "slide pass"),
+        ("1+a,1-a", "1-a,1+a", "slide pass"),
+        ("1+a,1-a", "1+c,1-c", "other pass"),
+        ("1+a,1-a", "1+a,1-a", "none pass"),
+    ],
+)
+def test_the_reason_names_the_move(before: str, after: str, said: str) -> None:
+    assert reason(GaussCode.parse(before), GaussCode.parse(after), "pass") == said
+
+
+def test_the_atlas_that_ships_knows_a_way_to_every_code_of_up_to_four_crossings() -> None:
+    atlas = shipped_atlas()
+    some = {1: 1, 2: 1, 3: 8, 4: 90}  # every so many: a goal takes a tenth of a second
+    lost = [str(code) for nx, step in some.items() for code in codes_of("0_1", nx)[::step] if FLAT not in atlas.distances(code).far]
+    assert lost == []
+
+
+def test_a_plan_that_is_solved_ends_in_the_goal_when_acted_out(states_path: str) -> None:
+    episodes = Episodes(TaskConfig(task="unknot", nx=1, states=states_path, split="test", observation="state"))
+    episodes.begin(0, np.random.default_rng(3))
+    config = PlannerConfig(budget=2000, slots=4)
+    start = episodes.simulation.states([0])[0]
+    goal = GaussCode(())
+    found = plan(Simulation(4), start, goal, shipped_atlas(), config, np.random.default_rng(0), steps=50)
+    assert found.solved and len(found.actions) == len(found.moves) <= 50
+    for action in found.actions:
+        episodes.simulation.act(action[None])
+    assert label(episodes.simulation.points[0]).matches(goal)
+
+
+def test_a_plan_holds_the_goal_as_long_as_asked(states_path: str) -> None:
+    task = TaskConfig(task="tie", nx=1, states=states_path, hold=3, observation="state")
+    episodes, expert = Episodes(task), Expert(PlannerConfig(budget=3000, slots=4))
+    episodes.begin(0, np.random.default_rng(0))
+    expert.begin(episodes, 0, np.random.default_rng(1))
+    ended = False
+    while not ended:
+        _, terminated, truncated = episodes.step(expert.act(episodes, np.array([0])).actions, np.array([0]))
+        ended = bool(terminated[0] or truncated[0])
+    assert episodes.info(0)["is_success"] and episodes.held[0] == 3
+
+
+def test_without_counts_the_crossings_guide() -> None:
+    simulation = Simulation(4)
+    start = simulation.states([0])[0]
+    found = plan(simulation, start, KINK.plain, Atlas(Transitions()), PlannerConfig(budget=2000, slots=4), np.random.default_rng(0), steps=50)
+    assert found.solved
+
+
+def test_planning_keeps_its_budget_and_says_what_it_spent() -> None:
+    simulation = Simulation(4)
+    goal = codes_of("0_1", 4)[0]
+    found = plan(simulation, simulation.states([0])[0], goal, shipped_atlas(), PlannerConfig(budget=30, slots=4), np.random.default_rng(0), steps=50)
+    assert not found.solved and found.spent == 28
+
+
+def test_with_its_budget_gone_the_expert_goes_on_without_looking_ahead(states_path: str) -> None:
+    episodes, expert = Episodes(TaskConfig(task="tie", nx=4, states=states_path, observation="state")), Expert(PlannerConfig(budget=0))
+    episodes.begin(0, np.random.default_rng(0))
+    expert.begin(episodes, 0, np.random.default_rng(1))
+    choice = expert.act(episodes, np.array([0]))
+    assert choice.moves[0].startswith(BLIND) and np.abs(choice.actions[0, 3:]).max() > 0
+    assert expert.effort(0).actions == 0
+
+
+@pytest.mark.parametrize("settings", [{"budget": -1}, {"slots": 0}, {"guided": 2.0}, {"greed": -1.0}, {"patience": 0.0}, {"kept": 0}])
+def test_settings_no_planner_can_have_are_refused(settings: dict[str, object]) -> None:
+    with pytest.raises(InvalidPlanner):
+        PlannerConfig(**settings)

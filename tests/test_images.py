@@ -1,0 +1,269 @@
+"""Perception tables: what `knotgym images` writes, that it is true, that `verify` finds what is not, and how it is read."""
+
+import importlib.util
+import json
+import shutil
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from knotgym.crossings import find_crossings, label
+from knotgym.datasets import images as tables
+from knotgym.datasets.images import COLUMNS, SPLITS, InvalidImages, MissingArrow, decode, encode, read_rows, read_table, shards, write_rows
+from knotgym.datasets.near import NEAR, distances
+from knotgym.generate import images as job
+from knotgym.generate.appearance import VARIED, AppearanceConfig
+from knotgym.generate.balance import _options
+from knotgym.generate.bases import NoBases, bases, families
+from knotgym.generate.cli import main
+from knotgym.generate.difficulty import grade
+from knotgym.generate.image_checks import image_faults, row_faults
+from knotgym.generate.images import ImagesConfig, InvalidImagesJob, make, quotas
+from knotgym.generate.main_job import Occupied
+from knotgym.generate.quality import UNITS, Limits, measure
+from knotgym.generate.relax import relaxed
+from knotgym.generate.symmetry import Symmetry
+from knotgym.rope import Array, Rope
+
+from .conftest import curled
+
+pytestmark = pytest.mark.skipif(importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed")
+
+CONFIG = ImagesConfig(nx=(0, 1, 2), count=36, test_share=0.2, pulls=4, stride=2, shard=10, appearance=AppearanceConfig(vary=VARIED, sizes=(64, 128)))
+
+
+def made(out: Path, config: ImagesConfig = CONFIG, **options: Any) -> Path:
+    settings = {"archive": None, "states": None, "workers": 1, "resume": False, "quiet": True}
+    make(config, out, console=Console(quiet=True), **{**settings, **options})
+    return out
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return made(tmp_path_factory.mktemp("images") / "table")
+
+
+@pytest.fixture(scope="module")
+def rows(folder: Path) -> list[dict[str, Any]]:
+    return list(read_rows(folder))
+
+
+def test_there_are_as_many_pictures_as_asked_for_of_each_nx(rows: list[dict[str, Any]]) -> None:
+    assert len(rows) == CONFIG.count
+    assert [sum(row["nx"] == nx for row in rows) for nx in CONFIG.nx] == [12, 12, 12]
+
+
+def test_the_largest_nx_is_for_test_nx_alone(rows: list[dict[str, Any]]) -> None:
+    assert {row["nx"] for row in rows if row["split"] == "test-nx"} == {2}
+    assert {row["nx"] for row in rows if row["split"] in ("train", "test")} == {0, 1}
+
+
+def test_every_check_passes(folder: Path) -> None:
+    assert list(image_faults(folder, workers=1)) == []
+
+
+def test_no_two_rows_are_near_duplicates(folder: Path) -> None:
+    points = tables.points_of(read_table(folder))
+    for k in range(len(points) - 1):
+        assert distances(points[k], points[k + 1 :]).min() >= NEAR
+
+
+def test_a_run_that_was_interrupted_and_resumed_on_other_workers_gives_the_same_bytes(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(job, "_draw", killed)
+        with pytest.raises(KeyboardInterrupt):
+            made(tmp_path / "table")
+    assert not (tmp_path / "table").exists()
+    assert contents(made(tmp_path / "table", workers=2, resume=True)) == contents(folder)
+    assert [path.name for path in tmp_path.iterdir()] == ["table"]
+    made(tmp_path / "table", resume=True)  # finished already: nothing to do
+    with pytest.raises(Occupied):
+        made(tmp_path / "table")
+
+
+def test_another_job_is_not_resumed(tmp_path: Path) -> None:
+    partial = tmp_path / ".table.partial"
+    partial.mkdir()
+    (partial / "job.json").write_text(json.dumps({"config": {}, "source": {}}))
+    with pytest.raises(InvalidImagesJob, match="another job"):
+        made(tmp_path / "table", resume=True)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "named"),
+    [
+        (lambda row: row.update(gauss_code="1+,1-,2+,2-"), "gauss_code is"),
+        (lambda row: row.update(nx=9), "nx is"),
+        (lambda row: row.update(knot="3_1"), "knot is"),
+        (lambda row: row.update(grade="nice"), "grade"),
+        (lambda row: row.update(split="validation"), "split is"),
+        (lambda row: row.update(accepted=not row["accepted"]), "accepted is"),
+        (lambda row: row["quality"].update(margin=1.0), "quality.margin"),
+        (lambda row: row["appearance"].update(turn=row["appearance"]["turn"] + 0.1), "image is not"),
+        (lambda row: row.update(image=encode(255 - decode(row["image"]))), "image is not"),
+        (lambda row: row["crossings"][0].update(x=0.0), "crossings is"),
+        (lambda row: row.update(points=(np.array(row["points"]) * float("nan")).tolist()), "not finite"),
+    ],
+)
+def test_a_spoilt_row_is_found(rows: list[dict[str, Any]], spoil: Callable[[dict[str, Any]], None], named: str) -> None:
+    row = json.loads(json.dumps({**next(row for row in rows if row["nx"] == 2), "image": None}))
+    row["image"] = next(row for row in rows if row["nx"] == 2)["image"]
+    assert list(row_faults(row)) == []
+    spoil(row)
+    assert any(named in fault for fault in row_faults(row))
+
+
+def test_a_leak_between_splits_is_found(folder: Path, rows: list[dict[str, Any]], tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(folder, copy)
+    test, train = shards(copy, "test")[0], next(row for row in rows if row["split"] == "train")
+    write_rows(test, [{**row, "split": "test"} for row in [*read_rows(test), train]])
+    found = "\n".join(image_faults(copy, workers=1))
+    assert "SHA-256 differs" in found and "near-duplicates" in found and "is in splits" in found and "the same number" in found
+
+
+def test_a_walk_that_ends_elsewhere_is_found(folder: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(folder, copy)
+    first = shards(copy, "train")[0]
+    some = list(read_rows(first))
+    some[0]["source"]["roll"] += 1
+    write_rows(first, some)
+    assert any("does not end in its points" in fault for fault in image_faults(copy, workers=1))
+
+
+def test_a_missing_shard_is_found(folder: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(folder, copy)
+    shards(copy, "test")[0].unlink()
+    assert "data/test-00000-of-00001.parquet is missing" in list(image_faults(copy, workers=1))
+
+
+def test_a_torn_shard_is_one_fault(folder: Path, tmp_path: Path) -> None:
+    torn = tmp_path / "torn.parquet"
+    torn.write_bytes(shards(folder)[0].read_bytes()[:-100])
+    assert len(list(image_faults(torn, workers=1))) == 1
+
+
+def test_a_foreign_parquet_file_is_refused(tmp_path: Path) -> None:
+    pa, parquet = tables.arrow(), tables.arrow("pyarrow.parquet")
+    parquet.write_table(pa.table({"a": [1]}), tmp_path / "a.parquet")
+    with pytest.raises(InvalidImages, match="format"):
+        read_table(tmp_path / "a.parquet")
+
+
+def test_pictures_come_back_as_they_were_written() -> None:
+    image = np.random.default_rng(0).integers(0, 256, (64, 64, 3), dtype=np.uint8)
+    assert np.array_equal(decode(encode(image)), image)
+
+
+def test_without_pyarrow_one_line_names_the_extra(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(MissingArrow, match="huggingface"):
+        read_table(folder)
+    with pytest.raises(SystemExit) as left:
+        main(["images", "--count", "5", "--out", str(tmp_path / "x")])
+    assert left.value.code == 2 and "pip install 'knotgym[huggingface]'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--count", "0"],
+        ["--nx", "7"],
+        ["--nx", "x"],
+        ["--test-nx", "0"],
+        ["--vary", "hue"],
+        ["--size", "12"],
+        ["--size", "big"],
+        ["--seed", "-1"],
+        ["--workers", "-1"],
+        ["--code-share", "0.9"],
+        ["--archive", "nowhere.h5"],
+        ["--archive", "a.h5", "--states", "b.h5"],
+    ],
+)
+def test_a_mistake_is_one_line_and_status_2(arguments: list[str], tmp_path: Path, capsys: Any) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(["images", "--out", str(tmp_path / "x"), "--quiet", *arguments])
+    said = capsys.readouterr().err
+    assert left.value.code == 2 and said.count("\n") == 1 and "Traceback" not in said
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_show_and_verify_know_a_table(folder: Path, capsys: Any) -> None:
+    for command in (["dataset", "show", str(folder)], ["dataset", "verify", str(shards(folder)[0])]):
+        with pytest.raises(SystemExit) as left:
+            main(command)
+        assert left.value.code == 0
+    assert "no faults" in capsys.readouterr().out
+
+
+def test_quality_holds_every_measure() -> None:
+    assert tuple(COLUMNS["quality"]) == tuple(UNITS)
+
+
+def test_quotas_add_up_and_hold_the_shares() -> None:
+    config = ImagesConfig(nx=(0, 1, 2, 3, 4), count=1003)
+    wanted = quotas(config, {0: 1, 1: 2, 2: 8, 3: 46, 4: 344})
+    assert sum(wanted.values()) == 1003
+    assert {split for split, _ in wanted} == set(SPLITS)
+    assert {nx for split, nx in wanted if split == "test-code"} == {2, 3}
+
+
+@pytest.mark.parametrize("nx", [1, 2, 3, 4])
+def test_a_walk_begun_in_another_gap_shows_the_code_foretold(nx: int, rope: Rope) -> None:
+    points = rope.from_curve(curled(nx, 0.3))
+    found = find_crossings(points)
+    places = np.sort(np.concatenate([found.over_place, found.under_place]))
+    for option in _options(found.code):
+        base = int(np.ceil(places[option.gap - 1])) % 100
+        roll = (-base if option.reverse else base) % 100
+        moved = Symmetry(switch=option.switch, reverse=option.reverse, roll=roll).configuration(points)
+        assert label(moved).plain == option.shown
+
+
+def test_mirror_images_reversals_and_renumberings_are_one_family(rope: Rope) -> None:
+    first, second = (rope.from_curve(curled(nx, 0.3)) for nx in (2, 3))
+    kin = Symmetry(reflect=True, switch=True, reverse=True, turn=1.0, roll=37).configuration(first)
+    assert families(np.stack([first, second, kin]), 2 * NEAR).tolist() in ([0, 1, 0], [1, 0, 1])
+
+
+def test_opening_up_keeps_the_code_and_the_rope(rope: Rope) -> None:
+    points = rope.from_curve(curled(3, 0.3))
+    opened = relaxed(points, 10, rope)
+    assert opened is not None and label(opened) == label(points)
+    assert np.allclose(np.linalg.norm(np.roll(opened, -1, axis=0) - opened, axis=1), rope.config.bead_length)
+
+
+def test_a_grade_is_that_of_the_worst_measure(rope: Rope) -> None:
+    limits, quality = Limits(), measure(rope.loop())
+    assert grade(quality, limits) == "easy"
+    for factor, name in ((1.2, "medium"), (0.7, "hard"), (0.2, "extreme")):
+        worse = type(quality)(**{**vars(quality), "crossing_angle": factor * limits.crossing_angle})
+        assert grade(worse, limits) == name
+
+
+def test_bases_come_from_one_file(tmp_path: Path) -> None:
+    with pytest.raises(NoBases):
+        bases((1,), archive=tmp_path / "a.h5", states=tmp_path / "b.h5")
+
+
+def test_the_code_shown_is_the_one_of_the_points(rows: list[dict[str, Any]]) -> None:
+    for row in rows:
+        points: Array = np.array(row["points"]).reshape(-1, 3)
+        assert label(points).chiral == row["gauss_code_chiral"]

@@ -1,0 +1,145 @@
+"""Instances show the code that was ordered, can be made again bit for bit, and say why if they are rejected."""
+
+import pickle
+from collections.abc import Sequence
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from knotgym.crossings import label
+from knotgym.gauss import GaussCode
+from knotgym.generate.archive import Archive, Elite
+from knotgym.generate.instances import REST, Instance, InstanceConfig, Order, make
+from knotgym.generate.manoeuvres import NO_WAY
+from knotgym.generate.quality import Limits, measure
+from knotgym.generate.symmetry import members
+from knotgym.oracle import pyknotid_code
+from knotgym.rope import Rope
+from knotgym.simulation import Simulation
+
+from .small_job import INSTANCE
+
+Made = Sequence[tuple[Order, Instance]]
+
+
+def orders(archive: Archive, config: InstanceConfig = INSTANCE) -> list[Order]:
+    """One order for every code with chirality that the archive knows, up to two crossings."""
+    start = Rope().loop()
+    codes = [code for nx in range(3) for plain in archive.codes(nx) for code in archive.handed(plain)]
+    return [Order(config, code, tuple(archive.leading_to(code)), start, (0, 2, code.nx, k, 0)) for k, code in enumerate(codes)]
+
+
+def same(one: Instance, other: Instance) -> bool:
+    """Whether two instances are the same in every bit."""
+    arrays = all(np.array_equal(getattr(one, name), getattr(other, name)) for name in ("start_qpos", "actions", "points", "qpos"))
+    mine, others = ([getattr(each.quality, field.name) for field in fields(each.quality)] for each in (one, other))
+    return arrays and np.array_equal(mine, others, equal_nan=True) and (one.code, one.faults, one.seed) == (other.code, other.faults, other.seed)
+
+
+@pytest.fixture(scope="module")
+def made(searched: Archive) -> Made:
+    """Instances of every code known with up to two crossings, none of them dropped."""
+    return [(order, make(order)) for order in orders(searched)]
+
+
+@pytest.fixture(scope="module")
+def followed(made: Made) -> Made:
+    """Those whose way led to the code."""
+    return [(order, one) for order, one in made if len(one.actions)]
+
+
+@pytest.fixture(scope="module")
+def accepted(made: Made) -> Made:
+    return [(order, one) for order, one in made if not one.faults]
+
+
+def test_most_ways_carry_over(made: Made, followed: Made, accepted: Made) -> None:
+    assert len(followed) > len(made) / 2 and len(accepted) >= 4
+
+
+def test_an_accepted_instance_shows_the_code_that_was_ordered(accepted: Made) -> None:
+    for order, one in accepted:
+        assert one.code == order.code == label(one.points[-1])
+
+
+def test_both_labellers_agree_on_an_accepted_instance(accepted: Made) -> None:
+    for _, one in accepted:
+        assert pyknotid_code(one.points[-1]) == one.code
+
+
+def test_its_start_and_actions_end_in_it_bit_for_bit(followed: Made, rope: Rope) -> None:
+    simulation = Simulation(1, rope)
+    for _, one in followed:
+        simulation.lay(one.start_qpos[None])
+        assert np.array_equal(simulation.points[0], one.points[0])
+        for action, points in zip(one.actions, one.points[1:], strict=True):
+            assert simulation.act(action[None]).all() and np.array_equal(simulation.points[0], points)
+        assert np.array_equal(simulation.qpos()[0], one.qpos)
+
+
+def test_actions_are_what_an_agent_can_do(followed: Made) -> None:
+    for _, one in followed:
+        assert one.actions.dtype == np.float32 and np.abs(one.actions).max() <= 1
+
+
+def test_the_last_pulls_have_no_force(followed: Made) -> None:
+    for _, one in followed:
+        assert not one.actions[-REST:, 3:].any()
+
+
+def test_it_starts_as_the_plain_loop(followed: Made) -> None:
+    for _, one in followed:
+        assert label(one.points[0]).nx == 0 and np.linalg.norm(one.points[0][:, :2], axis=1).std() < 1e-3
+
+
+def test_the_order_seed_goes_with_the_instance(made: Made) -> None:
+    assert all(order.seed == one.seed for order, one in made)
+
+
+def test_quality_is_that_of_the_last_state(followed: Made) -> None:
+    for _, one in followed:
+        right = replace(measure(one.points[-1]), noise_survival=one.quality.noise_survival)
+        assert one.quality == right and 0 <= one.quality.noise_survival <= 1
+
+
+def test_an_instance_is_accepted_if_and_only_if_nothing_is_at_fault(followed: Made) -> None:
+    for order, one in followed:
+        right = order.config.limits.faults(one.quality, one.code.nx)
+        assert [fault for fault in one.faults if fault in {field.name for field in fields(Limits)}] == right
+
+
+def test_a_code_lost_on_the_way_to_rest_is_a_fault(followed: Made) -> None:
+    for order, one in followed:
+        assert ("code lost at rest" in one.faults) == (label(one.points[-1]) != order.code)
+
+
+def test_the_same_order_gives_the_same_bytes_whatever_was_made_before(made: Made) -> None:
+    for order, one in made[::-1][:6]:
+        assert same(make(pickle.loads(pickle.dumps(order))), one)
+
+
+def test_another_seed_gives_another_instance(followed: Made) -> None:
+    order, one = followed[-1]
+    assert not same(make(order._replace(seed=(1, 2, 3, 4, 5))), one)
+
+
+def test_a_way_that_misses_the_code_is_rejected_for_it(searched: Archive, rope: Rope) -> None:
+    nowhere = Elite(GaussCode.parse("1+a,1-a"), 0, NO_WAY, np.zeros(1), 0.0)
+    one = make(Order(INSTANCE, members(nowhere.code)[0], (nowhere,), rope.loop(), (0,)))
+    assert one.faults == ("way missed the code",) and len(one.actions) == 0
+
+
+def test_limits_that_nothing_meets_reject_everything(searched: Archive) -> None:
+    strict = replace(INSTANCE, limits=Limits(crossing_angle=91.0))
+    order = orders(searched, strict)[0]
+    assert make(order).faults == ("crossing_angle",)
+
+
+def test_variants_of_one_way_end_in_different_places(followed: Made) -> None:
+    ends = np.array([one.points[-1] - one.points[-1].mean(axis=0) for _, one in followed])
+    assert len({end.tobytes() for end in ends}) == len(ends)
+
+
+def test_every_configuration_on_the_way_is_finite(followed: Made) -> None:
+    assert all(np.isfinite(one.points).all() and len(one.points) == len(one.actions) + 1 for _, one in followed)

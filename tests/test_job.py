@@ -1,0 +1,205 @@
+"""A job orders what is lacking, accepts what is asked for, and says so when it can't be had."""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from knotgym.gauss import GaussCode
+from knotgym.generate import job as jobs
+from knotgym.generate.archive import Archive
+from knotgym.generate.engines import InProcess
+from knotgym.generate.instances import Instance, Order
+from knotgym.generate.job import GenerateConfig, InvalidJob, Job, NotEnough, run, search_config, start_of
+from knotgym.generate.natural import frequencies
+from knotgym.generate.quality import Limits
+from knotgym.generate.search import new_archive
+from knotgym.rope import Rope, RopeConfig
+
+from .conftest import curled, trefoil
+from .small_job import INSTANCE, WAVE, small
+
+
+def config(**changes: Any) -> GenerateConfig:
+    return replace(GenerateConfig(nx=(0, 1), count=4, wave=WAVE, instance=INSTANCE), **changes)
+
+
+def done(job: Job) -> Job:
+    with small():
+        run(job, InProcess(), lambda job: None)
+    return job
+
+
+@pytest.fixture(scope="module")
+def finished() -> Job:
+    """Four loops and four states with one crossing."""
+    with small():
+        return done(Job.begin(config()))
+
+
+def accepted(job: Job) -> Iterator[tuple[int, Instance]]:
+    return ((nx, one) for nx, instances in job.accepted.items() for one in instances)
+
+
+def signature(job: Job) -> list[object]:
+    """What a job came to, every bit of it, but for the time it took."""
+    took = [(nx, one.code, one.seed, one.qpos.tobytes(), one.actions.tobytes()) for nx, one in accepted(job)]
+    return [took, job.rejected, job.tried, job.cycle, job.actions, job.archive.growth]
+
+
+@pytest.mark.parametrize(
+    ("changes", "problem"),
+    [
+        ({"nx": (7,)}, "from 0 to 6, got 7"),
+        ({"nx": (-1,)}, "from 0 to 6, got -1"),
+        ({"nx": (2, 2)}, "different numbers of crossings"),
+        ({"nx": ()}, "got none"),
+        ({"count": 0}, "count must be at least 1, got 0"),
+        ({"attempts": 0}, "attempts must be at least 1, got 0"),
+        ({"wave": 0}, "wave must be at least 1, got 0"),
+        ({"every_code": -1}, "every_code must be at least 0, got -1"),
+        ({"balance": "odd"}, "\"even\" or \"natural\", got 'odd'"),
+        ({"split_by": "row"}, "\"state\" or \"code\", got 'row'"),
+        ({"train_share": 1.5}, r"in \[0, 1\], got 1.5"),
+        ({"train_share": float("nan")}, r"in \[0, 1\], got nan"),
+        ({"seed": -1}, "seed must be at least 0, got -1"),
+    ],
+)
+def test_nonsense_is_refused_in_one_line(changes: dict[str, Any], problem: str) -> None:
+    with pytest.raises(InvalidJob, match=problem) as caught:
+        config(**changes)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_knot_has_no_diagram_with_too_few_crossings() -> None:
+    with pytest.raises(InvalidJob, match="no diagram of 3_1 has 2 crossings"):
+        Job.begin(config(knot="3_1", nx=(2,)))
+
+
+def test_natural_balance_is_for_the_unknot() -> None:
+    with pytest.raises(InvalidJob, match="natural balance"):
+        Job.begin(config(knot="3_1", nx=(3,), balance="natural"))
+
+
+def test_a_curve_with_more_crossings_than_asked_for_begins_a_job_all_the_same(tmp_path: Path) -> None:
+    np.save(tmp_path / "curled.npy", curled(4))
+    odd = config(knot=str(tmp_path / "curled.npy"), nx=(1,), count=1)
+    job = Job.begin(odd)
+    assert job.knot == "0_1" and search_config(odd).max_nx == 4
+    with small():
+        assert jobs.advance(job.archive, jobs.search_config(odd), InProcess()) >= 0
+
+
+def test_an_archive_whose_ways_begin_elsewhere_is_refused(rope: Rope) -> None:
+    knotted = new_archive(search_config(config()), rope.from_curve(trefoil()))
+    with pytest.raises(InvalidJob, match="the archive's ways begin at another curve"):
+        Job.begin(config(), knotted)
+
+
+def test_an_archive_of_another_rope_is_refused() -> None:
+    heavy = new_archive(replace(search_config(config()), rope=RopeConfig(density=2000.0)))
+    with pytest.raises(InvalidJob, match="move another rope"):
+        Job.begin(config(), heavy)
+
+
+def test_a_loaded_archive_of_another_search_is_gone_on_from(searched: Archive, tmp_path: Path) -> None:
+    searched.save(tmp_path / "archive.h5")
+    job = Job.begin(config(seed=9, nx=(2,)), Archive.load(tmp_path / "archive.h5"))
+    assert len(job.archive.codes(2)) == len(searched.codes(2))
+
+
+def test_codes_share_the_count_evenly() -> None:
+    assert set(Job.begin(config(nx=(2,), count=20)).shares[2].values()) == {3}
+
+
+def test_every_code_is_wanted_as_often_as_asked() -> None:
+    job = Job.begin(config(nx=(2,), every_code=5))
+    assert job.wanted(2) == 8 * 5 and set(job.shares[2].values()) == {5} and job.existing == {2: 8}
+
+
+def test_a_finished_job_has_what_was_asked_for(finished: Job) -> None:
+    assert finished.done() and [(nx, len(instances)) for nx, instances in finished.accepted.items()] == [(0, 4), (1, 4)]
+    assert Counter(str(one.code) for one in finished.accepted[1]) == {"1+,1-": 2, "1-,1+": 2}
+
+
+def test_accepted_states_have_no_faults_and_the_crossings_asked_for(finished: Job) -> None:
+    assert all(one.faults == () and one.code.nx == nx for nx, one in accepted(finished))
+
+
+def test_no_two_accepted_states_are_near_duplicates(finished: Job) -> None:
+    for instances in finished.accepted.values():
+        for k, one in enumerate(instances):
+            assert not jobs.is_near_duplicate(one.points[-1], [other.points[-1] for other in instances[:k]])
+
+
+def test_every_instance_has_a_seed_of_its_own(finished: Job) -> None:
+    seeds = [one.seed for _, one in accepted(finished)]
+    assert len(seeds) == len(set(seeds)) and all(seed[0] == finished.config.seed for seed in seeds)
+
+
+def test_a_finished_job_can_be_run_again_and_does_nothing(finished: Job) -> None:
+    before = signature(finished)
+    assert signature(done(finished)) == before
+
+
+def test_a_copy_is_rejected_as_a_near_duplicate(finished: Job) -> None:
+    job = Job.begin(config(nx=(0,)))
+    for _ in range(2):
+        jobs._judge(job, 0, finished.accepted[0][0])
+    assert len(job.accepted[0]) == 1 and job.rejected[0] == {"near-duplicate": 1}
+
+
+def test_a_state_of_another_knot_is_rejected(finished: Job) -> None:
+    job = Job.begin(config(nx=(3,), knot="3_1"))
+    jobs._judge(job, 3, replace(finished.accepted[1][0], faults=()))
+    assert job.accepted[3] == [] and job.rejected[3] == {"knot type changed": 1}
+
+
+def test_rejections_are_counted_by_reason(finished: Job) -> None:
+    job = Job.begin(config(nx=(1,)))
+    jobs._judge(job, 1, replace(finished.accepted[1][0], faults=("margin", "clearance")))
+    assert job.accepted[1] == [] and job.rejected[1] == {"margin": 1, "clearance": 1}
+
+
+def test_a_code_that_has_its_share_gets_no_more(finished: Job) -> None:
+    job = Job.begin(config(nx=(1,), count=2))
+    for one in finished.accepted[1]:
+        jobs._judge(job, 1, one)
+    assert Counter(str(one.code) for one in job.accepted[1]) == {"1+,1-": 1, "1-,1+": 1}
+
+
+def test_orders_are_for_codes_that_lack_states(searched: Archive) -> None:
+    job = Job.begin(config(nx=(1, 2), wave=20), searched)
+    orders: list[tuple[int, Order]] = jobs._orders(job)
+    assert len(orders) == 20 and Counter(nx for nx, _ in orders) == {1: 10, 2: 10}
+    assert all(order.code.nx == nx and order.elites for nx, order in orders)
+    assert len({order.seed for _, order in orders}) == 20
+
+
+def test_codes_are_ordered_with_each_chirality_in_turn(searched: Archive) -> None:
+    job = Job.begin(config(nx=(1,), wave=8), searched)
+    assert Counter(order.code.chiral for _, order in jobs._orders(job)) == {text: 2 for text in ("1+a,1-a", "1+c,1-c", "1-a,1+a", "1-c,1+c")}
+
+
+def test_what_cannot_be_accepted_ends_with_a_line_that_says_so() -> None:
+    hopeless = config(nx=(0,), count=1, attempts=4, wave=4, instance=replace(INSTANCE, limits=Limits(crossing_angle=91.0)))
+    with pytest.raises(NotEnough, match="0 of 1 states with nx = 0 accepted in 4 attempts; use --resume and more --attempts"):
+        done(Job.begin(hopeless))
+
+
+def test_a_random_policy_meets_the_loop_at_once() -> None:
+    assert frequencies(0, 1, 0, RopeConfig()) == {GaussCode(): 64}
+
+
+@pytest.mark.slow
+def test_a_random_policy_meets_the_same_codes_again() -> None:
+    one, other = (frequencies(1, 60, 3, RopeConfig()) for _ in range(2))
+    assert one == other and one.total() >= 60 and {str(code) for code in one} <= {"1+,1-", "1-,1+"}
+
+
+def test_the_start_of_a_job_is_the_loop_or_the_curve_of_its_knot(rope: Rope) -> None:
+    assert np.array_equal(start_of(config()), rope.loop()) and not np.allclose(start_of(config(knot="3_1")), rope.loop())

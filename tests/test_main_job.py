@@ -1,0 +1,433 @@
+"""`knotgym generate` from end to end: what it leaves, the same bytes however it was run, and nothing after a mistake or a kill."""
+
+import contextlib
+import fcntl
+import json
+import os
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Iterable, Iterator
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from typing import Any
+
+import cv2
+import gymnasium
+import h5py
+import minari
+import mujoco
+import numpy as np
+import pytest
+
+import knotgym as package
+from knotgym.crossings import label
+from knotgym.datasets.files import sha256
+from knotgym.datasets.states import States, read_states
+from knotgym.datasets.verify import folder_faults
+from knotgym.generate import cli, main_job
+from knotgym.generate.archive import Archive
+from knotgym.generate.engines import engine
+from knotgym.generate.search import new_archive
+from knotgym.knots import knot_type
+from knotgym.oracle import pyknotid_code
+from knotgym.picture import draw
+from knotgym.rope import Rope
+from knotgym.simulation import Simulation
+
+from .conftest import SEARCH, trefoil
+from .small_job import knotgym, small, typed
+
+WANTED = ("--nx", "0,1", "--count", 4)  # what conftest's `curated` folder was asked for
+SECONDS = 120  # in which anything here must have happened
+
+
+def bytes_of(folder: Path) -> dict[str, str]:
+    """SHA-256 of every file."""
+    return {str(path.relative_to(folder)): sha256(path) for path in folder.rglob("*") if path.is_file()}
+
+
+def said(capfd: pytest.CaptureFixture[str]) -> list[str]:
+    """Lines on standard error."""
+    return capfd.readouterr().err.splitlines()
+
+
+def begun(out: Path, *arguments: object, saved: bool) -> "subprocess.Popen[str]":
+    """A run in another process group, once it holds its folder, or once it has saved a cycle."""
+    run = subprocess.Popen(
+        typed("generate", *WANTED, *arguments, "--out", out), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    sign = out.parent / f".{out.name}.partial" / ("job.pickle" if saved else "lock")
+    until = time.monotonic() + SECONDS
+    while not sign.exists() and run.poll() is None and time.monotonic() < until:
+        time.sleep(0.02)
+    assert run.poll() is None and sign.exists()
+    return run
+
+
+@contextlib.contextmanager
+def held(partial: Path) -> Iterator[None]:
+    """Hold a partial folder as another run does."""
+    partial.mkdir()
+    with open(partial / "lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+@pytest.fixture(scope="module")
+def states(curated: Path) -> States:
+    return read_states(curated / "states.h5")
+
+
+@pytest.fixture(scope="module")
+def manifest(curated: Path) -> dict[str, Any]:
+    return json.loads((curated / "manifest.json").read_text())
+
+
+# What is in the folder.
+
+
+def test_the_folder_holds_what_the_contract_lists(curated: Path) -> None:
+    assert {path.name for path in curated.iterdir()} == {"states.h5", "minari", "gallery.png", "README.md", "manifest.json", "archive.h5"}
+
+
+def test_nothing_stands_beside_the_folder(curated: Path) -> None:
+    assert [path.name for path in curated.parent.iterdir()] == ["nx0-1"]
+
+
+def test_the_manifest_lists_every_other_file_with_its_checksum(curated: Path, manifest: dict[str, Any]) -> None:
+    found = bytes_of(curated)
+    del found["manifest.json"]
+    assert manifest["files"] == found
+
+
+def test_the_whole_configuration_is_written_thrice(manifest: dict[str, Any], states: States, curated: Path) -> None:
+    assert manifest["config"] == json.loads(states.attributes["config"]) and manifest["config"]["nx"] == [0, 1]
+    assert '"split_by": "state"' in (curated / "README.md").read_text()
+
+
+def test_versions_and_the_rope_are_written_with_the_states(states: States, rope: Rope) -> None:
+    attributes = states.attributes
+    assert (attributes["knotgym"], attributes["rope"], attributes["mujoco"]) == (package.__version__, rope.config.fingerprint, mujoco.__version__)
+
+
+def test_there_are_as_many_states_as_asked_for_of_as_many_codes_as_there_are(states: States) -> None:
+    assert states.nx.tolist() == [0] * 4 + [1] * 4 and sorted(states.gauss_code[4:]) == ["1+,1-", "1+,1-", "1-,1+", "1-,1+"]
+
+
+def test_both_splits_are_there_for_every_nx(states: States) -> None:
+    assert [len(states.rows(nx, split)) for nx in (0, 1) for split in ("train", "test")] == [2, 2, 2, 2]
+
+
+def test_labels_are_what_both_labellers_read(states: States) -> None:
+    for points, plain, chiral in zip(states.points, states.gauss_code, states.gauss_code_chiral, strict=True):
+        code = label(points)
+        assert (str(code), code.chiral) == (plain, chiral) and pyknotid_code(points) == code
+
+
+def test_pictures_are_those_of_the_points(states: States) -> None:
+    assert states.image is not None and all(np.array_equal(image, draw(points)) for image, points in zip(states.image, states.points, strict=True))
+
+
+def test_every_provenance_ends_in_its_row_bit_for_bit(states: States) -> None:
+    simulation = Simulation()
+    for row in range(len(states)):
+        simulation.lay(states.source["start_qpos"][row][None])
+        for action in states.source["actions"][row, : states.source["steps"][row]]:
+            assert simulation.act(action[None]).all()
+        assert np.array_equal(simulation.qpos()[0], states.qpos[row]) and np.array_equal(simulation.points[0], states.points[row])
+
+
+def test_rows_name_their_own_trajectory(states: States) -> None:
+    assert states.source["trajectory"].tolist() == [0, 1, 2, 3] * 2 and len({tuple(seed) for seed in states.source["seed"]}) == 8
+
+
+def test_every_measure_is_within_its_limit(states: States, manifest: dict[str, Any]) -> None:
+    limits = manifest["config"]["instance"]["limits"]
+    for name, bound in limits.items():
+        if name in ("excess_crossing_number", "total_curvature"):
+            assert (states.quality[name] <= bound * (states.nx + 1 if name == "total_curvature" else 1)).all(), name
+        else:
+            assert (states.quality[name] >= bound).all(), name
+
+
+def test_the_archive_of_the_run_can_be_read(curated: Path) -> None:
+    assert len(Archive.load(curated / "archive.h5").codes(1)) == 2
+
+
+def test_the_gallery_shows_every_state(curated: Path, states: States) -> None:
+    sheet = cv2.imread(str(curated / "gallery.png"))[..., ::-1]
+    assert states.image is not None
+    first = states.image[min(range(4), key=lambda row: (states.split[row] != "train", row))]
+    assert sheet.shape == (170, 8 * 140, 3) and np.array_equal(sheet[6:134, 6:134], first)
+
+
+def test_the_card_tells_states_codes_and_seed(curated: Path) -> None:
+    text = (curated / "README.md").read_text()
+    assert text.startswith("---\nlicense: mit\n") and "# Rope states with 0, 1 crossings" in text
+    assert "| 1 | 4 | 2 of 2 |" in text and "with seed 0" in text
+
+
+# What can be done with it.
+
+
+@pytest.mark.parametrize("split", ["train", "test"])
+def test_the_environment_resets_from_the_states(curated: Path, states: States, split: str) -> None:
+    env = gymnasium.make("knotgym/Tie-v0", nx=1, split=split, states=str(curated / "states.h5"))
+    goals = {str(code) for code in states.gauss_code[states.rows(1, split)]}
+    for seed in range(5):
+        _, info = env.reset(seed=seed)
+        assert info["gauss_code"] == "" and info["goal_gauss_code"] in goals
+
+
+@pytest.mark.parametrize(("name", "nx"), [("knotgym/unknot-nx1/ways-v0", 0), ("knotgym/tie-nx1/ways-v0", 1)])
+def test_minari_loads_the_trajectories(curated: Path, states: States, monkeypatch: pytest.MonkeyPatch, name: str, nx: int) -> None:
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(curated / "minari"))
+    dataset = minari.load_dataset(name)
+    assert dataset.total_episodes == 4
+    for row, episode in zip(np.flatnonzero(states.nx == nx), dataset.iterate_episodes(), strict=True):
+        steps = states.source["steps"][row]
+        assert np.array_equal(episode.actions, states.source["actions"][row, :steps])
+        assert episode.terminations.tolist() == [False] * (steps - 1) + [True] and not episode.truncations.any()
+        assert np.array_equal(episode.observations["pixels"][-1, :, :128], states.image[row])
+
+
+def test_minari_makes_the_environment_again(curated: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(curated / "minari"))
+    dataset = minari.load_dataset("knotgym/tie-nx1/ways-v0")
+    observation, _ = dataset.recover_environment().reset(seed=0)
+    assert dataset.observation_space.contains(observation)
+
+
+def test_verify_finds_no_fault(curated: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert knotgym("dataset", "verify", curated) == 0 and capfd.readouterr().out.splitlines()[-1] == "no faults"
+
+
+def test_its_archive_can_be_gone_on_from(curated: Path, tmp_path: Path) -> None:
+    out = tmp_path / "more"
+    assert knotgym("generate", "--nx", 1, "--count", 2, "--seed", 5, "--archive", curated / "archive.h5", "--workers", 1, "--out", out) == 0
+    assert Archive.load(out / "archive.h5").growth[0] == Archive.load(curated / "archive.h5").growth[0]
+
+
+def test_the_default_folder_is_named_after_nx(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    with small(), pytest.raises(SystemExit) as ended:
+        cli.main_generate(["--nx", "0", "--count", "1", "--workers", "1", "--quiet"])
+    assert ended.value.code == 0 and (tmp_path / "knotgym-data" / "nx0" / "states.h5").is_file()
+
+
+def test_split_by_code_leaves_no_code_in_both(curated: Path, tmp_path: Path) -> None:
+    out = tmp_path / "coded"
+    options = ("--nx", 1, "--count", 2, "--split-by", "code", "--archive", curated / "archive.h5", "--workers", 1, "--out", out)
+    assert knotgym("generate", *options) == 0
+    states = read_states(out / "states.h5")
+    assert sorted(states.split) == ["test", "train"] and len(set(states.gauss_code)) == 2
+
+
+def test_progress_is_told_in_plain_lines(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert knotgym("generate", "--nx", 0, "--count", 1, "--workers", 1, "--out", tmp_path / "a") == 0
+    told = capfd.readouterr().out
+    assert "states accepted 1 of 1; distinct codes 1" in told and "1 states of 1 codes" in told and "\x1b" not in told
+
+
+def test_quiet_says_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert knotgym("generate", "--nx", 0, "--count", 1, "--workers", 1, "--out", tmp_path / "a", "--quiet") == 0
+    assert capfd.readouterr() == ("", "")
+
+
+# The same bytes, whatever happens.
+
+
+def test_two_workers_leave_the_same_bytes_as_one(curated: Path, tmp_path: Path) -> None:
+    assert knotgym("generate", *WANTED, "--workers", 2, "--out", tmp_path / "a", "--quiet") == 0
+    assert bytes_of(tmp_path / "a") == bytes_of(curated)
+
+
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where a run was killed after its first cycle; none of its workers lives on (they would hold its output open)."""
+    out = tmp_path_factory.mktemp("killed") / "nx0-1"
+    run = begun(out, "--workers", 2, saved=True)
+    os.kill(run.pid, signal.SIGKILL)
+    run.communicate(timeout=SECONDS)
+    return out
+
+
+def test_a_killed_run_leaves_nothing_under_the_final_name(killed: Path) -> None:
+    assert [path.name for path in killed.parent.iterdir()] == [".nx0-1.partial"]
+
+
+def test_other_options_cannot_resume_it(killed: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    before = bytes_of(killed.parent)
+    for options in (("--nx", "0,1", "--count", 5), (*WANTED, "--seed", 1), ("--nx", 1, "--count", 4), (*WANTED, "--split-by", "code")):
+        assert knotgym("generate", *options, "--workers", 1, "--out", killed, "--resume") == 2
+        (line,) = said(capfd)
+        assert "holds another job than the one asked for" in line
+    assert bytes_of(killed.parent) == before
+
+
+def test_resumed_it_ends_in_the_same_bytes_as_an_unbroken_run(killed: Path, curated: Path, tmp_path: Path) -> None:
+    shutil.copytree(killed.parent / ".nx0-1.partial", tmp_path / ".nx0-1.partial")
+    assert knotgym("generate", *WANTED, "--workers", 1, "--out", tmp_path / "nx0-1", "--resume", "--quiet") == 0
+    assert bytes_of(tmp_path / "nx0-1") == bytes_of(curated) and [path.name for path in tmp_path.iterdir()] == ["nx0-1"]
+
+
+def test_without_resume_it_begins_anew(killed: Path, tmp_path: Path) -> None:
+    shutil.copytree(killed.parent / ".nx0-1.partial", tmp_path / ".a.partial")
+    assert knotgym("generate", "--nx", 0, "--count", 1, "--workers", 1, "--out", tmp_path / "a", "--quiet") == 0
+    assert len(read_states(tmp_path / "a" / "states.h5")) == 1 and not (tmp_path / ".a.partial").exists()
+
+
+def test_a_finished_run_is_resumed_to_itself(curated: Path, tmp_path: Path) -> None:
+    shutil.copytree(curated, tmp_path / "a")
+    (tmp_path / ".a.partial").mkdir()  # as if killed right after the folder took its name
+    assert knotgym("generate", *WANTED, "--workers", 1, "--out", tmp_path / "a", "--resume") == 0
+    assert bytes_of(tmp_path / "a") == bytes_of(curated) and [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+@pytest.mark.parametrize(("number", "group", "workers"), [(signal.SIGINT, True, 2), (signal.SIGTERM, False, 2), (signal.SIGTERM, False, 1)])
+def test_an_interrupted_run_says_one_line_and_leaves_nothing(tmp_path: Path, number: signal.Signals, group: bool, workers: int) -> None:
+    run = begun(tmp_path / "a", "--workers", workers, saved=False)
+    (os.killpg if group else os.kill)(run.pid, number)
+    _, error = run.communicate(timeout=SECONDS)
+    assert run.returncode == 130
+    assert error == "knotgym: interrupted; nothing half-written is left, --resume goes on from the last cycle\n"
+    assert [path.name for path in tmp_path.iterdir()] == [".a.partial"]
+
+
+def test_an_error_in_a_worker_comes_out_as_it_is() -> None:
+    with pytest.raises(ValueError, match="invalid literal for int"), engine(2) as pool:
+        list(pool.map(int, ["one", "two"]))
+
+
+def test_a_worker_that_dies_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    class Deadly:
+        def map(self, function: object, work: Iterable[object], /) -> Iterator[object]:
+            raise BrokenProcessPool
+
+    @contextlib.contextmanager
+    def deadly(workers: int) -> Iterator[Deadly]:
+        yield Deadly()
+
+    monkeypatch.setattr(main_job, "engine", deadly)
+    assert knotgym("generate", "--nx", 0, "--count", 1, "--out", tmp_path / "a") == 1
+    assert said(capfd) == ["knotgym: a worker died, perhaps for want of memory; --resume goes on from the last cycle"]
+
+
+# What is refused.
+
+
+def test_a_second_run_into_the_same_folder_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    with held(tmp_path / ".a.partial"):
+        for more in ((), ("--resume",)):
+            assert knotgym("generate", *WANTED, "--workers", 1, "--out", tmp_path / "a", *more) == 2
+            assert said(capfd) == ["knotgym: another run is writing a now"]
+        assert [path.name for path in tmp_path.rglob("*")] == [".a.partial", "lock"]
+
+
+def test_a_folder_that_is_there_is_not_touched(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "mine.txt").write_text("mine")
+    for more in ((), ("--resume",)):
+        assert knotgym("generate", *WANTED, "--out", tmp_path / "a", *more) == 2
+        assert said(capfd) == [f"knotgym: {tmp_path / 'a'} is there already; choose another --out, or remove it"]
+    assert [path.name for path in tmp_path.rglob("*")] == ["a", "mine.txt"]
+
+
+@pytest.fixture
+def mistaken(tmp_path: Path) -> Path:
+    """A folder with files that are no input."""
+    folder = tmp_path / "input"
+    folder.mkdir()
+    np.savetxt(folder / "three.txt", np.eye(3))
+    np.savetxt(folder / "open.txt", trefoil()[:200])
+    (folder / "empty.npy").touch()
+    (folder / "text.h5").write_text("not HDF5")
+    with h5py.File(folder / "foreign.h5", "w") as file:
+        file["x"] = 1.0
+    new_archive(SEARCH, Rope().from_curve(trefoil())).save(folder / "knotted.h5")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        ("--nx -1", "--nx takes numbers of crossings such as 3, 2,3 or 0-4, got '-1'"),
+        ("--nx=-1", "--nx takes numbers of crossings such as 3, 2,3 or 0-4, got '-1'"),
+        ("--nx 9", "from 0 to 6, got 9"),
+        ("--nx 4-2", "got '4-2'"),
+        ("--nx three", "got 'three'"),
+        ("--nx 2,", "got '2,'"),
+        ("--count 0", "count must be at least 1, got 0"),
+        ("--count many", "--count"),
+        ("--every-code -2", "every_code must be at least 0, got -2"),
+        ("--attempts 0", "attempts must be at least 1, got 0"),
+        ("--seed -1", "seed must be at least 0, got -1"),
+        ("--workers -1", "workers must be at least 0, got -1"),
+        ("--colour red", "No such option: --colour"),
+        ("leftover", "leftover"),
+        ("--split-by row", "split_by must be \"state\" or \"code\", got 'row'"),
+        ("--balance odd", "balance must be \"even\" or \"natural\", got 'odd'"),
+        ("--knot 9_42", "no knot '9_42'; there is 0_1, 3_1, 4_1, 5_1, or a file"),
+        ("--knot 3_1 --nx 2", "no diagram of 3_1 has 2 crossings"),
+        ("--knot 3_1 --balance natural", "natural balance is known for ropes that start as a plain loop"),
+        ("--knot {}/three.txt", "a closed rope needs at least 4 different points, got 3"),
+        ("--knot {}/open.txt", "the curve isn't closed"),
+        ("--knot {}/empty.npy", "empty.npy holds no curve"),
+        ("--archive {}/absent.h5", "no archive at"),
+        ("--archive {}/text.h5", "text.h5 isn't a whole archive"),
+        ("--archive {}/foreign.h5", "foreign.h5 isn't an archive of format 'knotgym-archive' version 1"),
+        ("--archive {}/knotted.h5", "the archive's ways begin at another curve"),
+    ],
+)
+def test_a_mistake_is_one_line_and_writes_nothing(
+    mistaken: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], options: str, problem: str
+) -> None:
+    words = ["--out", str(tmp_path / "made" / "a"), "--workers", "1", *options.format(mistaken).split()]
+    assert knotgym("generate", *words) == 2
+    (line,) = said(capfd)
+    assert line.startswith("knotgym: ") and problem in line
+    assert [path.name for path in tmp_path.iterdir()] == ["input"]
+
+
+def test_no_command_shows_the_help(capfd: pytest.CaptureFixture[str]) -> None:
+    assert knotgym() == 2
+    shown = capfd.readouterr()
+    assert "generate" in shown.out + shown.err and "knotgym: " not in shown.err
+
+
+def test_too_few_attempts_are_a_failure_that_can_be_resumed(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    short = ("--nx", 1, "--count", 8, "--workers", 1, "--out", tmp_path / "a", "--quiet")
+    assert knotgym("generate", *short, "--attempts", 1) == 1
+    (line,) = said(capfd)
+    assert "of 8 states with nx = 1 accepted in" in line and "use --resume and more --attempts" in line
+    assert [path.name for path in tmp_path.iterdir()] == [".a.partial"]
+
+
+# The whole job, as large as a user's.
+
+
+@pytest.mark.slow
+def test_a_trefoil_is_curated_and_certified(tmp_path: Path) -> None:
+    words = ["knotgym-generate", "--knot", "3_1", "--nx", "3", "--count", "2", "--workers", "1", "--out", str(tmp_path / "a")]
+    run = subprocess.run(words, capture_output=True, text=True)
+    assert run.returncode == 0 and run.stderr == ""
+    states = read_states(tmp_path / "a" / "states.h5")
+    assert len(states) == 2 and set(states.knot) == {"3_1"} and set(states.nx) == {3}
+    assert {knot_type(label(points)) for points in states.points} == {"3_1"}
+    assert list(folder_faults(tmp_path / "a")) == []
+
+
+@pytest.mark.slow
+def test_the_command_as_installed_makes_a_folder(tmp_path: Path) -> None:
+    words = ["knotgym-generate", "--nx", "0-1", "--count", "4", "--workers", "2", "--out", str(tmp_path / "a")]
+    run = subprocess.run(words, capture_output=True, text=True)
+    assert run.returncode == 0 and run.stderr == "" and list(folder_faults(tmp_path / "a")) == []
+
+
+@pytest.mark.slow
+def test_natural_balance_is_curated_too(tmp_path: Path) -> None:
+    assert knotgym("generate", "--nx", 1, "--count", 4, "--balance", "natural", "--workers", 1, "--out", tmp_path / "a") == 0
+    assert list(folder_faults(tmp_path / "a")) == [] and len(read_states(tmp_path / "a" / "states.h5")) == 4

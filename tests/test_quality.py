@@ -1,0 +1,260 @@
+"""Quality measures give what a ruler gives, on curves drawn for it; limits name what misses them."""
+
+import math
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike, NDArray
+
+from knotgym.crossings import find_crossings
+from knotgym.generate.quality import UNITS, Limits, Quality, base_spacing, measure, noise_survival, tightest_spot
+from knotgym.picture import DEFAULT
+from knotgym.rope import Rope
+
+from .conftest import curled, trefoil
+
+PIXEL = DEFAULT.view / DEFAULT.size  # metres
+RADIUS = DEFAULT.rope_radius / PIXEL  # pixels
+
+PERFECT = Quality(90.0, 128.0, 128.0, 128.0, 900.0, 900.0, 40.0, 20.0, 0.0, 1.0, 0.0)
+
+
+def drawn(corners: ArrayLike, vertices: int = 800) -> NDArray[np.float64]:
+    """A closed polygon with corners given in pixels, from its first corner: float64 (vertices, 3), metres."""
+    c = np.array(corners, dtype=np.float64)
+    closed = np.concatenate([c, c[:1]])
+    along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
+    at = np.linspace(0, along[-1], vertices, endpoint=False)
+    return PIXEL * np.stack([np.interp(at, along, closed[:, k]) for k in range(3)], axis=1)
+
+
+def bow_tie(width: float = 30, height: float = 30, above: float = 4) -> NDArray[np.float64]:
+    """One crossing, in the middle, of two straight strands `above` pixels apart in height."""
+    w, h = width, height
+    return drawn([(-w, -h, 0), (w, h, 0), (w, -h, above), (-w, h, above)])
+
+
+def zigzag() -> NDArray[np.float64]:
+    """Two crossings, 40 pixels apart."""
+    return drawn([(-40, 10, 3), (0, -10, 3), (40, 10, 3), (40, -10, 0), (0, 10, 0), (-40, -10, 0)])
+
+
+def circle(radius: float, vertices: int = 400) -> NDArray[np.float64]:
+    turn = np.linspace(0, 2 * np.pi, vertices, endpoint=False)
+    return PIXEL * radius * np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
+
+
+@pytest.mark.parametrize(("width", "height"), [(30, 30), (30, 10), (40, 5), (10, 40)])
+def test_the_crossing_angle_is_that_of_the_strands(width: float, height: float) -> None:
+    between = 2 * math.degrees(math.atan2(min(width, height), max(width, height)))
+    assert measure(bow_tie(width, height)).crossing_angle == pytest.approx(between, abs=0.01)
+
+
+def test_the_smallest_of_the_crossing_angles_counts() -> None:
+    assert measure(zigzag()).crossing_angle == pytest.approx(2 * math.degrees(math.atan2(10, 20)), abs=0.01)
+
+
+def test_crossing_spacing_is_the_distance_in_pixels() -> None:
+    assert measure(zigzag()).crossing_spacing == pytest.approx(40, abs=0.01)
+
+
+def test_a_single_crossing_is_near_no_other() -> None:
+    assert measure(bow_tie()).crossing_spacing == 128
+
+
+def test_base_spacing_is_walked_from_the_end_of_the_base_bead() -> None:
+    points = bow_tie()
+    bead = np.linalg.norm(points[1] - points[0]) / PIXEL
+    assert measure(points).base_spacing == pytest.approx(30 * math.sqrt(2) - bead, abs=0.01)
+
+
+def test_base_spacing_is_walked_backwards_too() -> None:
+    points = np.roll(bow_tie(), -150, axis=0)
+    bead = np.linalg.norm(points[1] - points[0]) / PIXEL
+    walked = 150 * bead - 30 * math.sqrt(2)
+    assert measure(points).base_spacing == pytest.approx(walked, abs=0.2)
+
+
+def test_a_crossing_on_the_base_bead_has_no_base_spacing() -> None:
+    points = bow_tie()
+    bead = int(find_crossings(points).over_place[0])
+    assert measure(np.roll(points, -bead, axis=0)).base_spacing == 0
+
+
+def test_base_spacing_from_another_vertex_is_that_of_the_renumbered_rope() -> None:
+    points = zigzag()
+    for roll in (0, 3, 100, 333, 799):
+        renumbered = np.roll(points, -roll, axis=0)
+        assert base_spacing(points, find_crossings(points), roll) == pytest.approx(measure(renumbered).base_spacing, abs=1e-9)
+
+
+def test_strand_spacing_is_the_distance_of_strands_side_by_side() -> None:
+    lane = drawn([(-40, 2.5, 0), (40, 2.5, 0), (40, -2.5, 0), (-40, -2.5, 0)])
+    assert measure(lane).strand_spacing == pytest.approx(5, abs=0.01)
+
+
+def test_strands_are_not_close_where_they_cross() -> None:
+    assert measure(bow_tie(30, 15)).strand_spacing > 2
+
+
+def test_clearance_is_the_height_between_the_strands_in_millimetres() -> None:
+    assert measure(bow_tie(above=2)).clearance == pytest.approx(2000 * PIXEL, abs=1e-6)
+
+
+def test_the_smallest_clearance_counts() -> None:
+    points = zigzag()
+    points[points[:, 0] > 0, 2] *= 0.5
+    assert measure(points).clearance == pytest.approx(1500 * PIXEL, abs=1e-6)
+
+
+def test_margin_is_what_is_left_to_the_edge_of_the_picture() -> None:
+    assert measure(circle(50)).margin == pytest.approx(64 - 50 - RADIUS, abs=0.01)
+
+
+def test_a_rope_that_leaves_the_picture_has_a_negative_margin() -> None:
+    assert measure(circle(70)).margin == pytest.approx(64 - 70 - RADIUS, abs=0.01)
+
+
+def test_the_picture_follows_the_rope_wherever_it_lies() -> None:
+    assert measure(circle(50) + [0.3, -2.0, 0.1]).margin == pytest.approx(measure(circle(50)).margin, abs=1e-6)
+
+
+@pytest.mark.parametrize("curve", [circle(40), drawn([(-30, -20, 0), (30, -20, 0), (30, 20, 0), (-30, 20, 0)])])
+def test_a_flat_convex_loop_turns_once(curve: NDArray[np.float64]) -> None:
+    assert measure(curve).total_curvature == pytest.approx(1, abs=1e-6)
+
+
+def test_a_bow_tie_turns_one_and_a_half_times() -> None:
+    assert measure(bow_tie(above=1e-3)).total_curvature == pytest.approx(1.5, abs=1e-3)
+
+
+@pytest.mark.parametrize("curve", [circle(40), drawn([(-30, -20, 0), (30, -20, 0), (30, 20, 0), (-30, 20, 0)])])
+def test_a_flat_loop_crosses_itself_from_no_side(curve: NDArray[np.float64]) -> None:
+    assert measure(curve).excess_crossing_number == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.parametrize("curve", [bow_tie(above=0.01), drawn([(-30, -30, 0), (30, 30, 0), (30, -30, 0), (-30, 30, 0.01)])])
+def test_a_nearly_flat_curve_shows_its_crossings_from_nearly_every_side(curve: NDArray[np.float64]) -> None:
+    assert measure(curve).excess_crossing_number == pytest.approx(0, abs=0.01)
+
+
+def test_a_coil_seen_end_on_hides_crossings() -> None:
+    turn = np.linspace(0, 4 * np.pi, 300)
+    coil = np.stack([10 * np.cos(turn) * (1 + turn / 40), 10 * np.sin(turn) * (1 + turn / 40), 3 * turn], axis=1)
+    assert measure(drawn([*coil, (60, 0, 30), (60, 0, 0)])).excess_crossing_number > 0.8
+
+
+def test_every_view_of_a_trefoil_has_three_crossings_at_least() -> None:
+    quality = measure(0.05 * trefoil())
+    assert quality.excess_crossing_number > 0 and abs(quality.writhe) == 3
+
+
+def test_excess_crossing_number_is_left_out_when_quick() -> None:
+    quality = measure(zigzag(), quick=True)
+    assert math.isnan(quality.excess_crossing_number)
+    whole = measure(zigzag())
+    assert replace(quality, excess_crossing_number=whole.excess_crossing_number, noise_survival=0.0) == replace(whole, noise_survival=0.0)
+
+
+def test_writhe_is_the_sum_of_signs() -> None:
+    assert [measure(bow_tie(above=z)).writhe for z in (4, -4)] == [-1, 1]
+    assert measure(zigzag()).writhe == 0
+
+
+def test_the_smallest_face_has_the_area_that_was_drawn() -> None:
+    perimeter = 20 + 2 * math.hypot(20, 10)  # of the triangle at either end, 20 wide and 20 high
+    assert measure(zigzag()).smallest_face == pytest.approx(200, abs=0.25 * perimeter)
+
+
+def test_the_smallest_region_is_the_background_left_beside_the_rope() -> None:
+    quality = measure(bow_tie(40, 40))
+    inner = quality.smallest_face - RADIUS * (80 + 2 * math.hypot(40, 40))
+    assert quality.smallest_region == pytest.approx(inner, rel=0.03)
+
+
+def test_an_eye_that_the_rope_fills_is_no_region() -> None:
+    assert measure(drawn([(-40, 30, 0), (1, -1, 0), (-1, -1, 3), (40, 30, 3)])).smallest_region == 0
+
+
+def test_the_tightest_spot_is_in_the_smallest_region() -> None:
+    points = zigzag() + [0.1, 0.2, 0.0]
+    spot = (tightest_spot(points) - [0.1, 0.2]) / PIXEL
+    assert abs(spot[1]) < 1 and 24 < abs(spot[0]) < 40
+
+
+def test_a_loop_measures_as_perfect_where_it_has_no_crossing() -> None:
+    quality = measure(circle(40))
+    assert (quality.crossing_angle, quality.crossing_spacing, quality.base_spacing, quality.clearance) == (90, 128, 128, 20)
+
+
+@pytest.mark.parametrize("nx", range(5))
+def test_a_turn_about_z_changes_no_length_and_no_angle(rope: Rope, nx: int) -> None:
+    points = rope.from_curve(curled(nx, 0.4))
+    turned = points @ np.array([[np.cos(0.7), np.sin(0.7), 0], [-np.sin(0.7), np.cos(0.7), 0], [0, 0, 1]])
+    one, other = measure(points), measure(turned)
+    for name in ("crossing_angle", "crossing_spacing", "base_spacing", "strand_spacing", "clearance", "excess_crossing_number", "total_curvature"):
+        assert getattr(one, name) == pytest.approx(getattr(other, name), rel=1e-6, abs=1e-6), name
+
+
+def test_measuring_leaves_the_points_alone() -> None:
+    points = zigzag()
+    measure(points)
+    assert np.array_equal(points, zigzag())
+
+
+def test_a_plain_loop_survives_reset_noise(rope: Rope) -> None:
+    assert noise_survival(rope.loop(), 0.015, np.random.default_rng(0)) == 1.0
+
+
+def test_a_crossing_at_the_end_of_the_walk_does_not_survive_reset_noise(rope: Rope) -> None:
+    points = rope.from_curve(curled(2, 0.3))
+    place = find_crossings(points).over_place
+    at_the_end = np.roll(points, -int(np.round(place[np.argmin(np.abs(place - np.round(place)))])), axis=0)
+    assert noise_survival(at_the_end, 0.05, np.random.default_rng(0)) < 0.9 < noise_survival(points, 0.05, np.random.default_rng(0))
+
+
+def test_survival_is_the_same_for_the_same_draws(rope: Rope) -> None:
+    points = rope.from_curve(curled(3))
+    one, other = (noise_survival(points, 0.05, np.random.default_rng(7)) for _ in range(2))
+    assert one == other
+
+
+def test_every_measure_has_a_unit() -> None:
+    assert list(UNITS) != [] and set(UNITS) == {field.name for field in fields(Quality)}
+
+
+def test_a_perfect_state_has_no_faults() -> None:
+    assert Limits().faults(PERFECT, 3) == [] and Limits().badness(PERFECT, 3) == 0
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(Limits)])
+def test_a_measure_beyond_its_limit_is_the_fault_that_is_named(name: str) -> None:
+    bound = getattr(Limits(), name)
+    most = name in ("excess_crossing_number", "total_curvature")
+    worse = 4 * bound * 1.001 if name == "total_curvature" else bound * (1.001 if most else 0.999)
+    assert Limits().faults(replace(PERFECT, **{name: worse}), 3) == [name]
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(Limits)])
+def test_a_measure_at_its_limit_is_no_fault(name: str) -> None:
+    bound = getattr(Limits(), name)
+    assert Limits().faults(replace(PERFECT, **{name: 4 * bound if name == "total_curvature" else bound}), 3) == []
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(Limits)])
+def test_the_worse_a_measure_the_greater_the_badness(name: str) -> None:
+    bound = getattr(Limits(), name)
+    most = name in ("excess_crossing_number", "total_curvature")
+    scores = [Limits().badness(replace(PERFECT, **{name: bound * (4 if name == "total_curvature" else 1) * share}), 3) for share in (0.9, 1.0, 1.1)]
+    assert scores == sorted(scores, reverse=not most) and scores[0] != scores[2]
+
+
+def test_more_crossings_may_turn_more() -> None:
+    twisted = replace(PERFECT, total_curvature=5.0)
+    assert Limits().faults(twisted, 1) == ["total_curvature"] and Limits().faults(twisted, 2) == []
+
+
+def test_what_was_not_measured_is_no_fault() -> None:
+    unmeasured = replace(PERFECT, noise_survival=math.nan, excess_crossing_number=math.nan)
+    assert Limits().faults(unmeasured, 3) == [] and Limits().badness(unmeasured, 3) == 0

@@ -1,0 +1,161 @@
+"""Rounds of the search come out the same however they are run, and whatever they find can be reached again."""
+
+import pickle
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from knotgym.crossings import find_crossings, label
+from knotgym.generate.archive import Archive, Elite
+from knotgym.generate.engines import InProcess, Pool, engine
+from knotgym.generate.manoeuvres import pull
+from knotgym.generate.quality import Limits, base_spacing, measure
+from knotgym.generate.search import SearchConfig, advance, new_archive
+from knotgym.generate.symmetry import rolled, rolls
+from knotgym.knots import is_unknot, knot_type
+from knotgym.rope import Rope
+from knotgym.simulation import Simulation
+
+from .conftest import SEARCH, trefoil
+
+
+def grown(rounds: int, config: SearchConfig = SEARCH, pool: Pool | None = None, chunk: int = 16) -> Archive:
+    archive = new_archive(config)
+    for _ in range(rounds):
+        advance(archive, config, pool or InProcess(), chunk)
+    return archive
+
+
+def kept(archive: Archive, folder: Path) -> bytes:
+    """Every byte of an archive."""
+    archive.save(folder / "kept.h5")
+    return (folder / "kept.h5").read_bytes()
+
+
+def elites(archive: Archive) -> list[Elite]:
+    return [one for niche in archive.niches.values() for one in niche]
+
+
+def test_a_new_archive_knows_the_plain_loop() -> None:
+    archive = new_archive(SEARCH)
+    assert [str(code) for code in archive.codes(0)] == [""] and len(archive.niches) == 1 and archive.growth == []
+
+
+def test_a_new_archive_can_begin_at_a_knot(rope: Rope) -> None:
+    archive = new_archive(SEARCH, rope.from_curve(trefoil()))
+    assert {knot_type(code) for code in archive.codes(3)} == {"3_1"} and archive.settings["start"] != "loop"
+
+
+def test_a_search_from_a_knot_keeps_the_knot(rope: Rope) -> None:
+    archive = new_archive(SEARCH, rope.from_curve(trefoil()))
+    advance(archive, SEARCH, InProcess())
+    assert {knot_type(niche) for niche in archive.niches} == {"3_1"}
+
+
+def test_the_search_finds_more_than_it_began_with(searched: Archive) -> None:
+    assert len(searched.niches) > 3 and max(niche.nx for niche in searched.niches) <= SEARCH.max_nx
+
+
+def test_everything_found_is_an_unknot(searched: Archive) -> None:
+    assert all(is_unknot(niche) for niche in searched.niches)
+
+
+@pytest.mark.parametrize("chunk", [1, 3, 8])
+def test_rounds_are_the_same_bytes_in_shifts_of_any_size(searched: Archive, tmp_path: Path, chunk: int) -> None:
+    assert kept(grown(3, chunk=chunk), tmp_path) == kept(searched, tmp_path)
+
+
+def test_rounds_are_the_same_bytes_on_two_workers(searched: Archive, tmp_path: Path) -> None:
+    with engine(2) as pool:
+        assert kept(grown(3, pool=pool, chunk=3), tmp_path) == kept(searched, tmp_path)
+
+
+def test_a_saved_and_loaded_archive_goes_on_as_if_unbroken(searched: Archive, tmp_path: Path) -> None:
+    archive = grown(1)
+    for _ in range(2):
+        archive.save(tmp_path / "archive.h5")
+        archive = Archive.load(tmp_path / "archive.h5")
+        advance(archive, SEARCH, InProcess())
+    assert archive.growth == searched.growth and list(archive.niches) == list(searched.niches)
+    assert kept(archive, tmp_path) == kept(searched, tmp_path)
+
+
+def test_a_pickled_archive_goes_on_as_if_unbroken(searched: Archive, tmp_path: Path) -> None:
+    archive = pickle.loads(pickle.dumps(grown(2)))
+    advance(archive, SEARCH, InProcess())
+    assert kept(archive, tmp_path) == kept(searched, tmp_path)
+
+
+def test_another_seed_searches_elsewhere(searched: Archive, tmp_path: Path) -> None:
+    assert kept(grown(1, SearchConfig(max_nx=3, slots=8, pulls=8, seed=1)), tmp_path) != kept(grown(1), tmp_path)
+
+
+def test_every_way_from_the_plain_loop_ends_in_its_state_bit_for_bit(searched: Archive, rope: Rope) -> None:
+    simulation = Simulation(1, rope)
+    for elite in elites(searched):
+        simulation.lay(rope.qpos(rope.loop())[None])
+        for bead, force in zip(elite.way.beads, elite.way.forces, strict=True):
+            _, held = pull(simulation, np.array([bead]), force[None])
+            assert held.all()
+        assert np.array_equal(simulation.states()[0], elite.state), elite.code.chiral
+
+
+def test_every_elite_shows_its_code_walked_from_its_roll(searched: Archive, rope: Rope) -> None:
+    simulation = Simulation(1, rope)
+    for elite in elites(searched):
+        simulation.restore(elite.state[None])
+        assert elite.roll in rolls(rope.config)
+        assert rolled(find_crossings(simulation.points[0]), elite.roll) == elite.code
+        assert elite.roll or label(simulation.points[0]) == elite.code
+
+
+def test_the_badness_of_an_elite_is_that_of_its_state(searched: Archive, rope: Rope) -> None:
+    simulation = Simulation(1, rope)
+    for elite in elites(searched)[:40]:
+        simulation.restore(elite.state[None])
+        points = np.roll(simulation.points[0], -elite.roll, axis=0)
+        assert elite.badness == pytest.approx(Limits().badness(measure(points, quick=True), elite.code.nx), abs=1e-6)
+
+
+def test_base_spacing_is_taken_from_the_roll(searched: Archive, rope: Rope) -> None:
+    simulation = Simulation(1, rope)
+    for elite in [one for one in elites(searched) if one.code.nx][:10]:
+        simulation.restore(elite.state[None])
+        points = simulation.points[0]
+        renumbered = np.roll(points, -elite.roll, axis=0)
+        assert base_spacing(points, find_crossings(points), elite.roll) == pytest.approx(measure(renumbered, quick=True).base_spacing, abs=1e-6)
+
+
+def test_growth_has_one_row_a_round(searched: Archive) -> None:
+    assert [row["round"] for row in searched.growth] == [0, 1, 2]
+    assert searched.growth[-1]["classes"] == len(searched.niches)
+    assert all(one["actions"] < other["actions"] and one["classes"] <= other["classes"] for one, other in pairwise(searched.growth))
+
+
+def test_a_round_says_how_many_classes_are_new() -> None:
+    archive = new_archive(SEARCH)
+    known = len(archive.niches)
+    assert advance(archive, SEARCH, InProcess()) == len(archive.niches) - known
+
+
+def test_the_first_round_takes_every_pull_of_every_slot(searched: Archive) -> None:
+    assert searched.growth[0]["actions"] == SEARCH.slots * SEARCH.pulls
+
+
+def test_every_slot_counts_as_a_visit(searched: Archive) -> None:
+    assert sum(searched.visits.values()) == 3 * SEARCH.slots
+
+
+def test_no_way_is_longer_than_the_longest_allowed() -> None:
+    archive = grown(3, SearchConfig(max_nx=3, slots=8, pulls=8, longest=12))
+    assert 8 < max(len(one.way) for one in elites(archive)) <= 12
+
+
+def test_settings_tell_the_whole_search(searched: Archive) -> None:
+    assert searched.settings["seed"] == 0 and searched.settings["slots"] == 8 and searched.settings["start"] == "loop"
+
+
+def test_transitions_are_counted_along(searched: Archive) -> None:
+    assert searched.transitions.tried.total() > 0 and searched.transitions.seen.total() > 0

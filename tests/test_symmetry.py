@@ -1,0 +1,124 @@
+"""Symmetries take ropes to ropes and codes to codes, both in step."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from knotgym.crossings import find_crossings, label
+from knotgym.diagrams import chiralities, planar_codes
+from knotgym.gauss import GaussCode
+from knotgym.generate.symmetry import Symmetry, class_of, members, rolled, rolls, variants
+from knotgym.rope import Rope, RopeConfig
+
+BEADS = RopeConfig().beads
+CODES = [GaussCode(code.visits, letters) for nx in range(4) for code in planar_codes(nx) for letters in chiralities(code)]
+
+codes = st.sampled_from(CODES)
+symmetries = st.builds(
+    Symmetry,
+    reflect=st.booleans(),
+    switch=st.booleans(),
+    turn=st.floats(-np.pi, np.pi),
+    reverse=st.booleans(),
+    roll=st.integers(-BEADS, 2 * BEADS),
+)
+rows = st.integers(0, 39)
+
+
+@pytest.fixture(scope="module")
+def configurations(rope: Rope, tangled: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Ropes in mid-motion: float64 (40, beads, 3)."""
+    return rope.points(tangled)
+
+
+@given(codes)
+def test_a_class_is_the_same_for_every_variant(code: GaussCode) -> None:
+    assert {class_of(shown) for shown, _ in variants(code)} == {class_of(code)}
+
+
+@given(codes)
+def test_a_class_stands_for_itself(code: GaussCode) -> None:
+    assert class_of(class_of(code)) == class_of(code) == members(code)[0]
+
+
+@given(codes)
+def test_members_are_the_variants_once_each(code: GaussCode) -> None:
+    assert sorted(code.chiral for code in members(code)) == sorted({shown.chiral for shown, _ in variants(code)})
+
+
+def test_classes_part_the_codes() -> None:
+    by_class = {one: set(members(one)) for one in map(class_of, CODES)}
+    assert sum(map(len, by_class.values())) == len(set(CODES)) == len(set.union(*by_class.values()))
+
+
+def test_variants_are_the_eight_ways_to_look() -> None:
+    looks = [(one.reflect, one.switch, one.reverse) for _, one in variants(GaussCode.parse("1+a,1-a"))]
+    assert len(looks) == len(set(looks)) == 8
+
+
+@given(rows, st.floats(-np.pi, np.pi))
+def test_what_a_variant_shows_is_what_the_moved_rope_shows(configurations: NDArray[np.float64], row: int, turn: float) -> None:
+    points = configurations[row]
+    for shown, symmetry in variants(label(points)):
+        turned = Symmetry(symmetry.reflect, symmetry.switch, turn, symmetry.reverse)
+        assert label(turned.configuration(points)) == shown
+
+
+def test_a_walk_from_any_vertex_reads_the_rolled_code(configurations: NDArray[np.float64]) -> None:
+    for points in configurations[::4]:
+        crossings = find_crossings(points)
+        for roll in range(BEADS):
+            assert label(Symmetry(roll=roll).configuration(points)) == rolled(crossings, roll), roll
+
+
+def test_rolling_and_a_variant_show_the_variant_of_the_rolled_code(configurations: NDArray[np.float64]) -> None:
+    for points in configurations[::4]:
+        crossings = find_crossings(points)
+        for roll in rolls(RopeConfig()):
+            for shown, one in variants(rolled(crossings, roll)):
+                symmetry = Symmetry(one.reflect, one.switch, 0.3, one.reverse, -roll if one.reverse else roll)
+                assert label(symmetry.configuration(points)) == shown
+
+
+@given(rows, symmetries)
+def test_a_bead_keeps_its_place_under_its_new_number(configurations: NDArray[np.float64], row: int, symmetry: Symmetry) -> None:
+    points = configurations[row]
+    moved = symmetry.configuration(points)
+    middles = (points + np.roll(points, -1, axis=0)) / 2
+    new = symmetry.beads(np.arange(BEADS), BEADS)
+    assert np.allclose(((moved + np.roll(moved, -1, axis=0)) / 2)[new], symmetry.vectors(middles), atol=1e-12)
+
+
+@given(symmetries)
+def test_every_bead_gets_one_number(symmetry: Symmetry) -> None:
+    assert sorted(symmetry.beads(np.arange(BEADS), BEADS)) == list(range(BEADS))
+
+
+@given(rows, symmetries)
+def test_distances_stay(configurations: NDArray[np.float64], row: int, symmetry: Symmetry) -> None:
+    def spread(points: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.sort(np.linalg.norm(points - points.mean(axis=0), axis=1))
+
+    assert np.allclose(spread(symmetry.configuration(configurations[row])), spread(configurations[row]), atol=1e-12)
+
+
+def test_no_symmetry_is_bit_for_bit_nothing(configurations: NDArray[np.float64]) -> None:
+    assert np.array_equal(Symmetry().configuration(configurations[3]), configurations[3])
+
+
+def test_configuration_leaves_its_input_alone(configurations: NDArray[np.float64]) -> None:
+    before = configurations[5].copy()
+    Symmetry(reflect=True, switch=True, turn=1.0, reverse=True, roll=3).configuration(configurations[5])
+    assert np.array_equal(configurations[5], before)
+
+
+def test_the_plain_loop_renumbered_and_turned_back_is_the_plain_loop(rope: Rope) -> None:
+    for roll in rolls(rope.config):
+        back = Symmetry(roll=roll, turn=-2 * np.pi * roll / BEADS)
+        assert np.allclose(back.configuration(rope.loop()), rope.loop(), atol=1e-12)
+
+
+def test_rolls_start_at_each_sub_chain(rope: Rope) -> None:
+    assert rolls(rope.config)[0] == 0 and len(rolls(rope.config)) == rope.config.sub_chains
