@@ -28,6 +28,8 @@ from knotgym.generate.main_job import Occupied
 from knotgym.generate.quality import UNITS, Limits, measure
 from knotgym.generate.relax import relaxed
 from knotgym.generate.symmetry import Symmetry
+from knotgym.loaders import MissingExtra
+from knotgym.loaders import images as load
 from knotgym.rope import Array, Rope
 
 from .conftest import curled
@@ -267,3 +269,55 @@ def test_the_code_shown_is_the_one_of_the_points(rows: list[dict[str, Any]]) -> 
     for row in rows:
         points: Array = np.array(row["points"]).reshape(-1, 3)
         assert label(points).chiral == row["gauss_code_chiral"]
+
+
+def test_a_loader_without_its_library_names_the_extra(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for kind, module in (("torch", "torch"), ("huggingface", "datasets")):
+        with monkeypatch.context() as patch:
+            patch.setitem(sys.modules, module, None)
+            with pytest.raises(MissingExtra, match=rf"knotgym\[{kind}\]"):
+                load(folder, kind=kind)
+
+
+def test_a_checkouts_own_folder_is_not_mistaken_for_hugging_faces_library(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "datasets", tables)
+    with pytest.raises(MissingExtra, match="checkout"):
+        load(folder, kind="huggingface")
+
+
+def test_an_unknown_kind_or_split_is_refused(folder: Path) -> None:
+    with pytest.raises(ValueError, match="kind must be"):
+        load(folder, kind="jax")
+    with pytest.raises(InvalidImages, match="no split"):
+        read_table(folder, "validation")
+
+
+@pytest.mark.clients
+@pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="torch isn't installed")
+def test_torch_reads_pictures_and_padded_labels(folder: Path, rows: list[dict[str, Any]]) -> None:
+    from torch.utils.data import DataLoader, Subset
+
+    data = load(folder, max_nx=4)
+    assert len(data) == len(rows)
+    for item, row in zip(data, rows, strict=True):
+        assert np.array_equal(np.moveaxis(item["image"].numpy(), 0, -1), decode(row["image"]))
+        visits = [visit for visit in item["visits"].tolist() if visit]
+        assert ",".join(f"{abs(visit)}{'+' if visit > 0 else '-'}" for visit in visits) == row["gauss_code"]
+        assert item["nx"] == row["nx"] and item["visits"].shape == (8,) and item["crossings"].shape == (4, 4)
+    small = [k for k, item in enumerate(data) if item["image"].shape[-1] == 64]
+    seen = [batch["image"] for batch in DataLoader(Subset(data, small), 4, num_workers=2)]
+    assert sum(map(len, seen)) == len(small)
+    with pytest.raises(InvalidImages, match="padded"):
+        load(folder, max_nx=1)
+
+
+@pytest.mark.clients
+@pytest.mark.skipif(importlib.util.find_spec("fsspec") is None, reason="Hugging Face's datasets isn't installed")
+def test_hugging_face_reads_it_with_its_splits(folder: Path, rows: list[dict[str, Any]]) -> None:
+    found = load(folder, kind="huggingface")
+    assert {name: len(part) for name, part in found.items()} == {
+        split.replace("-", "_"): sum(row["split"] == split for row in rows) for split in SPLITS if any(row["split"] == split for row in rows)
+    }
+    first = next(row for row in rows if row["split"] == "train")
+    assert found["train"][0]["gauss_code"] == first["gauss_code"]
+    assert np.array_equal(np.asarray(found["train"][0]["image"]), decode(first["image"]))

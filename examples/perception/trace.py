@@ -24,7 +24,7 @@ from knotgym.picture import bead_colours
 
 BEADS = 100
 FINE = 8  # colours between two beads that a pixel is compared with
-STIFF = 12.0  # pixels' worth of a bend of the axis by one pixel, against a pixel that lies one pixel off it
+STIFF = 2.0  # pixels' worth of a bend of the axis by one pixel, against a pixel that lies one pixel off it
 Array = NDArray[np.float64]
 
 

@@ -19,7 +19,7 @@ def summary(states: States) -> dict[str, Any]:
         rows = np.flatnonzero(states.nx == nx)
         split = Counter(states.split[rows].tolist())
         letters = Counter("".join(_letters(text) for text in states.gauss_code_chiral[rows]))
-        steps = states.source["steps"][rows]
+        steps = states.source["steps"][rows] if "steps" in states.source else None
         out["nx"][str(nx)] = {
             "states": len(rows),
             "codes": len(set(states.gauss_code[rows].tolist())),
@@ -29,7 +29,7 @@ def summary(states: States) -> dict[str, Any]:
             "codes_in_both_splits": len(_codes(states, rows, "train") & _codes(states, rows, "test")),
             "positive_crossings": letters["c"],
             "negative_crossings": letters["a"],
-            "actions_to_reach": [int(steps.min()), int(np.median(steps)), int(steps.max())],
+            "actions_to_reach": [] if steps is None else [int(steps.min()), int(np.median(steps)), int(steps.max())],
         }
     out["quality"] = {
         name: {"unit": states.units[name], "min": float(values.min()), "median": float(np.median(values)), "max": float(values.max())}

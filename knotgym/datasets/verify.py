@@ -52,7 +52,7 @@ def state_faults(states: States) -> Iterator[str]:
         if states.image is not None and not np.array_equal(states.image[row], draw(points)):
             yield f"{where}: image is not the picture of points"
         if states.split[row] not in ("train", "test"):
-            yield f"{where}: split is {states.split[row]!r}"
+            yield f"{where}: split is {str(states.split[row])!r}"
         simulation.lay(states.source["start_qpos"][row][None])
         actions = states.source["actions"][row, : states.source["steps"][row]]
         if not (np.abs(actions) <= 1).all():

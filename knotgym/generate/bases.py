@@ -92,7 +92,7 @@ def bases(nx: tuple[int, ...], archive: Path | None = None, states: Path | None 
         points=np.stack(points),
         nx=np.array([code.nx for code in codes], dtype=np.int64),
         kind=np.array([kinds[class_of(code)] for code in codes], dtype=np.int64),
-        family=families(np.stack(points), 2 * NEAR),
+        family=families(np.stack(points), NEAR),
         knots=tuple(sorted({knot_type(code) for code in codes})),
         source={"kind": "archive" if archive else "states", "name": path.name, "sha256": sha256(path)},
     )

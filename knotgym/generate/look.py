@@ -139,13 +139,15 @@ def film(path: str, row: int, out: Path) -> None:
     """Act out a state's provenance or an episode and write it as a video.
 
     Raises:
-        UnknownDataset: there is no such row.
+        UnknownDataset: there is no such row, or nothing is known of how it came to be.
         Untrue: it ended elsewhere; nothing is written.
     """
     refuse_existing(out)
     if is_states(path):
         states = read_states(states_path(path), images=False)
         _in_range(row, len(states))
+        if not {"start_qpos", "actions", "steps"} <= states.source.keys():
+            raise UnknownDataset(f"{path} doesn't say how its states were made, so they can't be acted out")
         start, goal = states.source["start_qpos"][row], states.points[row]
         actions, last = states.source["actions"][row, : states.source["steps"][row]], states.points[row]
     else:

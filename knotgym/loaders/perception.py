@@ -6,7 +6,6 @@ import importlib
 import os
 from typing import Any
 
-from knotgym.datasets.images import shards
 from knotgym.loaders.clients import MissingExtra
 
 KINDS = ("torch", "huggingface")
@@ -34,6 +33,8 @@ def images(path: str | os.PathLike[str], split: str | None = None, kind: str = "
         from knotgym.loaders.pictures import PictureDataset
 
         return PictureDataset(path, split, max_nx)
+    from knotgym.datasets.images import shards
+
     library = _needed("datasets", "load_dataset", "huggingface")
     files: dict[str, list[str]] = {}
     for shard in shards(path, split):

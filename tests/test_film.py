@@ -1,0 +1,265 @@
+"""Films are written whole or not at all; the dataset commands show, draw, replay, merge and convert what is there."""
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import h5py
+import numpy as np
+import pytest
+from PIL import Image
+
+from knotgym.datasets.card import summary
+from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.gallery import contact_sheet, write_gallery
+from knotgym.datasets.states import States, read_states
+from knotgym.generate.film import FRAMES_PER_SECOND, UnknownFilm, captioned, write_film
+from knotgym.picture import draw
+
+from .small_job import knotgym
+
+FRAMES = [np.full((40, 60, 3), level, dtype=np.uint8) for level in (0, 60, 120, 180, 240)]
+WAYS = "minari/knotgym/tie-nx1/ways-v0"
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[h5py.File]:
+    with h5py.File(path, "a") as file:
+        yield file
+
+
+def film_length(path: Path) -> int:
+    if path.suffix == ".gif":
+        with Image.open(path) as film:
+            return getattr(film, "n_frames", 1)
+    film = cv2.VideoCapture(str(path))
+    count = 0
+    while film.read()[0]:
+        count += 1
+    return count
+
+
+# Films.
+
+
+@pytest.mark.parametrize("name", ["a.gif", "a.mp4", "A.GIF"])
+def test_a_film_has_the_frames_it_was_given(tmp_path: Path, name: str) -> None:
+    write_film(tmp_path / name, FRAMES)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    if not name.isupper():
+        assert film_length(tmp_path / name) == len(FRAMES)
+
+
+@pytest.mark.parametrize("name", ["a.gif", "a.mp4"])
+def test_a_film_shows_what_it_was_given(tmp_path: Path, name: str) -> None:
+    write_film(tmp_path / name, FRAMES)
+    film = cv2.VideoCapture(str(tmp_path / name))
+    levels = [float(film.read()[1].mean()) for _ in FRAMES]
+    assert np.allclose(levels, [0, 60, 120, 180, 240], atol=6)
+
+
+def test_a_film_runs_as_fast_as_the_rope(tmp_path: Path) -> None:
+    write_film(tmp_path / "a.gif", FRAMES)
+    with Image.open(tmp_path / "a.gif") as film:
+        assert film.info["duration"] == 1000 // FRAMES_PER_SECOND
+
+
+@pytest.mark.parametrize("name", ["a.avi", "a", "a.gif.txt"])
+def test_another_kind_of_film_is_refused_and_not_written(tmp_path: Path, name: str) -> None:
+    with pytest.raises(UnknownFilm, match="a video ends in .gif or .mp4"):
+        write_film(tmp_path / name, FRAMES)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_captions_stand_below_the_picture() -> None:
+    frame = np.arange(10 * 20 * 3, dtype=np.uint8).reshape(10, 20, 3)
+    out = captioned(frame, ["one", "two"], scale=3)
+    assert np.array_equal(out[:30:3, ::3], frame) and out[30:].any() and out.shape[0] % 2 == 0
+
+
+@pytest.mark.parametrize("text", ["", "short", "1+c,2-a,3+a," * 30])
+def test_captions_of_any_length_fit(text: str) -> None:
+    out = captioned(np.zeros((20, 40, 3), dtype=np.uint8), [text])
+    assert out.shape[1] == 120 and not out[:, -4:].any()
+
+
+# Contact sheets.
+
+
+def test_a_contact_sheet_holds_every_picture_unchanged() -> None:
+    images = np.random.default_rng(0).integers(0, 255, (5, 16, 16, 3), dtype=np.uint8)
+    sheet = contact_sheet(images, [("a", "b")] * 5, columns=2)
+    assert sheet.shape == (3 * 58, 2 * 28, 3)
+    for k, image in enumerate(images):
+        top, left = k // 2 * 58 + 6, k % 2 * 28 + 6
+        assert np.array_equal(sheet[top : top + 16, left : left + 16], image)
+
+
+def test_a_gallery_needs_pictures(states_path: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="read with their images"):
+        write_gallery(tmp_path / "a.png", read_states(states_path, images=False))
+
+
+def test_the_gallery_command_draws_the_gallery_again(curated: Path, tmp_path: Path) -> None:
+    assert knotgym("dataset", "gallery", curated, "--out", tmp_path / "a.png") == 0
+    assert (tmp_path / "a.png").read_bytes() == (curated / "gallery.png").read_bytes()
+
+
+# Show.
+
+
+def test_show_counts_states_codes_and_rejections(curated: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert knotgym("dataset", "show", curated) == 0
+    told = capfd.readouterr().out
+    assert "8 states" in told and "noise_survival" in told and "instances made; rejected" in told
+
+
+def test_show_sums_up_trajectories(curated: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert knotgym("dataset", "show", curated / WAYS) == 0
+    told = {line.split()[0]: line for line in capfd.readouterr().out.splitlines()}
+    assert told["episodes"].split()[1] == "4" and told["successes"].split()[1] == "4" and "ways" in told["policies"]
+
+
+def test_show_finds_a_dataset_by_its_id(curated: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(curated / "minari"))
+    assert knotgym("dataset", "show", "knotgym/tie-nx1/ways-v0") == 0
+    assert "knotgym/tie-nx1/ways-v0" in capfd.readouterr().out
+
+
+def test_a_summary_counts_what_is_there(curated: Path) -> None:
+    states = read_states(curated / "states.h5")
+    one = summary(states)["nx"]["1"]
+    assert (one["states"], one["codes"], one["train"], one["test"]) == (4, 2, 2, 2)
+    assert one["positive_crossings"] + one["negative_crossings"] == 4
+    assert one["positive_crossings"] == sum("c" in text for text in states.gauss_code_chiral)
+    assert one["actions_to_reach"][0] == states.source["steps"][4:].min() and one["actions_to_reach"][2] == states.source["steps"][4:].max()
+
+
+def test_show_counts_states_whose_way_is_not_known(states_path: str, capfd: pytest.CaptureFixture[str]) -> None:
+    assert knotgym("dataset", "show", states_path) == 0 and "30 states" in capfd.readouterr().out
+
+
+@pytest.mark.parametrize("command", ["show", "verify", "replay"])
+@pytest.mark.parametrize("name", ["absent", "text.h5", "foreign.h5"])
+def test_what_is_no_dataset_is_refused_in_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str], command: str, name: str) -> None:
+    (tmp_path / "text.h5").write_text("not HDF5")
+    with opened(tmp_path / "foreign.h5") as file:
+        file["x"] = 1.0
+    more = ("--out", tmp_path / "a.gif") if command == "replay" else ()
+    assert knotgym("dataset", command, tmp_path / name, *more) == 2
+    (line,) = capfd.readouterr().err.splitlines()
+    assert line.startswith("knotgym: ") and name in line and not (tmp_path / "a.gif").exists()
+
+
+# Replay.
+
+
+@pytest.mark.parametrize("kind", ["states", "trajectories"])
+def test_a_replay_is_filmed_from_the_start_to_the_state(curated: Path, tmp_path: Path, kind: str) -> None:
+    states = read_states(curated / "states.h5")
+    source, row = (curated, 5) if kind == "states" else (curated / WAYS, 1)
+    assert knotgym("dataset", "replay", source, "--row", row, "--out", tmp_path / "a.mp4") == 0
+    assert film_length(tmp_path / "a.mp4") == states.source["steps"][5] + 1 + FRAMES_PER_SECOND
+
+
+def test_the_last_frame_shows_the_state_beside_itself(curated: Path, tmp_path: Path) -> None:
+    points = read_states(curated / "states.h5").points[5]
+    assert knotgym("dataset", "replay", curated, "--row", 5, "--out", tmp_path / "a.mp4") == 0
+    film, frames = cv2.VideoCapture(str(tmp_path / "a.mp4")), []
+    while (frame := film.read())[0]:
+        frames.append(frame[1][1:384:3, 1::3, ::-1])
+    right = np.concatenate([draw(points)] * 2, axis=1)
+    assert np.abs(frames[-1].astype(float) - right).mean() < 6 < np.abs(frames[0].astype(float) - right).mean() + 6
+
+
+@pytest.mark.parametrize("name", ["start_qpos", "actions"])
+def test_a_replay_that_ends_elsewhere_is_told_and_not_filmed(
+    curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], name: str
+) -> None:
+    shutil.copy(curated / "states.h5", tmp_path / "states.h5")
+    with opened(tmp_path / "states.h5") as file:
+        file["source"][name][(5, 3) if name == "start_qpos" else (5, 0, 3)] += 1e-3  # the force, of an action
+    assert knotgym("dataset", "replay", tmp_path / "states.h5", "--row", 5, "--out", tmp_path / "a.gif") != 0
+    (line,) = capfd.readouterr().err.splitlines()
+    assert "row 5 of" in line and "ends elsewhere" in line and not (tmp_path / "a.gif").exists()
+
+
+def test_states_without_provenance_cannot_be_replayed(states_path: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert knotgym("dataset", "replay", states_path, "--out", tmp_path / "a.gif") == 2
+    (line,) = capfd.readouterr().err.splitlines()
+    assert "doesn't say how its states were made" in line
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        ("--row 8", "row 8 is not there; there are 8, from 0"),
+        ("--row -1", "greater than or equal to 0"),
+        ("--out {}/a.avi", "a video ends in .gif or .mp4"),
+    ],
+)
+def test_a_replay_of_what_cannot_be_is_refused(
+    curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], options: str, problem: str
+) -> None:
+    words = ["--out", str(tmp_path / "a.gif"), *options.format(tmp_path).split()]
+    assert knotgym("dataset", "replay", curated, *words) == 2
+    (line,) = capfd.readouterr().err.splitlines()
+    assert problem in line and list(tmp_path.iterdir()) == []
+
+
+# Merge and export.
+
+
+def rows(states: States) -> list[bytes]:
+    return [qpos.tobytes() for qpos in states.qpos]
+
+
+def test_merged_states_are_those_of_both_in_order_of_nx(curated: Path, tmp_path: Path) -> None:
+    whole = read_states(curated / "states.h5")
+    assert knotgym("dataset", "merge", curated, curated / "states.h5", "--out", tmp_path / "m.h5") == 0
+    merged = read_states(tmp_path / "m.h5")
+    assert merged.nx.tolist() == [0] * 8 + [1] * 8 and rows(merged) == 2 * rows(whole)[:4] + 2 * rows(whole)[4:]
+    assert merged.image is not None and whole.image is not None and np.array_equal(merged.image[:4], whole.image[:4])
+    assert merged.source.keys() == whole.source.keys() and merged.quality.keys() == whole.quality.keys()
+
+
+def test_merged_states_of_two_runs_verify(curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    other = ("--nx", 1, "--count", 2, "--seed", 8, "--archive", curated / "archive.h5", "--workers", 1, "--out", tmp_path / "b", "--quiet")
+    assert knotgym("generate", *other) == 0
+    assert knotgym("dataset", "merge", curated, tmp_path / "b", "--out", tmp_path / "m.h5") == 0
+    assert knotgym("dataset", "verify", tmp_path / "m.h5") == 0 and len(read_states(tmp_path / "m.h5")) == 10
+
+
+def test_states_with_other_columns_do_not_go_together(
+    curated: Path, states_path: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert knotgym("dataset", "merge", curated, states_path, "--out", tmp_path / "m.h5") == 2
+    assert "different quality or source columns" in capfd.readouterr().err and not (tmp_path / "m.h5").exists()
+
+
+def test_states_and_trajectories_do_not_go_into_one_file(curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert knotgym("dataset", "merge", curated, curated / WAYS, "--out", tmp_path / "m.h5") == 2
+    assert len(capfd.readouterr().err.splitlines()) == 1 and not (tmp_path / "m.h5").exists()
+
+
+def test_merged_trajectories_hold_every_episode(curated: Path, tmp_path: Path) -> None:
+    assert knotgym("dataset", "merge", curated / WAYS, curated / WAYS, "--out", tmp_path / "m.h5") == 0
+    assert len(EpisodeReader(tmp_path / "m.h5")) == 8
+
+
+def test_exported_trajectories_are_the_same_without_pictures(curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert knotgym("dataset", "export", curated / WAYS, "--out", tmp_path / "e.h5") == 0
+    compact, whole = EpisodeReader(tmp_path / "e.h5"), EpisodeReader(curated / WAYS)
+    assert compact.stored == "none" and [one.digest() for one in compact] == [one.digest() for one in whole]
+    assert knotgym("dataset", "verify", tmp_path / "e.h5") == 0
+
+
+@pytest.mark.parametrize("command", ["merge", "export", "replay"])
+def test_a_file_that_is_there_is_not_written_over(curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], command: str) -> None:
+    mine = tmp_path / ("a.gif" if command == "replay" else "a.h5")
+    mine.write_text("mine")
+    assert knotgym("dataset", command, curated / WAYS, "--out", mine) == 2
+    (line,) = capfd.readouterr().err.splitlines()
+    assert f"{mine} is there already" in line and mine.read_text() == "mine"
