@@ -23,7 +23,7 @@ from knotgym.generate.opening import OpeningConfig
 from knotgym.generate.search import SearchConfig
 
 INSTANCE = InstanceConfig(opening=OpeningConfig(pulls=6, tries=4), stir_loop=4)
-WAVE = 12
+WAVE = 8
 
 _search_config, _generate = job.search_config, main_job.generate
 

@@ -7,6 +7,7 @@ import os
 import shutil
 import signal
 import subprocess
+import sys
 import time
 from collections.abc import Iterable, Iterator
 from concurrent.futures.process import BrokenProcessPool
@@ -28,7 +29,9 @@ from knotgym.datasets.states import States, read_states
 from knotgym.datasets.verify import folder_faults
 from knotgym.generate import cli, main_job
 from knotgym.generate.archive import Archive
+from knotgym.generate.curate import is_near_duplicate
 from knotgym.generate.engines import engine
+from knotgym.generate.job import NotEnough
 from knotgym.generate.search import new_archive
 from knotgym.knots import knot_type
 from knotgym.oracle import pyknotid_code
@@ -40,6 +43,7 @@ from .conftest import SEARCH, trefoil
 from .small_job import knotgym, small, typed
 
 WANTED = ("--nx", "0,1", "--count", 4)  # what conftest's `curated` folder was asked for
+INSTALLED = str(Path(sys.executable).with_name("knotgym-generate"))
 SECONDS = 120  # in which anything here must have happened
 
 
@@ -139,6 +143,12 @@ def test_every_provenance_ends_in_its_row_bit_for_bit(states: States) -> None:
         assert np.array_equal(simulation.qpos()[0], states.qpos[row]) and np.array_equal(simulation.points[0], states.points[row])
 
 
+def test_no_two_states_are_near_duplicates(states: States) -> None:
+    for nx in (0, 1):
+        points = states.points[states.nx == nx]
+        assert all(not is_near_duplicate(one, list(points[:k])) for k, one in enumerate(points))
+
+
 def test_rows_name_their_own_trajectory(states: States) -> None:
     assert states.source["trajectory"].tolist() == [0, 1, 2, 3] * 2 and len({tuple(seed) for seed in states.source["seed"]}) == 8
 
@@ -204,37 +214,34 @@ def test_verify_finds_no_fault(curated: Path, capfd: pytest.CaptureFixture[str])
     assert knotgym("dataset", "verify", curated) == 0 and capfd.readouterr().out.splitlines()[-1] == "no faults"
 
 
-def test_its_archive_can_be_gone_on_from(curated: Path, tmp_path: Path) -> None:
-    out = tmp_path / "more"
-    assert knotgym("generate", "--nx", 1, "--count", 2, "--seed", 5, "--archive", curated / "archive.h5", "--workers", 1, "--out", out) == 0
-    assert Archive.load(out / "archive.h5").growth[0] == Archive.load(curated / "archive.h5").growth[0]
+@pytest.fixture(scope="module")
+def coded(curated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder made from another's archive, its splits without a code in common."""
+    out = tmp_path_factory.mktemp("coded") / "a"
+    options = ("--nx", 1, "--count", 2, "--split-by", "code", "--seed", 5, "--archive", curated / "archive.h5", "--workers", 1, "--out", out)
+    assert knotgym("generate", *options) == 0
+    return out
 
 
-def test_the_default_folder_is_named_after_nx(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_its_archive_can_be_gone_on_from(curated: Path, coded: Path) -> None:
+    before, after = Archive.load(curated / "archive.h5").growth, Archive.load(coded / "archive.h5").growth
+    assert after[: len(before)] == before and len(after) > len(before)
+
+
+def test_the_default_folder_is_named_after_nx_and_quiet_says_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("signal.signal", lambda *_: None)
     with small(), pytest.raises(SystemExit) as ended:
         cli.main_generate(["--nx", "0", "--count", "1", "--workers", "1", "--quiet"])
     assert ended.value.code == 0 and (tmp_path / "knotgym-data" / "nx0" / "states.h5").is_file()
-
-
-def test_split_by_code_leaves_no_code_in_both(curated: Path, tmp_path: Path) -> None:
-    out = tmp_path / "coded"
-    options = ("--nx", 1, "--count", 2, "--split-by", "code", "--archive", curated / "archive.h5", "--workers", 1, "--out", out)
-    assert knotgym("generate", *options) == 0
-    states = read_states(out / "states.h5")
-    assert sorted(states.split) == ["test", "train"] and len(set(states.gauss_code)) == 2
-
-
-def test_progress_is_told_in_plain_lines(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert knotgym("generate", "--nx", 0, "--count", 1, "--workers", 1, "--out", tmp_path / "a") == 0
-    told = capfd.readouterr().out
-    assert "states accepted 1 of 1; distinct codes 1" in told and "1 states of 1 codes" in told and "\x1b" not in told
-
-
-def test_quiet_says_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert knotgym("generate", "--nx", 0, "--count", 1, "--workers", 1, "--out", tmp_path / "a", "--quiet") == 0
     assert capfd.readouterr() == ("", "")
+
+
+def test_split_by_code_leaves_no_code_in_both(coded: Path) -> None:
+    states = read_states(coded / "states.h5")
+    assert sorted(states.split) == ["test", "train"] and len(set(states.gauss_code)) == 2
 
 
 # The same bytes, whatever happens.
@@ -274,10 +281,12 @@ def test_resumed_it_ends_in_the_same_bytes_as_an_unbroken_run(killed: Path, cura
     assert bytes_of(tmp_path / "nx0-1") == bytes_of(curated) and [path.name for path in tmp_path.iterdir()] == ["nx0-1"]
 
 
-def test_without_resume_it_begins_anew(killed: Path, tmp_path: Path) -> None:
+def test_without_resume_it_begins_anew_and_tells_in_plain_lines(killed: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     shutil.copytree(killed.parent / ".nx0-1.partial", tmp_path / ".a.partial")
-    assert knotgym("generate", "--nx", 0, "--count", 1, "--workers", 1, "--out", tmp_path / "a", "--quiet") == 0
+    assert knotgym("generate", "--nx", 0, "--count", 1, "--workers", 1, "--out", tmp_path / "a") == 0
     assert len(read_states(tmp_path / "a" / "states.h5")) == 1 and not (tmp_path / ".a.partial").exists()
+    told = capfd.readouterr().out
+    assert "states accepted 1 of 1; distinct codes 1" in told and "1 states of 1 codes" in told and "\x1b" not in told
 
 
 def test_a_finished_run_is_resumed_to_itself(curated: Path, tmp_path: Path) -> None:
@@ -287,7 +296,7 @@ def test_a_finished_run_is_resumed_to_itself(curated: Path, tmp_path: Path) -> N
     assert bytes_of(tmp_path / "a") == bytes_of(curated) and [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
-@pytest.mark.parametrize(("number", "group", "workers"), [(signal.SIGINT, True, 2), (signal.SIGTERM, False, 2), (signal.SIGTERM, False, 1)])
+@pytest.mark.parametrize(("number", "group", "workers"), [(signal.SIGINT, True, 2), (signal.SIGTERM, False, 1)])
 def test_an_interrupted_run_says_one_line_and_leaves_nothing(tmp_path: Path, number: signal.Signals, group: bool, workers: int) -> None:
     run = begun(tmp_path / "a", "--workers", workers, saved=False)
     (os.killpg if group else os.kill)(run.pid, number)
@@ -358,6 +367,7 @@ def mistaken(tmp_path: Path) -> Path:
         ("--nx=-1", "--nx takes numbers of crossings such as 3, 2,3 or 0-4, got '-1'"),
         ("--nx 9", "from 0 to 6, got 9"),
         ("--nx 4-2", "got '4-2'"),
+        ("--nx 0-99999999999", "got '0-99999999999'"),
         ("--nx three", "got 'three'"),
         ("--nx 2,", "got '2,'"),
         ("--count 0", "count must be at least 1, got 0"),
@@ -398,11 +408,15 @@ def test_no_command_shows_the_help(capfd: pytest.CaptureFixture[str]) -> None:
     assert "generate" in shown.out + shown.err and "knotgym: " not in shown.err
 
 
-def test_too_few_attempts_are_a_failure_that_can_be_resumed(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    short = ("--nx", 1, "--count", 8, "--workers", 1, "--out", tmp_path / "a", "--quiet")
-    assert knotgym("generate", *short, "--attempts", 1) == 1
-    (line,) = said(capfd)
-    assert "of 8 states with nx = 1 accepted in" in line and "use --resume and more --attempts" in line
+def test_too_few_attempts_are_a_failure_that_can_be_resumed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def run(*_: object) -> None:
+        raise NotEnough("3 of 8 states with nx = 1 accepted in 9 attempts; use --resume and more --attempts")
+
+    monkeypatch.setattr(main_job, "run", run)
+    assert knotgym("generate", "--nx", 1, "--out", tmp_path / "a", "--workers", 1, "--quiet") == 1
+    assert said(capfd) == ["knotgym: 3 of 8 states with nx = 1 accepted in 9 attempts; use --resume and more --attempts"]
     assert [path.name for path in tmp_path.iterdir()] == [".a.partial"]
 
 
@@ -411,7 +425,7 @@ def test_too_few_attempts_are_a_failure_that_can_be_resumed(tmp_path: Path, capf
 
 @pytest.mark.slow
 def test_a_trefoil_is_curated_and_certified(tmp_path: Path) -> None:
-    words = ["knotgym-generate", "--knot", "3_1", "--nx", "3", "--count", "2", "--workers", "1", "--out", str(tmp_path / "a")]
+    words = [INSTALLED, "--knot", "3_1", "--nx", "3", "--count", "2", "--workers", "1", "--out", str(tmp_path / "a")]
     run = subprocess.run(words, capture_output=True, text=True)
     assert run.returncode == 0 and run.stderr == ""
     states = read_states(tmp_path / "a" / "states.h5")
@@ -422,7 +436,7 @@ def test_a_trefoil_is_curated_and_certified(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_command_as_installed_makes_a_folder(tmp_path: Path) -> None:
-    words = ["knotgym-generate", "--nx", "0-1", "--count", "4", "--workers", "2", "--out", str(tmp_path / "a")]
+    words = [INSTALLED, "--nx", "0-1", "--count", "4", "--workers", "2", "--out", str(tmp_path / "a")]
     run = subprocess.run(words, capture_output=True, text=True)
     assert run.returncode == 0 and run.stderr == "" and list(folder_faults(tmp_path / "a")) == []
 

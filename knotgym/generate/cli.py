@@ -41,7 +41,7 @@ def numbers(text: str) -> tuple[int, ...]:
     out: list[int] = []
     for word in text.split(","):
         low, dash, high = word.strip().partition("-")
-        if not low.isdecimal() or (dash and not high.isdecimal()) or (dash and int(high) < int(low)):
+        if not low.isdecimal() or (dash and not high.isdecimal()) or len(word.strip()) > 5 or (dash and int(high) < int(low)):
             raise typer.BadParameter(f"--nx takes numbers of crossings such as 3, 2,3 or 0-4, got {text!r}")
         out += range(int(low), int(high if dash else low) + 1)
     return tuple(dict.fromkeys(out))

@@ -117,7 +117,7 @@ class Limits:
         return missed
 
     def badness(self, quality: Quality, nx: int) -> float:
-        """How far from comfortable: 0 when every measure is twice as good as its limit, 1 for each one just at it, more beyond."""
+        """How far from comfortable: nothing for a measure twice as good as its limit, 1 for each one just at it, more beyond."""
         total = max(0.0, 2 - quality.smallest_face / FACE) ** 2
         for limit in fields(self):
             value, bound = getattr(quality, limit.name), getattr(self, limit.name)
