@@ -2,8 +2,8 @@
 
     python benchmarks/ways.py knotgym-data/nx4/archive.h5
 
-A way counts when the rope, led from the plain loop at rest (turned over, mirrored or walked the other way where the code is
-such a variant), shows the code. Writes JSON, with the growth of the archive by rounds, to --out.
+A way counts when the rope, led from the plain loop at rest (mirrored or turned over where the code is such an image), shows
+the code. Writes JSON, with the growth of the archive by rounds, to --out.
 """
 
 import argparse
@@ -19,14 +19,14 @@ from knotgym.gauss import GaussCode
 from knotgym.generate.archive import Archive, Elite
 from knotgym.generate.curate import codes_of
 from knotgym.generate.manoeuvres import pull
-from knotgym.generate.symmetry import variants
+from knotgym.generate.symmetry import mirrorings
 from knotgym.simulation import Simulation
 
 
 def leads(simulation: Simulation, elite: Elite, code: GaussCode) -> bool:
     """Whether the elite's way, carried over, ends in a rope that shows `code`."""
     rope = simulation.rope
-    for shown, symmetry in variants(elite.code):
+    for shown, symmetry in mirrorings(elite.code):
         if shown.plain != code:
             continue
         simulation.lay(rope.qpos(symmetry.configuration(rope.loop()))[None])
@@ -51,7 +51,7 @@ def main() -> None:
     for nx in range(args.most_nx + 1):
         lengths: dict[str, int] = {}
         for code in codes_of("0_1", nx):
-            elites = [one for handed in archive.handed(code) for one in archive.leading_to(handed) if one.roll == 0]
+            elites = [one for handed in archive.handed(code) for one in archive.leading_to(handed) if one.exact]
             for elite in sorted(elites, key=lambda one: len(one.way)):
                 if leads(simulation, elite, code):
                     lengths[str(code)] = len(elite.way)

@@ -178,9 +178,7 @@ def test_the_last_frame_shows_the_state_beside_itself(curated: Path, tmp_path: P
 
 
 @pytest.mark.parametrize("name", ["start_qpos", "actions"])
-def test_a_replay_that_ends_elsewhere_is_told_and_not_filmed(
-    curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], name: str
-) -> None:
+def test_a_replay_that_ends_elsewhere_is_told_and_not_filmed(curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], name: str) -> None:
     shutil.copy(curated / "states.h5", tmp_path / "states.h5")
     with opened(tmp_path / "states.h5") as file:
         file["source"][name][(5, 3) if name == "start_qpos" else (5, 0, 3)] += 1e-3  # the force, of an action
@@ -203,9 +201,7 @@ def test_states_without_provenance_cannot_be_replayed(states_path: str, tmp_path
         ("--out {}/a.avi", "a video ends in .gif or .mp4"),
     ],
 )
-def test_a_replay_of_what_cannot_be_is_refused(
-    curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], options: str, problem: str
-) -> None:
+def test_a_replay_of_what_cannot_be_is_refused(curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], options: str, problem: str) -> None:
     words = ["--out", str(tmp_path / "a.gif"), *options.format(tmp_path).split()]
     assert knotgym("dataset", "replay", curated, *words) == 2
     (line,) = capfd.readouterr().err.splitlines()
@@ -244,9 +240,7 @@ def test_two_halves_merged_are_the_whole(curated: Path, tmp_path: Path) -> None:
     assert rows(merged) == rows(whole) and np.array_equal(merged.image, whole.image) and list(state_faults(merged)) == []
 
 
-def test_states_with_other_columns_do_not_go_together(
-    curated: Path, states_path: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_states_with_other_columns_do_not_go_together(curated: Path, states_path: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert knotgym("dataset", "merge", curated, states_path, "--out", tmp_path / "m.h5") == 2
     assert "different quality or source columns" in capfd.readouterr().err and not (tmp_path / "m.h5").exists()
 

@@ -11,9 +11,9 @@ from knotgym.crossings import label
 from knotgym.gauss import GaussCode
 from knotgym.generate.archive import Archive, Elite
 from knotgym.generate.instances import REST, Instance, InstanceConfig, Order, make
-from knotgym.generate.manoeuvres import NO_WAY
+from knotgym.generate.manoeuvres import NO_WAY, pull
 from knotgym.generate.quality import Limits, measure
-from knotgym.generate.symmetry import members
+from knotgym.generate.symmetry import mirror_images
 from knotgym.oracle import pyknotid_code
 from knotgym.rope import Rope
 from knotgym.simulation import Simulation
@@ -125,8 +125,8 @@ def test_another_seed_gives_another_instance(followed: Made) -> None:
 
 
 def test_a_way_that_misses_the_code_is_rejected_for_it(searched: Archive, rope: Rope) -> None:
-    nowhere = Elite(GaussCode.parse("1+a,1-a"), 0, NO_WAY, np.zeros(1), 0.0)
-    one = make(Order(INSTANCE, members(nowhere.code)[0], (nowhere,), rope.loop(), (0,)))
+    nowhere = Elite(GaussCode.parse("1+a,1-a"), 0, False, NO_WAY, np.zeros(1), 0.0)
+    one = make(Order(INSTANCE, mirror_images(nowhere.code)[0], (nowhere,), rope.loop(), (0,)))
     assert one.faults == ("way missed the code",) and len(one.actions) == 0
 
 
@@ -139,6 +139,19 @@ def test_limits_that_nothing_meets_reject_everything(searched: Archive) -> None:
 def test_variants_of_one_way_end_in_different_places(followed: Made) -> None:
     ends = np.array([one.points[-1] - one.points[-1].mean(axis=0) for _, one in followed])
     assert len({end.tobytes() for end in ends}) == len(ends)
+
+
+def test_what_goes_back_to_the_archive_is_reached_from_the_plain_loop_and_better_than_what_was_there(followed: Made, rope: Rope) -> None:
+    simulation, better = Simulation(1, rope), [(order, one) for order, one in followed if one.elites]
+    for order, one in better:
+        elite = one.elites[0]
+        assert elite.exact and mirror_images(elite.code) == mirror_images(one.code)
+        assert all(elite.badness < other.badness for other in order.elites if other.exact)
+        simulation.lay(rope.qpos(rope.loop())[None])
+        for bead, force in zip(elite.way.beads, elite.way.forces, strict=True):
+            pull(simulation, np.array([bead]), force[None])
+        assert np.array_equal(simulation.states()[0], elite.state) and label(simulation.points[0]) == elite.code
+    assert better
 
 
 def test_every_configuration_on_the_way_is_finite(followed: Made) -> None:

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from knotgym.gauss import GaussCode
 from knotgym.generate import job as jobs
 from knotgym.generate.archive import Archive
 from knotgym.generate.engines import InProcess
-from knotgym.generate.instances import Instance, Order
+from knotgym.generate.instances import Instance, Order, make
 from knotgym.generate.job import GenerateConfig, InvalidJob, Job, NotEnough, run, search_config, start_of
 from knotgym.generate.natural import frequencies
 from knotgym.generate.quality import Limits
@@ -62,8 +63,8 @@ def signature(job: Job) -> list[object]:
         ({"attempts": 0}, "attempts must be at least 1, got 0"),
         ({"wave": 0}, "wave must be at least 1, got 0"),
         ({"every_code": -1}, "every_code must be at least 0, got -1"),
-        ({"balance": "odd"}, "\"even\" or \"natural\", got 'odd'"),
-        ({"split_by": "row"}, "\"state\" or \"code\", got 'row'"),
+        ({"balance": "odd"}, '"even" or "natural", got \'odd\''),
+        ({"split_by": "row"}, '"state" or "code", got \'row\''),
         ({"train_share": 1.5}, r"in \[0, 1\], got 1.5"),
         ({"train_share": float("nan")}, r"in \[0, 1\], got nan"),
         ({"seed": -1}, "seed must be at least 0, got -1"),
@@ -147,6 +148,14 @@ def test_a_copy_is_rejected_as_a_near_duplicate(finished: Job) -> None:
     assert len(job.accepted[1]) == 1 and job.rejected[1] == {"near-duplicate": 1}
 
 
+def test_what_an_instance_brings_home_goes_into_the_archive(searched: Archive) -> None:
+    job = Job.begin(config(nx=(1,), wave=8), deepcopy(searched))
+    better = next(one for one in map(make, (order for _, order in jobs._orders(job))) if one.elites)
+    jobs._judge(job, 1, better)
+    assert any(one is better.elites[0] for one in job.archive.leading_to(better.code))
+    assert all(not one.elites for one in job.accepted[1])
+
+
 def test_a_state_of_another_knot_is_rejected(finished: Job) -> None:
     job = Job.begin(config(nx=(3,), knot="3_1"))
     jobs._judge(job, 3, replace(finished.accepted[1][0], faults=()))
@@ -165,7 +174,8 @@ def test_a_code_that_has_its_share_gets_no_more(finished: Job) -> None:
     elsewhere = replace(one, points=one.points * 1.2)
     for instance in (one, elsewhere):
         jobs._judge(job, 1, instance)
-    assert job.accepted[1] == [one] and not job.rejected[1]
+    [kept] = job.accepted[1]
+    assert kept.points is one.points and not job.rejected[1]
 
 
 def test_orders_are_for_codes_that_lack_states(searched: Archive) -> None:

@@ -99,8 +99,9 @@ def test_every_elite_shows_its_code_walked_from_its_roll(searched: Archive, rope
     for elite in elites(searched):
         simulation.restore(elite.state[None])
         assert elite.roll in rolls(rope.config)
-        assert rolled(find_crossings(simulation.points[0]), elite.roll) == elite.code
-        assert elite.roll or label(simulation.points[0]) == elite.code
+        walked = rolled(find_crossings(simulation.points[0]), elite.roll)
+        assert (walked.reversed() if elite.reverse else walked) == elite.code
+        assert elite.exact == (elite.roll == 0 and not elite.reverse) and (not elite.exact or label(simulation.points[0]) == elite.code)
 
 
 def test_the_badness_of_an_elite_is_that_of_its_state(searched: Archive, rope: Rope) -> None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from knotgym.crossings import find_crossings, label
 from knotgym.diagrams import chiralities, planar_codes
 from knotgym.gauss import GaussCode
-from knotgym.generate.symmetry import Symmetry, class_of, members, rolled, rolls, variants
+from knotgym.generate.symmetry import Symmetry, class_of, mirror_images, mirrorings, rolled, rolls, variants
 from knotgym.rope import Rope, RopeConfig
 
 BEADS = RopeConfig().beads
@@ -40,16 +40,22 @@ def test_a_class_is_the_same_for_every_variant(code: GaussCode) -> None:
 
 @given(codes)
 def test_a_class_stands_for_itself(code: GaussCode) -> None:
-    assert class_of(class_of(code)) == class_of(code) == members(code)[0]
+    assert class_of(class_of(code)) == class_of(code)
 
 
 @given(codes)
-def test_members_are_the_variants_once_each(code: GaussCode) -> None:
-    assert sorted(code.chiral for code in members(code)) == sorted({shown.chiral for shown, _ in variants(code)})
+def test_mirror_images_are_the_mirrorings_once_each(code: GaussCode) -> None:
+    assert sorted(one.chiral for one in mirror_images(code)) == sorted({shown.chiral for shown, _ in mirrorings(code)})
+    assert all(mirror_images(one) == mirror_images(code) for one in mirror_images(code))
+
+
+@given(codes)
+def test_variants_are_the_mirrorings_of_the_walk_either_way(code: GaussCode) -> None:
+    assert {shown for shown, _ in variants(code)} == {*mirror_images(code), *mirror_images(code.reversed())}
 
 
 def test_classes_part_the_codes() -> None:
-    by_class = {one: set(members(one)) for one in map(class_of, CODES)}
+    by_class = {one: {shown for shown, _ in variants(one)} for one in map(class_of, CODES)}
     assert sum(map(len, by_class.values())) == len(set(CODES)) == len(set.union(*by_class.values()))
 
 

@@ -211,9 +211,7 @@ def _cut_states(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(("harm", "named"), [(_flip_label, "row 5"), (_cut_states, "states.h5")])
-def test_the_command_names_faults_and_exits_with_1(
-    copy: Path, capfd: pytest.CaptureFixture[str], harm: Callable[[Path], None], named: str
-) -> None:
+def test_the_command_names_faults_and_exits_with_1(copy: Path, capfd: pytest.CaptureFixture[str], harm: Callable[[Path], None], named: str) -> None:
     harm(copy)
     shutil.rmtree(copy / "minari")
     assert knotgym("dataset", "verify", copy, "--quiet") == 1

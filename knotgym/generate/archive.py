@@ -1,8 +1,9 @@
 """The archive of the search: for every class of Gauss codes the shortest ways there and the best-looking states.
 
 Quality-diversity search in the line of MAP-Elites (niches) and Go-Explore (return, then explore). A niche is a class of
-codes under the rope's symmetries (`symmetry.class_of`), chirality kept: what is found for one code is found for all of its
-class. A state fills a niche for each sub-chain that the walk may start at.
+codes, chirality kept, under the symmetries that carry rope motions over exactly (`symmetry.mirror_images`): what is found
+for one code is found for all of its class. A state fills a niche for each sub-chain that the walk may start at, and for
+each way round; those other than its own hold nearly, until the search has led a rope there.
 """
 
 from __future__ import annotations
@@ -21,12 +22,12 @@ from knotgym.diagrams import chiralities
 from knotgym.errors import KnotgymError
 from knotgym.gauss import GaussCode
 from knotgym.generate.manoeuvres import Way
-from knotgym.generate.symmetry import class_of, members
+from knotgym.generate.symmetry import mirror_images
 from knotgym.generate.transitions import Transitions
 from knotgym.rope import Array
 
 FORMAT = "knotgym-archive"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 KEPT = 2  # elites kept for their short way, and as many for their looks
 
 
@@ -39,8 +40,9 @@ class Elite:
     """A state the search has been in.
 
     Attributes:
-        code: what it shows, with chirality, walked from vertex `roll`.
+        code: what it shows, with chirality, walked from vertex `roll`, the other way if `reverse`.
         roll: a vertex where a sub-chain starts.
+        reverse: the walk runs towards falling index.
         way: from the plain loop at rest, beads numbered as there.
         state: MuJoCo integration state at the end of the way, float64.
         badness: how far from legible, see `Limits.badness`.
@@ -48,9 +50,15 @@ class Elite:
 
     code: GaussCode
     roll: int
+    reverse: bool
     way: Way
     state: Array
     badness: float
+
+    @property
+    def exact(self) -> bool:
+        """Whether the code is that of the rope as it is numbered."""
+        return self.roll == 0 and not self.reverse
 
 
 @dataclass
@@ -73,11 +81,11 @@ class Archive:
 
     def offer(self, elite: Elite) -> bool:
         """Keep an elite if it is among the KEPT shortest or the KEPT best-looking of its class; say whether the class is new."""
-        niche = class_of(elite.code)
+        niche = mirror_images(elite.code)[0]
         new = niche not in self.niches
         pool = [*self.niches.get(niche, []), elite]
-        if any(one.roll == 0 for one in pool):  # a way that holds for this very base bead beats those that hold nearly
-            pool = [one for one in pool if one.roll == 0]
+        if any(one.exact for one in pool):  # a way that holds for this very base bead beats those that hold nearly
+            pool = [one for one in pool if one.exact]
         short = sorted(pool, key=lambda one: (len(one.way), one.badness))[:KEPT]
         pretty = sorted(pool, key=lambda one: (one.badness, len(one.way)))[:KEPT]
         self.niches[niche] = short + [one for one in pretty if not any(one is other for other in short)]
@@ -85,16 +93,20 @@ class Archive:
 
     def codes(self, nx: int) -> list[GaussCode]:
         """Every code with nx crossings, without chirality, of the classes known; in order."""
-        found = {member.plain for niche in self.niches if niche.nx == nx for member in members(niche)}
+        found = {member.plain for niche in self.niches if niche.nx == nx for member in mirror_images(niche)}
         return sorted(found, key=lambda code: code.visits)
 
     def handed(self, code: GaussCode) -> list[GaussCode]:
         """The codes with chirality that show the visits of `code` and are known."""
-        return [one for letters in chiralities(code) if class_of(one := GaussCode(code.visits, letters)) in self.niches]
+        return [one for letters in chiralities(code) if mirror_images(one := GaussCode(code.visits, letters))[0] in self.niches]
+
+    def sure(self, code: GaussCode) -> bool:
+        """Whether an elite shows a mirror image of `code`, which has its chirality, as the rope is numbered."""
+        return any(one.exact for one in self.leading_to(code))
 
     def leading_to(self, code: GaussCode) -> list[Elite]:
-        """Elites whose variants show `code`, which has its chirality."""
-        return list(self.niches.get(class_of(code), []))
+        """Elites whose mirror images show `code`, which has its chirality."""
+        return list(self.niches.get(mirror_images(code)[0], []))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the archive; it appears whole or not at all."""
@@ -107,6 +119,7 @@ class Archive:
             squeezed = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
             file.create_dataset("code", data=[elite.code.chiral for elite in elites], dtype=h5py.string_dtype("utf-8"))
             file.create_dataset("roll", data=[elite.roll for elite in elites])
+            file.create_dataset("reverse", data=[elite.reverse for elite in elites])
             file.create_dataset("badness", data=[elite.badness for elite in elites])
             file.create_dataset("length", data=[len(elite.way) for elite in elites])
             file.create_dataset("beads", data=np.concatenate([elite.way.beads for elite in elites]), **squeezed)
@@ -138,10 +151,12 @@ class Archive:
                 beads, forces, states = file["beads"][()], file["forces"][()], file["state"][()]
                 if {len(beads), len(forces)} != {int(ends[-1])}:
                     raise ValueError("its ways are cut short")
-                for row, (text, roll, badness) in enumerate(zip(file["code"].asstr()[()], file["roll"][()], file["badness"][()], strict=True)):
+                walks = zip(file["code"].asstr()[()], file["roll"][()], file["reverse"][()], file["badness"][()], strict=True)
+                for row, (text, roll, reverse, badness) in enumerate(walks):
                     code, start = GaussCode.parse(text), 0 if row == 0 else ends[row - 1]
-                    elite = Elite(code, int(roll), Way(beads[start : ends[row]], forces[start : ends[row]]), states[row], float(badness))
-                    archive.niches.setdefault(class_of(code), []).append(elite)
+                    way = Way(beads[start : ends[row]], forces[start : ends[row]])
+                    elite = Elite(code, int(roll), bool(reverse), way, states[row], float(badness))
+                    archive.niches.setdefault(mirror_images(code)[0], []).append(elite)
                 return archive
         except InvalidArchive:
             raise

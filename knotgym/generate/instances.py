@@ -7,7 +7,7 @@ out is a state with everything that makes it again bit for bit, or the reason wh
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,12 +19,17 @@ from knotgym.generate.archive import Elite
 from knotgym.generate.manoeuvres import NO_WAY, Way, pull
 from knotgym.generate.opening import OpeningConfig, open_up
 from knotgym.generate.quality import Limits, Quality, measure, noise_survival
-from knotgym.generate.symmetry import Symmetry, variants
+from knotgym.generate.search import readings
+from knotgym.generate.symmetry import Symmetry, mirrorings
 from knotgym.oracle import pyknotid_code
 from knotgym.rope import Array, Rope, RopeConfig, noised
 from knotgym.simulation import Simulation
 
+GAIN = 0.05  # badness by which an instance must be better than the archive to be handed back to it
+ROUNDS = 2  # of opening up and coming to rest
 REST = 3  # pulls of no force at the end: the rope is slower than 1 mm/s after two
+STILL = Way(np.zeros(REST, dtype=np.int16), np.zeros((REST, 3), dtype=np.float32))
+ONE = np.array([0])  # the rope that is led; the others try what may open it up
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +43,7 @@ class InstanceConfig:
         stir: random pulls after the way at most, so that two instances of one way lie differently; one that changes the code is
             taken back.
         stir_loop: the same for plain loops, which have no way.
+        longest: ways of more actions aren't handed back to the archive.
         reset_noise: that accepted states must survive.
         rope: its physics.
     """
@@ -47,6 +53,7 @@ class InstanceConfig:
     start_noise: float = 0.0
     stir: int = 3
     stir_loop: int = 12
+    longest: int = 96
     reset_noise: float = 0.015
     rope: RopeConfig = RopeConfig()
 
@@ -74,6 +81,7 @@ class Instance:
         points: float64 (T + 1, beads, 3), metres, the configurations on the way.
         qpos: float64 (nq,), after the last action.
         quality: of the last state.
+        elites: readings of this state for the archive, if it is better than what the order had, reached from the archive's start.
     """
 
     code: GaussCode
@@ -84,6 +92,7 @@ class Instance:
     points: Array
     qpos: Array
     quality: Quality
+    elites: tuple[Elite, ...] = field(default=(), repr=False)
 
 
 def make(order: Order) -> Instance:
@@ -91,65 +100,114 @@ def make(order: Order) -> Instance:
     config, rng = order.config, np.random.default_rng(order.seed)
     rope = _rope(config.rope)
     elite = order.elites[int(rng.integers(len(order.elites)))]
+    if rng.random() < 0.5:
+        elite = min(order.elites, key=lambda one: one.badness)
     simulation = _simulations(config.rope, config.opening.tries)
-    one = np.array([0])
     symmetry = _symmetry(elite, order.code, rng)
     start_qpos = rope.qpos(symmetry.configuration(noised(order.start, config.start_noise, rng)))
-    simulation.lay(start_qpos[None], one)
+    simulation.lay(start_qpos[None], ONE)
     way = Way(symmetry.beads(elite.way.beads, config.rope.beads).astype(np.int16), symmetry.vectors(elite.way.forces.astype(np.float64)).astype(np.float32))
-    actions, points = [], [simulation.points[0].copy()]
-
-    def follow(along: Way) -> bool:
-        for bead, force in zip(along.beads, along.forces, strict=True):
-            action, held = pull(simulation, np.array([bead]), force[None], one)
-            if not held.all():
-                return False
-            actions.append(action[0])
-            points.append(simulation.points[0].copy())
-        return True
-
-    if not follow(way):
+    if _follow(simulation, way) is None:
         return _rejected("simulation failed", order, rope)
     if label(simulation.points[0]) != order.code:
         return _rejected("way missed the code", order, rope)
-    before = simulation.states(one)[0]
-    stirred, stirring = _stir(simulation, int(rng.integers(config.stir + 1)) if order.code.nx else config.stir_loop, rng)
-    _, opening = open_up(simulation, stirred, config.limits, config.opening, rng)
-    simulation.restore(before[None], one)
-    still = Way(np.zeros(REST, dtype=np.int16), np.zeros((REST, 3), dtype=np.float32))
-    if not follow(stirring + opening + still):
+    way += _opening(simulation, order, rng)
+    simulation.lay(start_qpos[None], ONE)
+    followed = _follow(simulation, way)
+    if followed is None:
         return _rejected("simulation failed", order, rope)
-    last = simulation.points[0].copy()
+    actions, points = followed
+    qpos, last = simulation.qpos(ONE)[0], points[-1]
     crossings = find_crossings(last)
-    quality = replace(measure(last, crossings), noise_survival=noise_survival(last, config.reset_noise, rng))
+    quality = measure(last, crossings)
+    elites: tuple[Elite, ...] = ()
+    if crossings.code == order.code and len(way) <= config.longest:
+        best = min((one.badness for one in order.elites if one.exact), default=np.inf)
+        if config.limits.badness(replace(quality, excess_crossing_number=np.nan), crossings.nx) < best - GAIN:
+            elites = _home(simulation, order, symmetry, way)
+    quality = replace(quality, noise_survival=noise_survival(last, config.reset_noise, rng))
     faults = config.limits.faults(quality, crossings.nx)
     if crossings.code != order.code:
         faults.append("code lost at rest")
     elif pyknotid_code(last) != crossings.code:
         faults.append("labellers disagree")
-    return Instance(crossings.code, tuple(faults), order.seed, start_qpos, np.stack(actions), np.stack(points), simulation.qpos(one)[0], quality)
+    return Instance(crossings.code, tuple(faults), order.seed, start_qpos, actions, points, qpos, quality, elites)
+
+
+def _follow(simulation: Simulation, way: Way) -> tuple[NDArray[np.float32], Array] | None:
+    """Lead rope 0 down a way; actions (T, 6) and configurations (T + 1, beads, 3), or None if the simulation failed."""
+    actions, points = np.empty((len(way), 6), dtype=np.float32), [simulation.points[0].copy()]
+    for step, (bead, force) in enumerate(zip(way.beads, way.forces, strict=True)):
+        actions[step], held = pull(simulation, np.array([bead]), force[None], ONE)
+        if not held.all():
+            return None
+        points.append(simulation.points[0].copy())
+    return actions, np.stack(points)
+
+
+def _opening(simulation: Simulation, order: Order, rng: np.random.Generator) -> Way:
+    """Stir rope 0, open it up and let it come to rest, and once more if it doesn't do yet; the way from where it lies."""
+    config, way, state = order.config, NO_WAY, simulation.states(ONE)
+    if _follow(simulation, STILL) and label(simulation.points[0]) == order.code:
+        way = STILL
+    else:  # what shows the code in motion alone may be opened up in motion
+        simulation.restore(state, ONE)
+    state, stirring = _stir(simulation, int(rng.integers(config.stir + 1)) if order.code.nx else config.stir_loop, rng)
+    way += stirring
+    for _ in range(ROUNDS):
+        state, opening = open_up(simulation, state, config.limits, config.opening, rng)
+        way += opening + STILL
+        simulation.restore(state[None], ONE)
+        _follow(simulation, STILL)
+        state, crossings = simulation.states(ONE)[0], find_crossings(simulation.points[0])
+        if crossings.code != order.code or not config.limits.faults(measure(simulation.points[0], crossings, quick=True), crossings.nx):
+            break
+    return way
+
+
+def _home(simulation: Simulation, order: Order, symmetry: Symmetry, way: Way) -> tuple[Elite, ...]:
+    """Follow an instance's way once more from where the archive's ways begin; what the rope shows there.
+
+    A loop that was mirrored or walked the other way is turned over into the plain loop by an exact symmetry, whatever else was
+    done to it; another start only undoes an exact symmetry.
+    """
+    rope = simulation.rope
+    if np.array_equal(order.start, rope.loop()):
+        over = symmetry.reflect != symmetry.reverse
+        first = symmetry.configuration(order.start)[0]
+        back = Symmetry(reflect=over, turn=-float(np.arctan2(first[1], -first[0] if over else first[0])))
+    elif symmetry.reverse or symmetry.roll:
+        return ()
+    else:
+        back = Symmetry(reflect=symmetry.reflect, switch=symmetry.switch, turn=symmetry.turn if symmetry.reflect else -symmetry.turn)
+    home = Way(way.beads, back.vectors(way.forces.astype(np.float64)).astype(np.float32))
+    simulation.lay(rope.qpos(order.start)[None], ONE)
+    if _follow(simulation, home) is None:
+        return ()
+    state = simulation.states(ONE)[0]
+    return tuple(reading.elite(home, state) for reading in readings(simulation.points[0], order.config.limits, order.config.rope))
 
 
 def _stir(simulation: Simulation, pulls: int, rng: np.random.Generator) -> tuple[Array, Way]:
     """Pull rope 0 about at random without changing what it shows; the state reached and the way there."""
-    one, code, way = [0], label(simulation.points[0]), NO_WAY
-    state = simulation.states(one)[0]
+    code, way, state = label(simulation.points[0]), NO_WAY, simulation.states(ONE)
     for _ in range(pulls):
         bead, heading, strength = rng.integers(simulation.rope.config.beads, size=1), rng.uniform(-np.pi, np.pi), rng.uniform(0.3, 1.0)
-        force = strength * np.array([[np.cos(heading), np.sin(heading), 0.0]])
-        _, held = pull(simulation, bead, force, one)
+        force = (strength * np.array([[np.cos(heading), np.sin(heading), 0.0]])).astype(np.float32)
+        _, held = pull(simulation, bead, force, ONE)
         if held.all() and label(simulation.points[0]) == code:
-            state, way = simulation.states(one)[0], way + Way(bead.astype(np.int16), force.astype(np.float32))
+            state, way = simulation.states(ONE), way + Way(bead.astype(np.int16), force)
         else:
-            simulation.restore(state[None], one)
-    return state, way
+            simulation.restore(state, ONE)
+    return state[0], way
 
 
 def _symmetry(elite: Elite, code: GaussCode, rng: np.random.Generator) -> Symmetry:
     """A random symmetry that takes what the elite shows to `code`."""
-    fitting = [symmetry for shown, symmetry in variants(elite.code) if shown == code]
+    fitting = [symmetry for shown, symmetry in mirrorings(elite.code) if shown == code]
     symmetry = fitting[rng.integers(len(fitting))]
-    return replace(symmetry, turn=float(rng.uniform(-np.pi, np.pi)), roll=-elite.roll if symmetry.reverse else elite.roll)
+    turn, roll = float(rng.uniform(-np.pi, np.pi)), -elite.roll if elite.reverse else elite.roll
+    return replace(symmetry, turn=turn, reverse=elite.reverse, roll=roll)
 
 
 def _rejected(fault: str, order: Order, rope: Rope) -> Instance:

@@ -11,7 +11,7 @@ import json
 import time
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -218,6 +218,7 @@ def _orders(job: Job) -> list[tuple[int, Order]]:
         lacking.sort(key=lambda one: job.tried[nx][one[0]])
         for k in range(-(-config.wave // len(open_nx)) if lacking else 0):
             code, known = lacking[k % len(lacking)]
+            known = [one for one in known if job.archive.sure(one)] or known
             number = job.tried[nx][code]
             job.tried[nx][code] += 1
             target = known[number % len(known)]
@@ -233,6 +234,9 @@ def _judge(job: Job, nx: int, instance: Instance) -> None:
         reasons = ["knot type changed"]
     if not reasons and is_near_duplicate(instance.points[-1], [one.points[-1] for one in job.accepted[nx]]):
         reasons = ["near-duplicate"]
+    for elite in instance.elites:
+        job.archive.offer(elite)
+    instance = replace(instance, elites=())
     same = sum(one.code.plain == instance.code.plain for one in job.accepted[nx])
     if reasons:
         job.rejected[nx].update(reasons)

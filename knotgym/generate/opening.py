@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.crossings import find_crossings
+from knotgym.crossings import find_crossings, label
 from knotgym.gauss import GaussCode
 from knotgym.generate.manoeuvres import NO_WAY, Way, pull
-from knotgym.generate.quality import Limits, Quality, measure, tightest_spot
+from knotgym.generate.quality import Limits, crampedness, measure, tightest_spot
 from knotgym.rope import Array
 from knotgym.simulation import Simulation
 
@@ -30,9 +30,9 @@ class OpeningConfig:
         enough: badness (see `Limits.badness`) at which a state is open enough.
     """
 
-    pulls: int = 16
+    pulls: int = 24
     tries: int = 12
-    patience: int = 3
+    patience: int = 4
     enough: float = 0.3
 
 
@@ -51,35 +51,35 @@ def open_up(simulation: Simulation, state: Array, limits: Limits, config: Openin
     """
     ids = np.arange(config.tries)
     simulation.restore(np.repeat(state[None], config.tries, axis=0), ids)
-    code, quality = _seen(simulation.points[0])
-    best, way, idle = limits.badness(quality, code.nx), NO_WAY, 0
+    code, way, idle = label(simulation.points[0]), NO_WAY, 0
+    bad, best = _score(simulation.points[0], code, limits)
     for _ in range(config.pulls):
-        if best <= config.enough or idle >= config.patience:
+        if bad <= config.enough or idle >= config.patience:
             break
         beads, forces = _proposals(simulation.points[0], config.tries, rng)
         _, held = pull(simulation, beads, forces, ids)
-        scores = np.full(config.tries, np.inf)
-        for i in ids[held]:
-            seen, quality = _seen(simulation.points[i])
-            if seen == code:
-                scores[i] = limits.badness(quality, code.nx)
-        choice = int(np.argmin(scores))
-        if scores[choice] < best - 0.01:
-            best, idle = float(scores[choice]), 0
+        scores = [_score(simulation.points[i], code, limits) if held[i] else (np.inf, np.inf) for i in ids]
+        choice = int(np.argmin([score for _, score in scores]))
+        if scores[choice][1] < best - 0.01:
+            (bad, best), idle = scores[choice], 0
             state = simulation.states([choice])[0]
-            way += Way(beads[[choice]].astype(np.int16), forces[[choice]].astype(np.float32))
+            way += Way(beads[[choice]].astype(np.int16), forces[[choice]])
         else:
             idle += 1
         simulation.restore(np.repeat(state[None], config.tries, axis=0), ids)
     return state, way
 
 
-def _seen(points: Array) -> tuple[GaussCode, Quality]:
+def _score(points: Array, code: GaussCode, limits: Limits) -> tuple[float, float]:
+    """Badness, and badness with all that is cramped besides; infinite where the code is another."""
     crossings = find_crossings(points)
-    return crossings.code, measure(points, crossings, quick=True)
+    if crossings.code != code:
+        return np.inf, np.inf
+    badness = limits.badness(measure(points, crossings, quick=True), code.nx)
+    return badness, badness + crampedness(points, crossings, limits)
 
 
-def _proposals(points: Array, tries: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], Array]:
+def _proposals(points: Array, tries: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Pulls that may open the rope: half of them on beads near the tightest spot, away from it; the rest outwards or anywhere."""
     spot, middle = tightest_spot(points), points[:, :2].mean(axis=0)
     near = np.argsort(np.linalg.norm(points[:, :2] - spot, axis=1))[:30]
@@ -91,4 +91,5 @@ def _proposals(points: Array, tries: int, rng: np.random.Generator) -> tuple[NDA
     strength = rng.uniform(0.3, 1.0, tries)
     lift = np.where(rng.random(tries) < 0.3, rng.uniform(-0.5, 0.5, tries), 0.0)
     level = np.sqrt(1 - lift**2)
-    return beads, np.stack([strength * level * np.cos(heading), strength * level * np.sin(heading), strength * lift], axis=1)
+    forces = np.stack([strength * level * np.cos(heading), strength * level * np.sin(heading), strength * lift], axis=1)
+    return beads, forces.astype(np.float32)

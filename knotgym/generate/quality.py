@@ -7,6 +7,7 @@ rope is two of them wide. `Limits` holds what a curated state must keep to, each
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -15,6 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from knotgym.crossings import Crossings, find_crossings, label_many
+from knotgym.diagrams import faces
+from knotgym.gauss import GaussCode
 from knotgym.picture import DEFAULT, PictureConfig, project
 from knotgym.rope import Array, noised
 
@@ -156,7 +159,7 @@ def measure(points: ArrayLike, crossings: Crossings | None = None, config: Pictu
     unit = chord / length[:, None]
     curvature = np.arccos(np.clip((unit * np.roll(unit, -1, axis=0)).sum(axis=1), -1, 1)).sum() / (2 * np.pi)
     radius = config.rope_radius * scale
-    regions, faces = _regions(pixels, 2 * radius)[0], _regions(pixels, 0.0)[0]
+    regions = _regions(pixels, 2 * radius)[0]
     spacing, angle = size, 90.0
     clearance = float("inf")
     if found.nx:
@@ -171,13 +174,28 @@ def measure(points: ArrayLike, crossings: Crossings | None = None, config: Pictu
         base_spacing=base_spacing(p, found, 0, config),
         strand_spacing=min(size, _strand_spacing(pixels, found.over_place, found.under_place, WALK)),
         smallest_region=float(regions.min()) if len(regions) == found.nx + 2 else 0.0,
-        smallest_face=float(faces.min()) if len(faces) == found.nx + 2 else 0.0,
+        smallest_face=float(_faces(pixels, found).min()),
         margin=float(min(seen.min(), size - seen.max()) - radius),
         clearance=min(clearance, 1000.0 * config.rope_radius * 4),
         excess_crossing_number=float("nan") if quick else _average_crossing_number(p) - found.nx,
         total_curvature=float(curvature),
         writhe=float(found.sign.sum()),
     )
+
+
+def crampedness(points: ArrayLike, crossings: Crossings, limits: Limits, config: PictureConfig = DEFAULT) -> float:
+    """How far all faces, pairs of crossings and crossing angles together are from comfortable, where `Limits.badness` asks the worst.
+
+    A rope with several tight spots gets better as any of them opens. Same scale as `Limits.badness`; 0 for a roomy picture.
+    """
+    p = np.asarray(points, dtype=np.float64)
+    if not crossings.nx:
+        return 0.0
+    at = crossings.position * config.pixels_per_metre
+    apart = np.linalg.norm(at[:, None] - at[None, :], axis=2)[np.triu_indices(crossings.nx, 1)]
+    angles = np.array([_angle(p, over, under) for over, under in zip(crossings.over_place, crossings.under_place, strict=True)])
+    shares = (_faces(project(p, config), crossings) / FACE, apart / limits.crossing_spacing, angles / limits.crossing_angle)
+    return float(sum((np.maximum(0.0, 2 - share) ** 2).sum() for share in shares))
 
 
 def base_spacing(points: Array, crossings: Crossings, base: int = 0, config: PictureConfig = DEFAULT) -> float:
@@ -218,14 +236,39 @@ def _angle(points: Array, over: float, under: float) -> float:
     return float(np.degrees(np.arctan2(abs(a[0] * b[1] - a[1] * b[0]), abs(a @ b))))
 
 
-def _regions(pixels: Array, width: float, fine: int = 4) -> tuple[Array, Array]:
-    """Draw the rope as a closed band: areas (n,) and centres (n, 2) of the pieces of background left, pixels."""
+def _faces(pixels: Array, crossings: Crossings) -> Array:
+    """Areas of the faces of the curve, the outer one among them, square pixels: half the sum of p x dp round each, edge by edge."""
+    after = np.roll(pixels, -1, axis=0)
+    swept = pixels[:, 0] * after[:, 1] - pixels[:, 1] * after[:, 0]
+    until = np.concatenate([[0.0], np.cumsum(swept)])
+    if not crossings.nx:
+        return np.full(2, abs(until[-1]) / 2)
+    places = np.sort(np.concatenate([crossings.over_place, crossings.under_place]))
+    bead = np.minimum(places.astype(np.int64), len(pixels) - 1)
+    at = until[bead] + (places - bead) * swept[bead]
+    edges = np.append(at[1:], at[0] + until[-1]) - at
+    return np.asarray(np.abs(_borders(crossings.code) @ edges) / 2)
+
+
+@lru_cache(maxsize=10_000)
+def _borders(code: GaussCode) -> Array:
+    """Which way each edge is walked round each face, its left: float64 (nx + 2, 2 nx) of -1, 0, 1."""
+    walks = faces(code)
+    out = np.zeros((len(walks), 2 * code.nx))
+    for row, darts in enumerate(walks):
+        for dart in darts:
+            out[row, dart // 2] += -1 if dart % 2 else 1
+    return out
+
+
+def _regions(pixels: Array, width: float, fine: int = 3) -> tuple[Array, Array]:
+    """Draw the rope as a closed band, `fine` dots a pixel: areas (n,) and centres (n, 2) of the pieces of background left, pixels."""
     low = np.floor(pixels.min(axis=0)) - 4
     high = np.ceil(pixels.max(axis=0)) + 4 - low
     canvas = np.ones((int(high[1] * fine), int(high[0] * fine)), dtype=np.uint8)
     corners = np.round((pixels - low) * fine * 16).astype(np.int32)
-    cv2.polylines(canvas, [corners[:, None]], True, 0, max(1, round(width * fine)), cv2.LINE_8, 4)
-    _, _, stats, centres = cv2.connectedComponentsWithStats(canvas, connectivity=4)
+    cv2.polylines(canvas, [corners[:, None]], True, 0, max(2, round(width * fine)), cv2.LINE_8, 4)  # two dots keep what is 8-connected apart
+    _, _, stats, centres = cv2.connectedComponentsWithStatsWithAlgorithm(canvas, 8, cv2.CV_16U, cv2.CCL_BBDT)
     return stats[1:, cv2.CC_STAT_AREA] / fine**2, centres[1:] / fine + low
 
 

@@ -19,7 +19,7 @@ from knotgym.generate.archive import Archive, Elite
 from knotgym.generate.engines import Pool
 from knotgym.generate.manoeuvres import NO_WAY, Hand, Way, propose, pull
 from knotgym.generate.quality import Limits, base_spacing, measure
-from knotgym.generate.symmetry import Symmetry, rolled, rolls
+from knotgym.generate.symmetry import Symmetry, mirror_images, rolled, rolls
 from knotgym.generate.transitions import Transitions, Watch
 from knotgym.rope import Array, Rope, RopeConfig
 from knotgym.simulation import Simulation
@@ -62,14 +62,25 @@ class Trial(NamedTuple):
     ways: tuple[Way, ...]
 
 
+class Reading(NamedTuple):
+    """What a state shows, walked from a sub-chain, the other way if `reverse`."""
+
+    code: GaussCode
+    roll: int
+    reverse: bool
+    badness: float
+
+    def elite(self, way: Way, state: Array) -> Elite:
+        """The state with this reading, reached by `way`."""
+        return Elite(self.code, self.roll, self.reverse, way, state, self.badness)
+
+
 class Find(NamedTuple):
     """A state met: by which slot, after how many pulls."""
 
     slot: int
     pulls: int
-    code: GaussCode
-    roll: int
-    badness: float
+    reading: Reading
     state: Array
 
 
@@ -80,16 +91,16 @@ def new_archive(config: SearchConfig, start: Array | None = None) -> Archive:
     points = rope.loop() if start is None else start
     simulation.lay(rope.qpos(points)[None])
     archive = Archive(settings={**asdict(config), "start": "loop" if start is None else np.asarray(points).tolist()})
-    for code, roll, badness in _readings(rope.points(simulation.qpos()[0]), Limits(), config.rope):
-        archive.offer(Elite(code, roll, NO_WAY, simulation.states()[0], badness))
+    for reading in readings(rope.points(simulation.qpos()[0]), Limits(), config.rope):
+        archive.offer(reading.elite(NO_WAY, simulation.states()[0]))
     return archive
 
 
 def advance(archive: Archive, config: SearchConfig, pool: Pool, chunk: int = 16) -> int:
     """Play one round and grow the archive by it.
 
-    Ways to codes that are known only with the walk starting at another sub-chain are tried anew with the rope renumbered,
-    and the round proper follows.
+    Ways to codes that are known only with the walk starting at another sub-chain, or running the other way, are tried anew
+    with the rope so renumbered, and the round proper follows.
 
     Args:
         archive: changed in place.
@@ -102,8 +113,8 @@ def advance(archive: Archive, config: SearchConfig, pool: Pool, chunk: int = 16)
     """
     number, known = len(archive.growth), len(archive.niches)
     actions = archive.growth[-1]["actions"] if archive.growth else 0
-    rolled_ways = _unconfirmed(archive, config, number)
-    trials = [Trial(config, tuple(rolled_ways[first : first + chunk])) for first in range(0, len(rolled_ways), chunk)]
+    renumbered = _unconfirmed(archive, config, number)
+    trials = [Trial(config, tuple(renumbered[first : first + chunk])) for first in range(0, len(renumbered), chunk)]
     parents = _parents(archive, config, number)
     shifts = [
         Shift(config, number, range(first, min(first + chunk, config.slots)), np.stack([elite.state for elite in parents[first : first + chunk]]))
@@ -112,7 +123,7 @@ def advance(archive: Archive, config: SearchConfig, pool: Pool, chunk: int = 16)
     for trial, finds in zip(trials, pool.map(confirm, trials), strict=True):
         actions += sum(len(way) for way in trial.ways)
         for find in finds:
-            archive.offer(Elite(find.code, find.roll, trial.ways[find.slot], find.state, find.badness))
+            archive.offer(find.reading.elite(trial.ways[find.slot], find.state))
     for finds, beads, forces, taken, transitions in pool.map(play, shifts):
         archive.transitions.add(transitions)
         actions += int(taken.sum())
@@ -120,7 +131,7 @@ def advance(archive: Archive, config: SearchConfig, pool: Pool, chunk: int = 16)
             row = find.slot % chunk
             way = parents[find.slot].way + Way(beads[row, : find.pulls], forces[row, : find.pulls])
             if len(way) <= config.longest:
-                archive.offer(Elite(find.code, find.roll, way, find.state, find.badness))
+                archive.offer(find.reading.elite(way, find.state))
     archive.growth.append({"round": number, "actions": actions, "classes": len(archive.niches)})
     return len(archive.niches) - known
 
@@ -138,9 +149,9 @@ def confirm(trial: Trial) -> list[Find]:
             alive[ids] = held
     out: list[Find] = []
     for row in np.flatnonzero(alive):
-        for code, roll, badness in _readings(simulation.points[row], Limits(), trial.config.rope):
-            if code.nx <= trial.config.max_nx:
-                out.append(Find(int(row), len(trial.ways[row]), code, roll, badness, simulation.states([int(row)])[0]))
+        for reading in readings(simulation.points[row], Limits(), trial.config.rope):
+            if reading.code.nx <= trial.config.max_nx:
+                out.append(Find(int(row), len(trial.ways[row]), reading, simulation.states([int(row)])[0]))
     return out
 
 
@@ -181,43 +192,55 @@ def play(shift: Shift) -> tuple[list[Find], NDArray[np.int16], NDArray[np.float3
                 watches[row].show(find_crossings(simulation.points[row]))
             if codes[row].nx <= config.max_nx and (codes[row] != last[row] or ended[row] or step == config.pulls - 1):
                 state = simulation.states([int(row)])[0]
-                for code, roll, badness in _readings(simulation.points[row], limits, config.rope):
-                    finds.append(Find(shift.slots[row], step + 1, code, roll, badness, state))
+                finds += [Find(shift.slots[row], step + 1, reading, state) for reading in readings(simulation.points[row], limits, config.rope)]
         last = codes
     transitions = Transitions()
     for watch in watches:
         transitions.add(watch.transitions)
-    return sorted(finds, key=lambda find: (find.slot, find.pulls, find.roll)), beads, forces, taken, transitions
+    return sorted(finds, key=lambda find: (find.slot, find.pulls, find.reading.roll, find.reading.reverse)), beads, forces, taken, transitions
 
 
-def _readings(points: Array, limits: Limits, rope: RopeConfig) -> list[tuple[GaussCode, int, float]]:
-    """What one state shows walked from each sub-chain: the codes, the rolls, and the badness of each."""
+def readings(points: Array, limits: Limits, rope: RopeConfig) -> list[Reading]:
+    """What one state shows walked from each sub-chain, either way; of several readings of one code the exact one, or the best."""
     crossings = find_crossings(points)
     quality = measure(points, crossings, quick=True)
-    found: dict[GaussCode, tuple[int, float]] = {}
+    found: dict[GaussCode, Reading] = {}
     for roll in rolls(rope):
         code = rolled(crossings, roll)
         badness = limits.badness(replace(quality, base_spacing=base_spacing(points, crossings, roll)), code.nx)
-        if code not in found or badness < found[code][1]:
-            found[code] = roll, badness
-    return [(code, roll, badness) for code, (roll, badness) in found.items()]
+        for reverse in (False, True):
+            reading = Reading(code.reversed() if reverse else code, roll, reverse, badness)
+            known = found.setdefault(reading.code, reading)
+            if badness < known.badness and (known.roll or known.reverse):
+                found[reading.code] = reading
+    return list(found.values())
 
 
 def _unconfirmed(archive: Archive, config: SearchConfig, number: int) -> list[Way]:
-    """Ways for the rope renumbered, to codes that no elite shows from its own first bead; a quarter as many as slots.
+    """Ways for the rope renumbered, to codes that no elite shows as it is numbered; half as many as slots.
 
-    The plain loop, renumbered by `roll` and turned back by as much, is the plain loop again.
+    Codes of which no chirality is shown so come first.
+
+    The plain loop, renumbered by `roll` and turned back by as much, is the plain loop again; so it is, walked the other way
+    in a mirror.
     """
     if archive.settings["start"] != "loop":
         return []
     rng = np.random.default_rng([config.seed, number, config.slots, 1])
-    near = [elites for niche, elites in archive.niches.items() if 0 < niche.nx <= config.max_nx and all(one.roll for one in elites)]
+    sure = {image.plain for niche in archive.niches if archive.sure(niche) for image in mirror_images(niche)}
+    near = [niche for niche in archive.niches if 0 < niche.nx <= config.max_nx and not archive.sure(niche)]
+    drawn = [near[pick] for pick in rng.permutation(len(near))]
     ways = []
-    for pick in rng.permutation(len(near))[: config.slots // 4]:
-        elite = near[pick][rng.integers(len(near[pick]))]
-        symmetry = Symmetry(roll=elite.roll, turn=-2 * np.pi * elite.roll / config.rope.beads)
+    for niche in sorted(drawn, key=lambda one: one.plain in sure)[: config.slots // 2]:
+        elites = archive.niches[niche]
+        elite = elites[rng.integers(len(elites))]
+        turn = 2 * np.pi * elite.roll / config.rope.beads
+        if elite.reverse:
+            symmetry = Symmetry(reflect=True, turn=turn - np.pi, reverse=True, roll=-elite.roll)
+        else:
+            symmetry = Symmetry(turn=-turn, roll=elite.roll)
         beads = symmetry.beads(elite.way.beads, config.rope.beads).astype(np.int16)
-        ways.append(Way(beads, symmetry.vectors(elite.way.forces).astype(np.float32)))
+        ways.append(Way(beads, symmetry.vectors(elite.way.forces.astype(np.float64)).astype(np.float32)))
     return ways
 
 

@@ -9,7 +9,7 @@ bead is no symmetry: rolled by one bead, a pull ends 9 mm elsewhere, rolled by a
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -55,14 +55,18 @@ class Symmetry:
         return ((-old - 1 if self.reverse else old) - self.roll) % count
 
 
+def mirrorings(code: GaussCode) -> Iterator[tuple[GaussCode, Symmetry]]:
+    """The codes that a rope showing `code`, with chirality, shows after reflection and switch, each with its symmetry; four, some twice."""
+    for switch in (False, True):
+        for reflect in (False, True):
+            shown = code.mirrored() if switch else code
+            yield shown.reflected() if reflect else shown, Symmetry(reflect=reflect, switch=switch)
+
+
 def variants(code: GaussCode) -> Iterator[tuple[GaussCode, Symmetry]]:
-    """The codes that a rope showing `code` shows after reflection, switch and reversal, each with its symmetry; eight, some twice."""
-    for reverse in (False, True):
-        walked = code.reversed() if reverse else code
-        for switch in (False, True):
-            for reflect in (False, True):
-                shown = walked.mirrored() if switch else walked
-                yield shown.reflected() if reflect else shown, Symmetry(reflect=reflect, switch=switch, reverse=reverse)
+    """As `mirrorings`, walked both ways; eight, some twice."""
+    yield from mirrorings(code)
+    yield from ((shown, replace(symmetry, reverse=True)) for shown, symmetry in mirrorings(code.reversed()))
 
 
 @lru_cache(maxsize=200_000)
@@ -76,9 +80,9 @@ def class_of(code: GaussCode) -> GaussCode:
 
 
 @lru_cache(maxsize=200_000)
-def members(code: GaussCode) -> tuple[GaussCode, ...]:
-    """Every variant of a code with chirality, once each, in order."""
-    return tuple(sorted({member for member, _ in variants(code)}, key=_order))
+def mirror_images(code: GaussCode) -> tuple[GaussCode, ...]:
+    """The codes of `mirrorings`, once each, in order; the first stands for all of them."""
+    return tuple(sorted({image for image, _ in mirrorings(code)}, key=_order))
 
 
 def rolls(rope: RopeConfig) -> list[int]:
