@@ -35,6 +35,7 @@ class Simulation:
         rope: the rope they all are.
         count: how many.
         points: float64 (count, beads, 3), metres, as of the last call; the simulation's own memory, copy what you keep.
+        pulled: actions taken so far, all ropes together.
     """
 
     def __init__(self, count: int = 1, rope: Rope | None = None, threads: int = 1) -> None:
@@ -48,6 +49,7 @@ class Simulation:
         self._qpos: Array = self._batch.bind("qpos")
         self._xfrc: Array = self._batch.bind("xfrc_applied")
         self.points: Array = self.rope.points(self._qpos)
+        self.pulled = 0
 
     def __getstate__(self) -> dict[str, Any]:
         return {"config": self.rope.config, "count": self.count, "threads": self._threads, "states": self.states()}
@@ -92,6 +94,7 @@ class Simulation:
             bool (len(ids),): False where the simulation blew up; such a rope stands where it stood before the call.
         """
         where, bodies, full = self._all(ids), self.rope.bodies[np.asarray(beads)], np.asarray(forces, dtype=np.float64)
+        self.pulled += len(where)
         before, left = self._batch.state[where].copy(), np.arange(len(where))
         whole = np.ones(len(where), dtype=bool)
         for share in (1.0, *EASED):

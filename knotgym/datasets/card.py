@@ -107,6 +107,14 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
             "| --- | --- | --- |",
             *rejected,
             "",
+            "## Growth",
+            "",
+            "Codes known to the search, and states accepted, by environment steps.",
+            "",
+            _row("steps", *(f"nx {nx}: known / accepted" for nx in report["existing_codes"])),
+            _row(*["---"] * (1 + len(report["existing_codes"]))),
+            *(_row(one["steps"], *(f"{one['known'][nx]} / {one['accepted'][nx]}" for nx in one["known"])) for one in growth(report)),
+            "",
             "## How to make it again",
             "",
             "```json",
@@ -115,6 +123,16 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
             "",
         ]
     )
+
+
+def growth(report: Mapping[str, Any], rows: int = 12) -> list[dict[str, Any]]:
+    """So many rows of a job's growth, each at about the same multiple of the steps of the one before, the last among them."""
+    found: list[dict[str, Any]] = report.get("growth", [])
+    if len(found) <= rows:
+        return found
+    steps = np.array([one["steps"] for one in found])
+    wanted = np.geomspace(steps[0], steps[-1], rows)
+    return [found[k] for k in sorted({int(np.argmin(np.abs(steps - one))) for one in wanted})]
 
 
 def most_first(counts: Mapping[str, int]) -> list[tuple[str, int]]:

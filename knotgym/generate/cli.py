@@ -58,6 +58,7 @@ def generate(
     knot: Annotated[str, typer.Option(help="0_1, 3_1, 4_1, 5_1, or a file with a closed curve, three numbers a line or .npy.")] = "0_1",
     archive: Annotated[Path | None, typer.Option(help="Go on from the archive of another run (its archive.h5).")] = None,
     attempts: Annotated[int, typer.Option(help="Instances tried, for each state wanted, before giving up.")] = 100,
+    cycles: Annotated[int, typer.Option(help="Stop after so many rounds of searching and choosing, with what there is; 0: when all is there.")] = 0,
     seed: Seed = 0,
     workers: Workers = 0,
     resume: Resume = False,
@@ -69,7 +70,15 @@ def generate(
 
     wanted = numbers(nx)
     config = GenerateConfig(
-        nx=wanted, count=count, every_code=every_code, balance=balance, split_by=split_by, knot=knot, seed=seed, attempts=attempts
+        nx=wanted,
+        count=count,
+        every_code=every_code,
+        balance=balance,
+        split_by=split_by,
+        knot=knot,
+        seed=seed,
+        attempts=attempts,
+        cycles=cycles,
     )
     target = out or Path("knotgym-data") / f"nx{nx.replace(' ', '')}"
     run_job(config, target, archive=archive, workers=workers, resume=resume, quiet=quiet, console=Console())

@@ -81,6 +81,7 @@ class Instance:
         points: float64 (T + 1, beads, 3), metres, the configurations on the way.
         qpos: float64 (nq,), after the last action.
         quality: of the last state.
+        pulls: actions taken to make it, all that was tried included.
         elites: readings of this state for the archive, if it is better than what the order had, reached from the archive's start.
     """
 
@@ -92,17 +93,23 @@ class Instance:
     points: Array
     qpos: Array
     quality: Quality
+    pulls: int = 0
     elites: tuple[Elite, ...] = field(default=(), repr=False)
 
 
 def make(order: Order) -> Instance:
     """Make an instance; the same order gives the same bytes."""
-    config, rng = order.config, np.random.default_rng(order.seed)
-    rope = _rope(config.rope)
+    simulation = _simulations(order.config.rope, order.config.opening.tries)
+    before = simulation.pulled
+    instance = _made(order, simulation)
+    return replace(instance, pulls=simulation.pulled - before)
+
+
+def _made(order: Order, simulation: Simulation) -> Instance:
+    config, rng, rope = order.config, np.random.default_rng(order.seed), simulation.rope
     elite = order.elites[int(rng.integers(len(order.elites)))]
     if rng.random() < 0.5:
         elite = min(order.elites, key=lambda one: one.badness)
-    simulation = _simulations(config.rope, config.opening.tries)
     symmetry = _symmetry(elite, order.code, rng)
     start_qpos = rope.qpos(symmetry.configuration(noised(order.start, config.start_noise, rng)))
     simulation.lay(start_qpos[None], ONE)
@@ -131,7 +138,7 @@ def make(order: Order) -> Instance:
         faults.append("code lost at rest")
     elif pyknotid_code(last) != crossings.code:
         faults.append("labellers disagree")
-    return Instance(crossings.code, tuple(faults), order.seed, start_qpos, actions, points, qpos, quality, elites)
+    return Instance(crossings.code, tuple(faults), order.seed, start_qpos, actions, points, qpos, quality, elites=elites)
 
 
 def _follow(simulation: Simulation, way: Way) -> tuple[NDArray[np.float32], Array] | None:
@@ -215,15 +222,11 @@ def _rejected(fault: str, order: Order, rope: Rope) -> Instance:
     return Instance(order.code, (fault,), order.seed, np.zeros(rope.nq), nothing, order.start[None], np.zeros(rope.nq), measure(order.start))
 
 
-_made: dict[tuple[RopeConfig, int], Simulation] = {}
+_ropes: dict[tuple[RopeConfig, int], Simulation] = {}
 
 
 def _simulations(config: RopeConfig, count: int) -> Simulation:
     """This process's simulation, made once; whoever asks lays or restores every rope before use."""
-    if (config, count) not in _made:
-        _made[config, count] = Simulation(count, Rope(config))
-    return _made[config, count]
-
-
-def _rope(config: RopeConfig) -> Rope:
-    return _simulations(config, 1).rope
+    if (config, count) not in _ropes:
+        _ropes[config, count] = Simulation(count, Rope(config))
+    return _ropes[config, count]

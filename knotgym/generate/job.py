@@ -12,6 +12,7 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from knotgym.knots import knot_type
 from knotgym.rope import Array, Rope
 
 MOST_NX = 6
+MORE_ROUNDS = 4
 
 
 class InvalidJob(KnotgymError, ValueError):
@@ -53,6 +55,7 @@ class GenerateConfig:
         knot: type of the rope's knot; "0_1" starts from the plain loop, any other name or file as `curves.knot_curve`.
         seed: of everything.
         attempts: instances tried, for each state wanted, before giving up.
+        cycles: of search and a wave of instances, after which what there is is enough; 0 to go on until all wanted is there.
         wave: instances made in a cycle.
         instance: how they are made and judged.
     """
@@ -66,6 +69,7 @@ class GenerateConfig:
     knot: str = "0_1"
     seed: int = 0
     attempts: int = 100
+    cycles: int = 0
     wave: int = 48
     instance: InstanceConfig = InstanceConfig()
 
@@ -75,8 +79,9 @@ class GenerateConfig:
         for name in ("count", "attempts", "wave"):
             if getattr(self, name) < 1:
                 raise InvalidJob(f"{name} must be at least 1, got {getattr(self, name)}")
-        if self.every_code < 0:
-            raise InvalidJob(f"every_code must be at least 0, got {self.every_code}")
+        for name in ("every_code", "cycles"):
+            if getattr(self, name) < 0:
+                raise InvalidJob(f"{name} must be at least 0, got {getattr(self, name)}")
         if self.balance not in ("even", "natural"):
             raise InvalidJob(f'balance must be "even" or "natural", got {self.balance!r}')
         if self.split_by not in ("state", "code"):
@@ -101,7 +106,8 @@ class Job:
         rejected: nx -> reason -> how many.
         tried: nx -> code -> orders given.
         cycle: cycles done.
-        actions: environment steps made by instances (the search's are in the archive).
+        actions: environment steps made for instances (the search's are in the archive).
+        growth: one row a cycle: steps of search and instances together by then, and nx -> codes known, states accepted.
         seconds: spent so far, over all sittings.
     """
 
@@ -115,6 +121,7 @@ class Job:
     tried: dict[int, Counter[GaussCode]] = field(default_factory=dict)
     cycle: int = 0
     actions: int = 0
+    growth: list[dict[str, Any]] = field(default_factory=list)
     seconds: float = 0.0
 
     @classmethod
@@ -142,9 +149,18 @@ class Job:
         """States asked for with nx crossings."""
         return sum(self.shares[nx].values()) if self.config.every_code else self.config.count
 
+    def wanted_codes(self, nx: int) -> int:
+        """Codes with nx crossings to have a choice among: all for `every_code`, else a quarter more than states."""
+        return len(self.shares[nx]) if self.config.every_code else min(len(self.shares[nx]), max(1, int(1.25 * self.config.count)))
+
+    def steps(self) -> int:
+        """Environment steps made so far, by the search and for instances."""
+        return self.actions + (self.archive.growth[-1]["actions"] if self.archive.growth else 0)
+
     def done(self) -> bool:
-        """Whether everything asked for is there."""
-        return all(len(self.accepted[nx]) >= self.wanted(nx) for nx in self.config.nx)
+        """Whether everything asked for is there, or the cycles allowed are over."""
+        config = self.config
+        return all(len(self.accepted[nx]) >= self.wanted(nx) for nx in config.nx) or 0 < config.cycles <= self.cycle
 
 
 def run(job: Job, pool: Pool, each_cycle: Callable[[Job], None]) -> None:
@@ -157,19 +173,33 @@ def run(job: Job, pool: Pool, each_cycle: Callable[[Job], None]) -> None:
     search = search_config(config)
     while not job.done():
         began = time.perf_counter()
-        if max(config.nx) > 0:
+        for _ in range(_rounds(job)):
             advance(job.archive, search, pool)
         orders = _orders(job)
         for (nx, _), instance in zip(orders, pool.map(make, [order for _, order in orders]), strict=True):
-            job.actions += len(instance.actions)
+            job.actions += instance.pulls
             _judge(job, nx, instance)
         job.cycle += 1
+        known = {str(nx): len(job.archive.codes(nx)) for nx in config.nx}
+        job.growth.append({"steps": job.steps(), "known": known, "accepted": {str(nx): len(job.accepted[nx]) for nx in config.nx}})
         job.seconds += time.perf_counter() - began
         each_cycle(job)
         for nx in config.nx:
             have, tried = len(job.accepted[nx]), sum(job.tried[nx].values())
-            if have < job.wanted(nx) and max(tried, 8 * job.cycle) >= config.attempts * job.wanted(nx):
+            if have < job.wanted(nx) and not job.done() and max(tried, 8 * job.cycle) >= config.attempts * job.wanted(nx):
                 raise NotEnough(f"{have} of {job.wanted(nx)} states with nx = {nx} accepted in {tried} attempts; use --resume and more --attempts")
+    if not any(job.accepted.values()):
+        raise NotEnough(f"no state accepted in {job.cycle} cycles; use --resume and more --cycles")
+
+
+def _rounds(job: Job) -> int:
+    """Rounds of the search in the next cycle: one, and up to MORE_ROUNDS more the more of the codes still lacking aren't known either."""
+    missing = [0.0]
+    for nx in job.config.nx:
+        lacking = job.wanted_codes(nx) - len({one.code.plain for one in job.accepted[nx]})
+        unknown = job.wanted_codes(nx) - len(job.archive.codes(nx))
+        missing.append(min(1.0, max(0, unknown) / max(1, lacking)))
+    return 1 + round(MORE_ROUNDS * max(missing)) if max(job.config.nx) else 0
 
 
 def search_config(config: GenerateConfig) -> SearchConfig:
@@ -213,7 +243,7 @@ def _orders(job: Job) -> list[tuple[int, Order]]:
         share = list(job.shares[nx])
         ranked = [share[k] for k in np.random.default_rng([config.seed, nx, 1]).permutation(len(share))]
         if not config.every_code:  # of more codes than are wanted, a quarter more are tried; the window widens with time
-            ranked = ranked[: max(1, int(1.25 * config.count)) + 2 * job.cycle]
+            ranked = ranked[: job.wanted_codes(nx) + 2 * job.cycle]
         lacking = [(code, known) for code in ranked if have[code] < job.shares[nx][code] and (known := job.archive.handed(code))]
         lacking.sort(key=lambda one: job.tried[nx][one[0]])
         for k in range(-(-config.wave // len(open_nx)) if lacking else 0):

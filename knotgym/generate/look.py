@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.table import Table
 
 from knotgym.crossings import label
-from knotgym.datasets.card import most_first, summary
+from knotgym.datasets.card import growth, most_first, summary
 from knotgym.datasets.episode_checks import show_episodes, verify_episodes
 from knotgym.datasets.episode_files import merge as merge_episodes
 from knotgym.datasets.episode_reader import EpisodeReader
@@ -102,6 +102,14 @@ def show(path: str, console: Console) -> None:
     for name, one in facts["quality"].items():
         quality.add_row(name, one["unit"], *(f"{one[key]:.3g}" for key in ("min", "median", "max")))
     console.print(quality)
+    found = growth(manifest.get("report", {}))
+    if found:
+        grown = Table(title="growth: codes known to the search / states accepted", title_justify="left")
+        for column in ("steps", *(f"nx {nx}" for nx in found[-1]["known"])):
+            grown.add_column(column, justify="right")
+        for one in found:
+            grown.add_row(str(one["steps"]), *(f"{one['known'][nx]} / {one['accepted'][nx]}" for nx in one["known"]))
+        console.print(grown)
     rejected = manifest.get("report", {}).get("rejected", {})
     if rejected:
         console.print(f"{manifest['report']['attempts']} instances made; rejected, by reason (an instance can have several):", highlight=False)

@@ -59,7 +59,7 @@ def generate(config: GenerateConfig, out: Path, *, archive: Path | None, workers
             pass  # nobody is at it
     job = _resumed(partial / "job.pickle", config) if resume else None
     job = job or Job.begin(config, Archive.load(archive) if archive else None)  # before anything is written: it may be refused
-    job.config = replace(job.config, attempts=config.attempts)
+    job.config = replace(job.config, attempts=config.attempts, cycles=config.cycles)
     with _locked(partial):
         for path in [] if resume else partial.iterdir():
             if path.name != "lock":
@@ -94,7 +94,7 @@ def _resumed(path: Path, config: GenerateConfig) -> Job | None:
     if not path.is_file():
         return None
     job = pickle.loads(path.read_bytes())
-    if not isinstance(job, Job) or replace(job.config, attempts=config.attempts) != config:
+    if not isinstance(job, Job) or replace(job.config, attempts=config.attempts, cycles=config.cycles) != config:
         raise InvalidJob(f"{path.parent} holds another job than the one asked for; give the same options again, or start without --resume")
     return job
 

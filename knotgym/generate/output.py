@@ -81,9 +81,9 @@ def report_of(job: Job) -> dict[str, Any]:
         "knot": job.knot,
         "existing_codes": {str(nx): count for nx, count in job.existing.items()},
         "attempts": attempts.total(),
-        "actions": job.actions + (job.archive.growth[-1]["actions"] if job.archive.growth else 0),
+        "actions": job.steps(),
         "rejected": {str(nx): dict(sorted(reasons.items())) for nx, reasons in job.rejected.items()},
-        "growth": job.archive.growth,
+        "growth": job.growth,
     }
 
 
@@ -111,7 +111,7 @@ def write(job: Job, folder: Path) -> dict[str, Any]:
 
 def write_trajectories(job: Job, folder: Path) -> None:
     """One Minari dataset for each nx, knotgym/tie-nx3/ways-v0 below `folder`, pixels and states; an episode a state, in their order."""
-    for nx in job.config.nx:
+    for nx in [nx for nx in job.config.nx if job.accepted[nx]]:
         # a loop has nothing to tie: its episodes are those of an unknot task whose goal is shown from the start
         task = TaskConfig(task="tie" if nx else "unknot", nx=max(1, nx), observation="both", horizon=HORIZON)
         shard = folder / f"nx{nx}.h5"

@@ -37,7 +37,7 @@ class Progress:
             return
         accepted = sum(len(instances) for instances in job.accepted.values())
         wanted = sum(job.wanted(nx) for nx in job.config.nx)
-        actions = job.actions + (job.archive.growth[-1]["actions"] if job.archive.growth else 0)
+        actions = job.steps()
         seconds = time.perf_counter() - self._began
         codes = len({instance.code.plain for instances in job.accepted.values() for instance in instances})
         rejected: Counter[str] = sum(job.rejected.values(), Counter())
