@@ -14,7 +14,7 @@ from rich.console import Console
 from knotgym.datasets.episode_checks import verify_episodes
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.generate.collect import CollectConfig, InvalidCollection, collect
-from knotgym.generate.main_job import Occupied
+from knotgym.generate.partial import Occupied
 from knotgym.generate.planner import PlannerConfig
 from knotgym.generate.policies import PolicyConfig
 from knotgym.generate.rollouts import episode_seed

@@ -24,8 +24,7 @@ from knotgym.datasets.files import whole
 from knotgym.datasets.minari_files import MinariMetadata, publish
 from knotgym.errors import KnotgymError
 from knotgym.generate.engines import engine
-from knotgym.generate.main_job import Occupied
-from knotgym.generate.partial import held
+from knotgym.generate.partial import Occupied, held
 from knotgym.generate.policies import PolicyConfig, make_policy
 from knotgym.generate.rollouts import roll
 from knotgym.tasks import TaskConfig
@@ -105,7 +104,7 @@ class Tally:
         return Tally(**{field.name: getattr(self, field.name) + getattr(other, field.name) for field in fields(self)})
 
 
-def collect(config: CollectConfig, out: Path | None, *, workers: int, resume: bool, quiet: bool, console: Console) -> Path:
+def collect(config: CollectConfig, out: Path | None, *, workers: int, resume: bool, quiet: bool, console: Console, scheduler: str = "") -> Path:
     """Make the dataset and return its folder.
 
     Args:
@@ -115,6 +114,7 @@ def collect(config: CollectConfig, out: Path | None, *, workers: int, resume: bo
         resume: go on with the shards that are there; with a finished dataset of the same settings there is nothing to do.
         quiet: show nothing.
         console: to show progress on.
+        scheduler: address of a Dask cluster's, to work there.
 
     Raises:
         Occupied: there is something in the way, or another run is at it.
@@ -136,21 +136,27 @@ def collect(config: CollectConfig, out: Path | None, *, workers: int, resume: bo
     began = time.perf_counter()
     with held(folder, resume) as partial:
         if _settings(partial / "settings.json") not in (None, settings):
-            raise InvalidCollection(f"{partial} holds another collection than the one asked for; give the same options again, or start without --resume")
+            raise InvalidCollection(
+                f"{partial} holds another collection than the one asked for; give the same options again, or start without --resume"
+            )
         with whole(partial / "settings.json") as part:
             part.write_text(json.dumps({"config": settings}))
         shards = [
             _Shard(config, range(first, min(first + SHARD, config.episodes)), partial / f"shard-{first // SHARD:06d}.h5")
             for first in range(0, config.episodes, SHARD)
         ]
-        tally = _play_all(shards, workers, quiet, console)
+        tally = _play_all(shards, workers, scheduler, quiet, console)
         if not tally.kept:
             raise InvalidCollection(f"none of {tally.played} episodes reached the goal, and failed ones are dropped: nothing is left to write")
         metadata = _metadata(config, tally)
         staged = partial / "whole"
         shutil.rmtree(staged, ignore_errors=True)
         made = publish([shard.path for shard in shards], metadata, staged)
-        counted = {"config": settings, "version": knotgym.__version__, "tally": {**asdict(tally), "planning_seconds": round(tally.planning_seconds, 1)}}
+        counted = {
+            "config": settings,
+            "version": knotgym.__version__,
+            "tally": {**asdict(tally), "planning_seconds": round(tally.planning_seconds, 1)},
+        }
         (made / "data" / "collection.json").write_text(json.dumps(counted, indent=1, sort_keys=True), encoding="utf-8")
         made.rename(folder)
         shutil.rmtree(partial)
@@ -167,13 +173,13 @@ def collect(config: CollectConfig, out: Path | None, *, workers: int, resume: bo
     return folder
 
 
-def _play_all(shards: Sequence[_Shard], workers: int, quiet: bool, console: Console) -> Tally:
+def _play_all(shards: Sequence[_Shard], workers: int, scheduler: str, quiet: bool, console: Console) -> Tally:
     """Play the shards that aren't finished; the tally of all."""
     done = {shard.path: _finished(shard.path) for shard in shards}
     total = sum((one for one in done.values() if one is not None), Tally())
     todo = [shard for shard in shards if done[shard.path] is None]
     told, began = 0.0, time.perf_counter()
-    with engine(workers) as pool:
+    with engine(workers, scheduler) as pool:
         for number, tally in enumerate(pool.map(play, todo), 1):
             total += tally
             seconds = time.perf_counter() - began

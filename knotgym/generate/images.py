@@ -32,8 +32,7 @@ from knotgym.generate.engines import Pool, engine
 from knotgym.generate.image_folder import finish
 from knotgym.generate.image_shards import Row, Shard, write_shard
 from knotgym.generate.job import MOST_NX, NotEnough
-from knotgym.generate.main_job import Occupied
-from knotgym.generate.partial import held
+from knotgym.generate.partial import Occupied, held
 from knotgym.generate.stir import WALKS, Frames, Unit, Walk, stir
 
 WAVE = 32  # units in a wave at most
@@ -80,7 +79,9 @@ class ImagesConfig:
             object.__setattr__(self, "test_nx", (max(self.nx),) if len(self.nx) > 1 else ())
         rest = self.trained
         if not set(self.held_nx) <= set(self.nx) or not rest or min(self.held_nx, default=MOST_NX + 1) <= max(rest):
-            raise InvalidImagesJob(f"test-nx takes the largest of the nx asked for, {sorted(self.nx)}, and not all of them; got {sorted(self.held_nx)}")
+            raise InvalidImagesJob(
+                f"test-nx takes the largest of the nx asked for, {sorted(self.nx)}, and not all of them; got {sorted(self.held_nx)}"
+            )
         for name in ("count", "pulls", "stride", "shard"):
             if getattr(self, name) < 1:
                 raise InvalidImagesJob(f"{name} must be at least 1, got {getattr(self, name)}")
@@ -110,7 +111,16 @@ class _Stretch(NamedTuple):
 
 
 def make(
-    config: ImagesConfig, out: Path, *, archive: Path | None, states: Path | None, workers: int, resume: bool, quiet: bool, console: Console
+    config: ImagesConfig,
+    out: Path,
+    *,
+    archive: Path | None,
+    states: Path | None,
+    workers: int,
+    resume: bool,
+    quiet: bool,
+    console: Console,
+    scheduler: str = "",
 ) -> None:
     """Make the new folder `out`; until it is finished everything stands in `.NAME.partial` beside it.
 
@@ -137,7 +147,7 @@ def make(
         with whole(partial / "job.json") as part:
             part.write_text(json.dumps(asked))
         tell = _Teller(console, quiet)
-        with engine(workers) as pool:
+        with engine(workers, scheduler) as pool:
             chooser, walks, dropped = _choose(config, start, partial, pool, tell)
             written = _draw(config, start, chooser, walks, partial / out.name, pool, tell)
         report = {"walks": sum(len(one.numbers) for one in walks), "frames": sum(len(one.walk) for one in walks)}

@@ -1,0 +1,10 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+Engine = Annotated[str, typer.Option(help="local, or dask: the workers of a Dask cluster, on a file system that all of them see.")]
+Scheduler = Annotated[str, typer.Option(help="Address of the cluster's scheduler, such as tcp://127.0.0.1:8786.")]
