@@ -15,7 +15,8 @@ from rich.console import Console
 from knotgym.errors import KnotgymError
 from knotgym.generate.dataset_commands import dataset_app
 from knotgym.generate.engines import LostWorkers, scheduler_of
-from knotgym.generate.options import Engine, Scheduler
+from knotgym.generate.options import Engine, Scheduler, Shard
+from knotgym.generate.parts import Part
 from knotgym.generate.policy_commands import collect, evaluate
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help="Data for spatial reasoning on knots.")
@@ -64,6 +65,7 @@ def generate(
     workers: Workers = 0,
     engine: Engine = "local",
     scheduler: Scheduler = "",
+    shard: Shard = "",
     resume: Resume = False,
     quiet: Quiet = False,
 ) -> None:
@@ -71,11 +73,11 @@ def generate(
     from knotgym.generate.job import GenerateConfig
     from knotgym.generate.main_job import generate as run_job
 
-    cluster, wanted = scheduler_of(engine, scheduler, workers), numbers(nx)
+    cluster, wanted, part = scheduler_of(engine, scheduler, workers), numbers(nx), Part.parse(shard)
     config = GenerateConfig(
-        nx=wanted, count=count, every_code=every_code, balance=balance, split_by=split_by, knot=knot, seed=seed, attempts=attempts
+        nx=wanted, count=count, every_code=every_code, balance=balance, split_by=split_by, knot=knot, seed=seed, attempts=attempts, part=part
     )
-    target = out or Path("knotgym-data") / f"nx{nx.replace(' ', '')}"
+    target = part.folder(out or Path("knotgym-data") / f"nx{nx.replace(' ', '')}")
     run_job(config, target, archive=archive, workers=workers, resume=resume, quiet=quiet, console=Console(), scheduler=cluster)
 
 
@@ -95,6 +97,7 @@ def images(
     workers: Workers = 0,
     engine: Engine = "local",
     scheduler: Scheduler = "",
+    shard: Shard = "",
     resume: Resume = False,
     quiet: Quiet = False,
 ) -> None:
@@ -102,7 +105,7 @@ def images(
     from knotgym.generate.appearance import VARIED, AppearanceConfig
     from knotgym.generate.images import ImagesConfig, make
 
-    cluster, wanted, sizes = scheduler_of(engine, scheduler, workers), numbers(nx), size.split(",")
+    cluster, wanted, part, sizes = scheduler_of(engine, scheduler, workers), numbers(nx), Part.parse(shard), size.split(",")
     if not all(one.strip().isdecimal() for one in sizes):
         raise typer.BadParameter(f"--size takes pixels such as 128 or 64,128, got {size!r}")
     varied = {"all": VARIED, "none": ()}.get(vary) if vary in ("all", "none") else tuple(word.strip() for word in vary.split(","))
@@ -114,8 +117,9 @@ def images(
         code_share=code_share,
         seed=seed,
         appearance=AppearanceConfig(vary=varied or (), sizes=tuple(map(int, sizes))),
+        part=part,
     )
-    target = out or Path("knotgym-data") / f"images-nx{nx.replace(' ', '')}"
+    target = part.folder(out or Path("knotgym-data") / f"images-nx{nx.replace(' ', '')}")
     make(config, target, archive=archive, states=states, workers=workers, resume=resume, quiet=quiet, console=Console(), scheduler=cluster)
 
 

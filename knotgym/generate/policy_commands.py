@@ -9,7 +9,8 @@ import typer
 from rich.console import Console
 
 from knotgym.generate.engines import scheduler_of
-from knotgym.generate.options import Engine, Scheduler
+from knotgym.generate.options import Engine, Scheduler, Shard
+from knotgym.generate.parts import Part
 from knotgym.generate.planner import PlannerConfig
 from knotgym.generate.policies import PolicyConfig
 from knotgym.tasks import TaskConfig
@@ -55,6 +56,7 @@ def collect(
     workers: Workers = 0,
     engine: Engine = "local",
     scheduler: Scheduler = "",
+    shard: Shard = "",
     resume: Annotated[bool, typer.Option("--resume", help="Finish an interrupted run.")] = False,
     quiet: Quiet = False,
 ) -> None:
@@ -62,7 +64,7 @@ def collect(
     from knotgym.generate.collect import CollectConfig
     from knotgym.generate.collect import collect as run
 
-    cluster = scheduler_of(engine, scheduler, workers)
+    cluster, part = scheduler_of(engine, scheduler, workers), Part.parse(shard)
     config = CollectConfig(
         task=TaskConfig(
             task=task,
@@ -84,7 +86,7 @@ def collect(
         author_email=tuple(author_email or ()),
         code_permalink=code_permalink,
     )
-    run(config, out, workers=workers, resume=resume, quiet=quiet, console=Console(), scheduler=cluster)
+    run(config, out, workers=workers, resume=resume, quiet=quiet, console=Console(), scheduler=cluster, part=part)
 
 
 def evaluate(
