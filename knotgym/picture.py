@@ -12,6 +12,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Literal
 
 import cv2
+import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -34,11 +35,12 @@ _EDGE = 0.48  # pixels by which OpenCV's convex polygons, which own their outlin
 _STEEP = 1.0  # pieces seen so nearly end-on that they appear shorter than this many radii get round ends
 _NEAR = 0.01  # metres; nothing nearer to the perspective camera is seen
 
-# Angles, in quarter turns from the direction of the bead, of the vertices of one end of a piece: round, or mitred where the rope turns left.
-# A mitred end is cut along the bisector of the joint: a short arc on the outer side, one corner (given twice) on the inner side.
-_ROUND = np.array([-1.0, -2 / 3, -1 / 3, 0.0, 1 / 3, 2 / 3, 1.0])
-_ARC = np.array([0.0, 0.25, 0.5, 0.75, 1.0, np.nan, np.nan])
-_INNER = np.isnan(_ARC)
+# The vertices of one end of a piece: a mitred end, where the rope turns left, is cut along the bisector of the joint, with a short arc on the
+# outer side and one corner, given twice, on the inner side; _ARC is where on the arc, of half the turn. Cosines and sines of the two corners of
+# a square end, and of the vertices of a round one, from right to left:
+_ARC = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
+_SQUARE = np.array([[np.cos(angle), np.sin(angle)] for angle in (-0.5 * np.pi, 0.5 * np.pi)])
+_CAP = np.stack([wave(0.5 * np.pi * np.array([-1.0, -2 / 3, -1 / 3, 0.0, 1 / 3, 2 / 3, 1.0])) for wave in (np.cos, np.sin)])
 
 
 class PictureError(KnotgymError, ValueError):
@@ -351,56 +353,138 @@ def _polygons(points: NDArray[np.float64], config: PictureConfig) -> tuple[NDArr
     offset = points - points.mean(axis=0)
     pixels = config.supersampling * project(points, config) - 0.5
     if config.camera == "orthographic":
-        height = offset[:, 2]
+        height = np.ascontiguousarray(offset[:, 2])
     else:
         height = -np.linalg.norm(offset - np.array([0.0, 0.0, config.camera_height]), axis=1)
     radius = np.maximum(config.supersampling * config.drawn_radius * _pixels_per_metre(offset, config) - _EDGE, _EDGE)
 
-    along = np.roll(pixels, -1, axis=0) - pixels
-    length = np.hypot(along[:, 0], along[:, 1])
-    along = np.where(length[:, None] > 1e-9, along / np.maximum(length, 1e-9)[:, None], np.array([1.0, 0.0]))
-    before = np.roll(along, 1, axis=0)
-    turn = np.arctan2(before[:, 0] * along[:, 1] - before[:, 1] * along[:, 0], np.sum(before * along, axis=1))  # at points[i], from bead i - 1 to i
-
-    climb = np.roll(height, -1) - height
-    pieces = np.maximum(np.ceil(np.abs(climb) / _PIECE_SPAN), 1.0).astype(np.intp)
-    bead = np.repeat(np.arange(len(points)), pieces)
-    nth = np.arange(len(bead)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
-    start, stop = nth / pieces[bead], (nth + 1) / pieces[bead]
-    after = (bead + 1) % len(points)
-
-    # A piece's start is the end of the same piece walked backwards: the direction and the turn change sign.
-    head = _end(along[bead], radius[after], np.where(nth + 1 == pieces[bead], turn[after], 0.0), length[bead] / pieces[bead])
-    tail = _end(-along[bead], radius[bead], np.where(nth == 0, -turn[bead], 0.0), length[bead] / pieces[bead])
-    step = (along * length[:, None])[bead]
-    head += (pixels[bead] + stop[:, None] * step)[:, None]
-    tail += (pixels[bead] + start[:, None] * step)[:, None]
-    corners = np.concatenate([head, tail], axis=1)
-
+    # What compiled code might round differently (angles and their functions) is NumPy's, so that the bytes are the same with or without it.
+    step = np.roll(pixels, -1, axis=0) - pixels
+    length = np.hypot(step[:, 0], step[:, 1])
+    along, sine, cosine = _directions(step, length)
+    turn = np.arctan2(sine, cosine)  # at points[i], from bead i - 1 to i
+    half = 0.5 * np.abs(turn)
+    arc = -0.5 * np.pi + half[:, None] * _ARC
     side = config.size * config.supersampling
-    seen = np.all((corners.max(axis=1) >= -1.0) & (corners.min(axis=1) <= side), axis=1)  # false for NaN
-    order = np.flatnonzero(seen)[np.argsort((height[bead] + 0.5 * (start + stop) * climb[bead])[seen], kind="stable")]
-    return np.rint(np.clip(corners[order], -_FAR, _FAR) * 2**_SHIFT).astype(np.int32), bead[order]
+    corners, bead, middle = _pieces(
+        pixels, height, radius, length, along, turn, np.tan(np.minimum(half, 1.5)), np.cos(arc), np.sin(arc), _SQUARE, _CAP, side
+    )
+    order = np.argsort(middle, kind="stable")
+    return corners[order], bead[order]
 
 
-def _end(along: NDArray[np.float64], radius: NDArray[np.float64], turn: NDArray[np.float64], length: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The vertices of pieces' ends, from right to left, relative to the joint's pixel: shape (pieces, 7, 2).
+@numba.njit(cache=True, nogil=True)
+def _directions(step: NDArray[np.float64], length: NDArray[np.float64]) -> Any:
+    """Unit vectors of the beads (n, 2), and sine and cosine, (n,) each, of the turns at their starts."""
+    n = len(step)
+    along, sine, cosine = np.empty((n, 2)), np.empty(n), np.empty(n)
+    for i in range(n):
+        for axis in range(2):
+            along[i, axis] = step[i, axis] / max(length[i], 1e-9) if length[i] > 1e-9 else 1.0 - axis
+    for i in range(n):
+        x, y = along[i - 1]
+        sine[i] = x * along[i, 1] - y * along[i, 0]
+        cosine[i] = x * along[i, 0] + y * along[i, 1]
+    return along, sine, cosine
+
+
+@numba.njit(cache=True, nogil=True)
+def _pieces(
+    pixels: NDArray[np.float64],
+    height: NDArray[np.float64],
+    radius: NDArray[np.float64],
+    length: NDArray[np.float64],
+    along: NDArray[np.float64],
+    turn: NDArray[np.float64],
+    tan: NDArray[np.float64],
+    cos: NDArray[np.float64],
+    sin: NDArray[np.float64],
+    square: NDArray[np.float64],
+    cap: NDArray[np.float64],
+    side: int,
+) -> Any:
+    """The pieces in the picture, bead after bead: corners int32 (m, 14, 2), bead (m,), height of the middle (m,)."""
+    n = len(pixels)
+    most = 0
+    for i in range(n):
+        most += int(max(np.ceil(abs(height[(i + 1) % n] - height[i]) / _PIECE_SPAN), 1.0))
+    corners, bead, middle = np.empty((most, 14, 2), np.int32), np.empty(most, np.intp), np.empty(most)
+    own = np.empty((14, 2))
+    m = 0
+    for i in range(n):
+        after = (i + 1) % n
+        climb = height[after] - height[i]
+        count = int(max(np.ceil(abs(climb) / _PIECE_SPAN), 1.0))
+        x, y, each = along[i, 0], along[i, 1], length[i] / count
+        for nth in range(count):
+            start, stop = nth / count, (nth + 1) / count
+            # A piece's start is the end of the same piece walked backwards: the direction and the turn change sign.
+            last, begin = nth + 1 == count, nth == 0
+            _end(x, y, radius[after], turn[after] if last else 0.0, each, tan[after], cos[after], sin[after], last, square, cap, own[:7])
+            _end(-x, -y, radius[i], -turn[i] if begin else 0.0, each, tan[i], cos[i], sin[i], begin, square, cap, own[7:])
+            seen = True
+            for axis in range(2):
+                step = along[i, axis] * length[i]
+                low, high = np.inf, -np.inf
+                for k in range(14):
+                    own[k, axis] += pixels[i, axis] + (stop if k < 7 else start) * step
+                    low, high = min(low, own[k, axis]), max(high, own[k, axis])
+                    seen &= not np.isnan(own[k, axis])
+                seen &= high >= -1.0 and low <= side
+            if seen:
+                for k in range(14):
+                    for axis in range(2):
+                        corners[m, k, axis] = np.int32(np.rint(min(max(own[k, axis], -_FAR), _FAR) * 2**_SHIFT))
+                bead[m], middle[m] = i, height[i] + 0.5 * (start + stop) * climb
+                m += 1
+    return corners[:m], bead[:m], middle[:m]
+
+
+@numba.njit(cache=True, nogil=True)
+def _end(
+    x: float,
+    y: float,
+    radius: float,
+    turn: float,
+    length: float,
+    tan: float,
+    cos: NDArray[np.float64],
+    sin: NDArray[np.float64],
+    joint: bool,
+    square: NDArray[np.float64],
+    cap: NDArray[np.float64],
+    out: NDArray[np.float64],
+) -> None:
+    """The vertices of a piece's end, from right to left, relative to the joint's pixel, into out (7, 2).
 
     Args:
-        along: unit vector out of the piece, shape (pieces, 2).
-        turn: radians by which the next bead turns away, shape (pieces,); 0 ends the piece square.
-        length: pixels of the piece, shape (pieces,).
+        x, y: unit vector out of the piece.
+        turn: radians by which the next bead turns away; 0 ends the piece square.
+        length: pixels of the piece.
+        tan: of half the turn.
+        cos, sin: shape (5,), of the angles of the arc.
+        joint: another bead follows, so that tan, cos and sin count.
+        square: cosine and sine of the right and of the left corner of a square end, shape (2, 2).
+        cap: those of the vertices of a round end, shape (2, 7).
     """
-    half = 0.5 * np.abs(turn)
-    angle = np.where(_INNER, 0.5 * np.pi, -0.5 * np.pi + half[:, None] * np.where(_INNER, 0.0, _ARC))
-    back = np.where(_INNER, np.minimum(radius * np.tan(np.minimum(half, 1.5)), 0.5 * length)[:, None], 0.0)
-    right = (turn < 0.0)[:, None]
-    angle, back = np.where(right, -angle[:, ::-1], angle), np.where(right, back[:, ::-1], back)
-    rounded = (length < _STEEP * radius)[:, None]
-    angle, back = np.where(rounded, 0.5 * np.pi * _ROUND, angle), np.where(rounded, 0.0, back)
-    forward, sideways = radius[:, None] * np.cos(angle) - back, radius[:, None] * np.sin(angle)
-    x, y = along[:, :1], along[:, 1:]
-    return np.stack([forward * x - sideways * y, forward * y + sideways * x], axis=-1)
+    rounded, right = length < _STEEP * radius, turn < 0.0
+    for k in range(7):
+        at = 6 - k if right else k
+        back = 0.0
+        if rounded:
+            c, s = cap[0, k], cap[1, k]
+        elif at > 4:
+            c, s = square[1]
+            back = np.minimum(radius * (tan if joint else 0.0), 0.5 * length)
+        elif joint:
+            c, s = cos[at], sin[at]
+        else:
+            c, s = square[0]
+        if right and not rounded:
+            s = -s
+        forward, sideways = radius * c - back, radius * s
+        out[k, 0] = forward * x - sideways * y
+        out[k, 1] = forward * y + sideways * x
 
 
 def _third_strand_height(

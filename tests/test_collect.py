@@ -14,7 +14,7 @@ from rich.console import Console
 from knotgym.datasets.episode_checks import verify_episodes
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.generate.collect import CollectConfig, InvalidCollection, collect
-from knotgym.generate.main_job import Occupied
+from knotgym.generate.partial import Occupied
 from knotgym.generate.planner import PlannerConfig
 from knotgym.generate.policies import PolicyConfig
 from knotgym.generate.rollouts import episode_seed
@@ -112,7 +112,7 @@ def test_a_killed_run_leaves_nothing_under_its_name_and_resumes_to_the_same_byte
 def test_another_collection_is_not_resumed(states_path: str, tmp_path: Path) -> None:
     partial = tmp_path / "knotgym/unknot-nx1/.scripted-v0.partial"
     partial.mkdir(parents=True)
-    (partial / "settings.json").write_text(json.dumps({"config": {"episodes": 3}}))
+    (partial / "collection.json").write_text(json.dumps({"config": {"episodes": 3}}))
     with pytest.raises(InvalidCollection, match="another collection"):
         collect(config(states_path), tmp_path, **{**QUIET, "resume": True})
 

@@ -24,7 +24,7 @@ from knotgym.generate.cli import main
 from knotgym.generate.difficulty import grade
 from knotgym.generate.image_checks import image_faults, row_faults
 from knotgym.generate.images import ImagesConfig, InvalidImagesJob, make, quotas
-from knotgym.generate.main_job import Occupied
+from knotgym.generate.partial import Occupied
 from knotgym.generate.quality import UNITS, Limits, measure
 from knotgym.generate.relax import relaxed
 from knotgym.generate.symmetry import Symmetry

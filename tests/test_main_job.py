@@ -317,7 +317,7 @@ def test_a_worker_that_dies_is_one_line(tmp_path: Path, monkeypatch: pytest.Monk
             raise BrokenProcessPool
 
     @contextlib.contextmanager
-    def deadly(workers: int) -> Iterator[Deadly]:
+    def deadly(workers: int, scheduler: str) -> Iterator[Deadly]:
         yield Deadly()
 
     monkeypatch.setattr(main_job, "engine", deadly)

@@ -15,7 +15,7 @@ import json
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import h5py
 import numpy as np
@@ -37,6 +37,13 @@ class InvalidEpisodeFile(KnotgymError, ValueError):
     """A file that isn't an episode file this version can read, or files that don't go together."""
 
 
+class Chosen(NamedTuple):
+    """Some episodes of a dataset: the k of their groups `episode_{k}`, in order."""
+
+    source: Any
+    episode_indices: list[int]
+
+
 class EpisodeReader:
     """Reads an episode file or a dataset, whole episodes or single frames; opens it once in each process, pickles without it.
 
@@ -49,7 +56,7 @@ class EpisodeReader:
     """
 
     def __init__(self, source: Any) -> None:
-        """Open a file, a dataset's folder or id, or a `minari.MinariDataset` (of whose episodes it keeps to the chosen ones).
+        """Open a file, a dataset's folder or id, a `Chosen`, or a `minari.MinariDataset` (of whose episodes it keeps to the chosen ones).
 
         Raises:
             InvalidEpisodeFile: not written by knotgym, truncated, or of a format this version doesn't know.
@@ -167,6 +174,8 @@ class EpisodeReader:
 
 def episode_file(source: Any) -> Path:
     """The HDF5 file of a dataset: a file, a dataset's folder or the `data` in it, a `minari.MinariDataset`, or an id that Minari would find."""
+    if isinstance(source, Chosen):
+        return episode_file(source.source)
     if hasattr(source, "storage"):
         return Path(source.storage.data_path) / "main_data.hdf5"
     tried = [Path(source), minari_root() / str(source)]

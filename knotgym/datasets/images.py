@@ -125,10 +125,14 @@ def write_rows(path: str | os.PathLike[str], rows: Sequence[Mapping[str, Any]]) 
         path: of the shard.
         rows: every column of COLUMNS by name, `image` as PNG bytes.
     """
-    pa, parquet = arrow(), arrow("pyarrow.parquet")
     full = [{**row, "image": {"bytes": row["image"], "path": None}} for row in rows]
+    write_table(path, arrow().Table.from_pylist(full, schema=schema()))
+
+
+def write_table(path: str | os.PathLike[str], table: Any) -> None:
+    """As `write_rows`, of a pyarrow.Table that has the schema."""
     with whole(path) as part:
-        parquet.write_table(pa.Table.from_pylist(full, schema=schema()), part, row_group_size=ROW_GROUP, compression="zstd", write_page_index=True)
+        arrow("pyarrow.parquet").write_table(table, part, row_group_size=ROW_GROUP, compression="zstd", write_page_index=True)
 
 
 def encode(image: NDArray[np.uint8]) -> bytes:

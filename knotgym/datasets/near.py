@@ -12,6 +12,20 @@ from numpy.typing import NDArray
 NEAR = 0.015  # metres
 
 
+def apart(points: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which of configurations float64 (n, beads, 3), metres, to keep, bool (n,): those not near an earlier one that is kept."""
+    centred = points - points.mean(axis=1, keepdims=True)
+    size = np.sqrt((centred**2).sum(axis=(1, 2)) / points.shape[1])  # those of near-duplicates differ by less than NEAR
+    order = np.argsort(size, kind="stable")
+    first, last = (np.searchsorted(size[order], size + way * NEAR) for way in (-1, 1))
+    kept = np.ones(len(points), dtype=bool)
+    for row in range(len(points)):
+        like = order[first[row] : last[row]]
+        like = like[(like < row) & kept[like]]
+        kept[row] = not (len(like) and (distances(points[row], points[like]) < NEAR).any())
+    return kept
+
+
 def distances(points: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
     """How far each of `others` is from a configuration at best, over turns about z and shifts.
 

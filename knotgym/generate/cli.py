@@ -14,6 +14,9 @@ from rich.console import Console
 
 from knotgym.errors import KnotgymError
 from knotgym.generate.dataset_commands import dataset_app
+from knotgym.generate.engines import LostWorkers, scheduler_of
+from knotgym.generate.options import Engine, Scheduler, Shard
+from knotgym.generate.parts import Part
 from knotgym.generate.policy_commands import collect, evaluate
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help="Data for spatial reasoning on knots.")
@@ -61,6 +64,9 @@ def generate(
     cycles: Annotated[int, typer.Option(help="Stop after so many rounds of searching and choosing, with what there is; 0: when all is there.")] = 0,
     seed: Seed = 0,
     workers: Workers = 0,
+    engine: Engine = "local",
+    scheduler: Scheduler = "",
+    shard: Shard = "",
     resume: Resume = False,
     quiet: Quiet = False,
 ) -> None:
@@ -68,7 +74,7 @@ def generate(
     from knotgym.generate.job import GenerateConfig
     from knotgym.generate.main_job import generate as run_job
 
-    wanted = numbers(nx)
+    cluster, wanted, part = scheduler_of(engine, scheduler, workers), numbers(nx), Part.parse(shard)
     config = GenerateConfig(
         nx=wanted,
         count=count,
@@ -79,9 +85,10 @@ def generate(
         seed=seed,
         attempts=attempts,
         cycles=cycles,
+        part=part,
     )
-    target = out or Path("knotgym-data") / f"nx{nx.replace(' ', '')}"
-    run_job(config, target, archive=archive, workers=workers, resume=resume, quiet=quiet, console=Console())
+    target = part.folder(out or Path("knotgym-data") / f"nx{nx.replace(' ', '')}")
+    run_job(config, target, archive=archive, workers=workers, resume=resume, quiet=quiet, console=Console(), scheduler=cluster)
 
 
 @app.command()
@@ -98,6 +105,9 @@ def images(
     size: Annotated[str, typer.Option(help="Pixels of a side, 64 to 512; several, such as 64,128, are drawn from.")] = "128",
     seed: Seed = 0,
     workers: Workers = 0,
+    engine: Engine = "local",
+    scheduler: Scheduler = "",
+    shard: Shard = "",
     resume: Resume = False,
     quiet: Quiet = False,
 ) -> None:
@@ -105,7 +115,7 @@ def images(
     from knotgym.generate.appearance import VARIED, AppearanceConfig
     from knotgym.generate.images import ImagesConfig, make
 
-    wanted, sizes = numbers(nx), size.split(",")
+    cluster, wanted, part, sizes = scheduler_of(engine, scheduler, workers), numbers(nx), Part.parse(shard), size.split(",")
     if not all(one.strip().isdecimal() for one in sizes):
         raise typer.BadParameter(f"--size takes pixels such as 128 or 64,128, got {size!r}")
     varied = {"all": VARIED, "none": ()}.get(vary) if vary in ("all", "none") else tuple(word.strip() for word in vary.split(","))
@@ -117,9 +127,10 @@ def images(
         code_share=code_share,
         seed=seed,
         appearance=AppearanceConfig(vary=varied or (), sizes=tuple(map(int, sizes))),
+        part=part,
     )
-    target = out or Path("knotgym-data") / f"images-nx{nx.replace(' ', '')}"
-    make(config, target, archive=archive, states=states, workers=workers, resume=resume, quiet=quiet, console=Console())
+    target = part.folder(out or Path("knotgym-data") / f"images-nx{nx.replace(' ', '')}")
+    make(config, target, archive=archive, states=states, workers=workers, resume=resume, quiet=quiet, console=Console(), scheduler=cluster)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -141,7 +152,7 @@ def _run(command: typer.Typer, arguments: Sequence[str] | None) -> None:
         status = result if isinstance(result, int) else 0
         if status == _INTERRUPTED:  # what typer makes of a KeyboardInterrupt
             _say(_STOPPED, status)
-    except NotEnough as error:
+    except (NotEnough, LostWorkers) as error:
         status = _say(str(error), _FAILED)
     except _USAGE as error:
         status = _say(error.format_message(), _MISTAKEN) if error.format_message() else _MISTAKEN  # the help was shown, if empty

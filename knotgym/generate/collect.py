@@ -18,19 +18,21 @@ from typing import Any, NamedTuple
 from rich.console import Console
 
 import knotgym
-from knotgym.datasets.episode_files import EpisodeWriter
+from knotgym.datasets.episode_files import EpisodeWriter, merge
 from knotgym.datasets.episode_reader import minari_root
-from knotgym.datasets.files import whole
+from knotgym.datasets.files import sha256, whole
 from knotgym.datasets.minari_files import MinariMetadata, publish
 from knotgym.errors import KnotgymError
 from knotgym.generate.engines import engine
-from knotgym.generate.main_job import Occupied
-from knotgym.generate.partial import held
+from knotgym.generate.partial import Occupied, held
+from knotgym.generate.parts import Part
 from knotgym.generate.policies import PolicyConfig, make_policy
 from knotgym.generate.rollouts import roll
 from knotgym.tasks import TaskConfig
 
 SHARD = 4  # episodes; part of the format of a run under way, not of a dataset
+REPORT = "collection.json"
+_WHOLE = Part()
 _REFERENCES = Path(__file__).parent / "data" / "references.json"
 
 
@@ -105,7 +107,17 @@ class Tally:
         return Tally(**{field.name: getattr(self, field.name) + getattr(other, field.name) for field in fields(self)})
 
 
-def collect(config: CollectConfig, out: Path | None, *, workers: int, resume: bool, quiet: bool, console: Console) -> Path:
+def collect(
+    config: CollectConfig,
+    out: Path | None,
+    *,
+    workers: int,
+    resume: bool,
+    quiet: bool,
+    console: Console,
+    scheduler: str = "",
+    part: Part = _WHOLE,
+) -> Path:
     """Make the dataset and return its folder.
 
     Args:
@@ -115,6 +127,8 @@ def collect(config: CollectConfig, out: Path | None, *, workers: int, resume: bo
         resume: go on with the shards that are there; with a finished dataset of the same settings there is nothing to do.
         quiet: show nothing.
         console: to show progress on.
+        scheduler: address of a Dask cluster's, to work there.
+        part: of the run, whose episodes go to a folder NAME-shard-2-of-8 with main_data.hdf5 and collection.json; Minari doesn't list it.
 
     Raises:
         Occupied: there is something in the way, or another run is at it.
@@ -125,33 +139,36 @@ def collect(config: CollectConfig, out: Path | None, *, workers: int, resume: bo
     make_policy(config.policy)  # refuses what isn't there before any work is done
     _metadata(config, Tally())  # refuses a bad id
     root = Path(out) if out is not None else minari_root()
-    folder = root / config.dataset_id
-    settings = json.loads(json.dumps(asdict(config)))
+    folder = part.folder(root / config.dataset_id)
+    settings = json.loads(json.dumps({**asdict(config), "part": asdict(part)}))
+    numbers = part.share(config.episodes)
+    if not numbers:
+        raise InvalidCollection(f"shard {part} of {config.episodes} episodes has none: cut the run into fewer shards")
     if folder.exists():
-        if resume and _settings(folder / "data" / "collection.json") == settings:
+        if resume and settings_of(folder) == settings:
             if not quiet:
                 console.print(f"{folder} is finished already", soft_wrap=True)
             return folder
         raise Occupied(f"{folder} is there already; choose another --out or --id, or remove it")
     began = time.perf_counter()
     with held(folder, resume) as partial:
-        if _settings(partial / "settings.json") not in (None, settings):
-            raise InvalidCollection(f"{partial} holds another collection than the one asked for; give the same options again, or start without --resume")
-        with whole(partial / "settings.json") as part:
-            part.write_text(json.dumps({"config": settings}))
+        if settings_of(partial) not in (None, settings):
+            raise InvalidCollection(
+                f"{partial} holds another collection than the one asked for; give the same options again, or start without --resume"
+            )
+        with whole(partial / REPORT) as file:
+            file.write_text(json.dumps({"config": settings}))
         shards = [
-            _Shard(config, range(first, min(first + SHARD, config.episodes)), partial / f"shard-{first // SHARD:06d}.h5")
-            for first in range(0, config.episodes, SHARD)
+            _Shard(config, numbers[first : first + SHARD], partial / f"shard-{first // SHARD:06d}.h5") for first in range(0, len(numbers), SHARD)
         ]
-        tally = _play_all(shards, workers, quiet, console)
-        if not tally.kept:
-            raise InvalidCollection(f"none of {tally.played} episodes reached the goal, and failed ones are dropped: nothing is left to write")
-        metadata = _metadata(config, tally)
+        tally = _play_all(shards, workers, scheduler, quiet, console)
         staged = partial / "whole"
         shutil.rmtree(staged, ignore_errors=True)
-        made = publish([shard.path for shard in shards], metadata, staged)
-        counted = {"config": settings, "version": knotgym.__version__, "tally": {**asdict(tally), "planning_seconds": round(tally.planning_seconds, 1)}}
-        (made / "data" / "collection.json").write_text(json.dumps(counted, indent=1, sort_keys=True), encoding="utf-8")
+        made = write_whole(config, [shard.path for shard in shards], tally, staged) if part.whole else staged
+        if not part.whole:
+            made.mkdir()
+            merge([shard.path for shard in shards], made / "main_data.hdf5")
+            _report(made / REPORT, settings, tally, {"main_data.hdf5": sha256(made / "main_data.hdf5")})
         made.rename(folder)
         shutil.rmtree(partial)
     if not quiet:
@@ -167,13 +184,32 @@ def collect(config: CollectConfig, out: Path | None, *, workers: int, resume: bo
     return folder
 
 
-def _play_all(shards: Sequence[_Shard], workers: int, quiet: bool, console: Console) -> Tally:
+def write_whole(config: CollectConfig, sources: Sequence[Path], tally: Tally, root: Path, *, concatenate: bool = False) -> Path:
+    """Write the dataset of a run below `root` from its episodes' files, `concatenate` as of `publish`; its folder.
+
+    Raises:
+        InvalidCollection: no episode is left.
+    """
+    if not tally.kept:
+        raise InvalidCollection(f"none of {tally.played} episodes reached the goal, and failed ones are dropped: nothing is left to write")
+    made = publish(sources, _metadata(config, tally), root, concatenate=concatenate)
+    _report(made / "data" / REPORT, json.loads(json.dumps({**asdict(config), "part": asdict(_WHOLE)})), tally)
+    return made
+
+
+def _report(path: Path, settings: Any, tally: Tally, files: dict[str, str] | None = None) -> None:
+    counted = {**asdict(tally), "planning_seconds": round(tally.planning_seconds, 1)}
+    said = {"config": settings, "version": knotgym.__version__, "tally": counted, **({"files": files} if files else {})}
+    path.write_text(json.dumps(said, indent=1, sort_keys=True), encoding="utf-8")
+
+
+def _play_all(shards: Sequence[_Shard], workers: int, scheduler: str, quiet: bool, console: Console) -> Tally:
     """Play the shards that aren't finished; the tally of all."""
     done = {shard.path: _finished(shard.path) for shard in shards}
     total = sum((one for one in done.values() if one is not None), Tally())
     todo = [shard for shard in shards if done[shard.path] is None]
     told, began = 0.0, time.perf_counter()
-    with engine(workers) as pool:
+    with engine(workers, scheduler) as pool:
         for number, tally in enumerate(pool.map(play, todo), 1):
             total += tally
             seconds = time.perf_counter() - began
@@ -181,7 +217,7 @@ def _play_all(shards: Sequence[_Shard], workers: int, quiet: bool, console: Cons
                 told = seconds
                 left = seconds * (len(todo) - number) / number
                 console.print(
-                    f"{seconds:5.0f} s  {total.played} of {shards[-1].numbers.stop} episodes, {total.succeeded} reached the goal; about {left:.0f} s left",
+                    f"{seconds:5.0f} s  {total.played} of {sum(len(shard.numbers) for shard in shards)} episodes, {total.succeeded} reached the goal; about {left:.0f} s left",
                     soft_wrap=True,
                     highlight=False,
                 )
@@ -207,21 +243,27 @@ def play(shard: _Shard) -> Tally:
         simulation_failures=sum(bool(one.episode.simulation_failed[-1]) for one in rollouts),
     )
     with whole(shard.path.with_suffix(".json")) as part:
-        part.write_text(json.dumps(asdict(tally)), encoding="utf-8")
+        part.write_text(json.dumps({"sha256": sha256(shard.path), "tally": asdict(tally)}), encoding="utf-8")
     return tally
 
 
 def _finished(path: Path) -> Tally | None:
-    if not path.is_file() or not path.with_suffix(".json").is_file():
-        return None
-    return Tally(**json.loads(path.with_suffix(".json").read_text(encoding="utf-8")))
-
-
-def _settings(path: Path) -> Any:
+    """The tally of a shard that is there and unspoilt."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))["config"]
-    except (OSError, ValueError, KeyError):
+        said = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+        return Tally(**said["tally"]) if said["sha256"] == sha256(path) else None
+    except (OSError, ValueError, KeyError, TypeError):
         return None
+
+
+def settings_of(folder: Path) -> Any:
+    """What was asked for of the dataset or shard that is or will be in a folder; None if it doesn't say."""
+    for path in (folder / "data" / REPORT, folder / REPORT):
+        try:
+            return json.loads(path.read_text(encoding="utf-8"))["config"]
+        except (OSError, ValueError, KeyError):
+            continue
+    return None
 
 
 def _metadata(config: CollectConfig, tally: Tally) -> MinariMetadata:

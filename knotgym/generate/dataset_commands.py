@@ -52,10 +52,16 @@ def verify(path: PathOrId, quiet: Annotated[bool, typer.Option("--quiet", help="
 
 @dataset_app.command()
 def merge(
-    sources: Annotated[list[str], typer.Argument(metavar="PATH-OR-ID...", help="State files or their folders; or trajectory datasets of one task.")],
-    out: Annotated[Path, typer.Option(help="The file to write: states.h5, or episodes.h5 for trajectories.")],
+    sources: Annotated[list[str], typer.Argument(metavar="PATH-OR-ID...", help="All the shards of one run; or state files or their folders; or trajectory datasets of one task.")],
+    out: Annotated[
+        Path,
+        typer.Option(
+            help="For shards the folder to make, for those of collect the root of the dataset's id; else the file: states.h5, or "
+            "episodes.h5 for trajectories."
+        ),
+    ],
 ) -> None:
-    """Put datasets of one kind together, nothing encoded again."""
+    """Put shards of one run, or datasets of one kind, together, nothing encoded again."""
     from knotgym.generate.look import merge as put_together
 
     put_together(sources, out)

@@ -1,4 +1,8 @@
-"""Where work runs: in this process or in processes of this machine. Results come in the order of the work, whatever the engine."""
+"""Where work runs: in this process, in processes of this machine, or on a Dask cluster.
+
+Results come in the order of the work, whatever the engine, and only so much of it is under way at a time that memory stays
+flat. A piece of work is a function of its argument alone, so the engine doesn't change a byte of what is made.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +10,37 @@ import multiprocessing
 import os
 import signal
 import threading
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
+from itertools import islice
 from typing import Any, Protocol
+
+from knotgym.errors import KnotgymError
+
+ENGINES = ("local", "dask")
+AHEAD = 8  # pieces under way for each worker: enough that a slow one holds up no other
+
+
+class InvalidEngine(KnotgymError, ValueError):
+    """Work cannot run where it was asked to."""
+
+
+class LostWorkers(KnotgymError, RuntimeError):
+    """Work stopped because nobody is left to do it."""
 
 
 class Pool(Protocol):
     """Something that maps a function over work."""
 
     def map(self, function: Callable[[Any], Any], work: Iterable[Any], /) -> Iterable[Any]: ...
+
+
+class Promise(Protocol):
+    """Something that will have a result."""
+
+    def result(self) -> Any: ...
 
 
 class InProcess:
@@ -25,14 +50,66 @@ class InProcess:
         return map(function, work)
 
 
+class Processes:
+    """Work done by the processes of an executor."""
+
+    def __init__(self, executor: ProcessPoolExecutor, count: int) -> None:
+        self._executor, self._count = executor, count
+
+    def map(self, function: Callable[[Any], Any], work: Iterable[Any], /) -> Iterable[Any]:
+        return ordered(lambda piece: self._executor.submit(function, piece), work, AHEAD * self._count)
+
+
+def ordered(submit: Callable[[Any], Promise], work: Iterable[Any], ahead: int) -> Iterator[Any]:
+    """Results in the order of the work, at most `ahead` pieces under way at a time; the first of them are from now on."""
+    rest = iter(work)
+    promised = deque(submit(piece) for piece in islice(rest, ahead))
+
+    def results() -> Iterator[Any]:
+        while promised:
+            result = promised.popleft().result()
+            promised.extend(submit(piece) for piece in islice(rest, 1))
+            yield result
+
+    return results()
+
+
 def cores() -> int:
     """Cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def scheduler_of(engine: str, scheduler: str, workers: int) -> str:
+    """What the options --engine, --scheduler and --workers say: the address of a cluster's scheduler, "" for this machine.
+
+    Raises:
+        InvalidEngine: they don't go together.
+    """
+    if engine not in ENGINES:
+        raise InvalidEngine(f"engine must be {' or '.join(ENGINES)}, got {engine!r}")
+    if engine == "local" and scheduler:
+        raise InvalidEngine(f"--scheduler {scheduler} is for --engine dask")
+    if engine == "dask" and not scheduler:
+        raise InvalidEngine("--engine dask needs the address of a scheduler, such as --scheduler tcp://127.0.0.1:8786")
+    if engine == "dask" and workers:
+        raise InvalidEngine(f"--workers {workers} is for --engine local; a cluster has the workers that were started for it")
+    return scheduler
+
+
 @contextmanager
-def engine(workers: int) -> Iterator[Pool]:
-    """A pool of `workers` processes, 0 for one a core; 1 works in this process."""
+def engine(workers: int, scheduler: str = "") -> Iterator[Pool]:
+    """A pool of `workers` processes, 0 for one a core; 1 works in this process. With a scheduler's address, its cluster.
+
+    Raises:
+        InvalidEngine: the cluster can't be used.
+        LostWorkers: it is gone, or its workers are.
+    """
+    if scheduler:
+        from knotgym.generate.dask_engine import cluster
+
+        with cluster(scheduler) as distant:
+            yield distant
+        return
     count = workers or cores()
     if count == 1:
         yield InProcess()
@@ -41,7 +118,7 @@ def engine(workers: int) -> Iterator[Pool]:
     context = multiprocessing.get_context("forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn")
     pool = ProcessPoolExecutor(count, mp_context=context, initializer=_serve)
     try:
-        yield pool
+        yield Processes(pool, count)
         pool.shutdown()
     except BaseException:
         for process in list(getattr(pool, "_processes", {}).values()):

@@ -32,6 +32,11 @@ def finish(folder: Path, shards: Sequence[Path], asked: Mapping[str, Any], repor
     """Write walks, card and manifest into a folder whose shards are written; the manifest comes last."""
     used = set(np.concatenate([np.asarray(_sources(path), dtype=np.int64) for path in shards]).tolist())
     write_walks(folder / "walks.h5", start, walks, used)
+    close(folder, shards, asked, report)
+
+
+def close(folder: Path, shards: Sequence[Path], asked: Mapping[str, Any], report: Mapping[str, Any]) -> None:
+    """Write card and manifest into a folder that has everything else."""
     facts = summary(folder)
     text = card(facts, asked["config"], report, sum(path.stat().st_size for path in shards))
     with whole(folder / "README.md") as part:
@@ -54,15 +59,32 @@ def write_walks(path: Path, start: Bases, walks: Sequence[Frames], used: set[int
     """Write the walks whose numbers are used, and the states they set out from."""
     rows = [(number, unit, row) for unit in walks for row, number in enumerate(unit.numbers.tolist()) if number in used]
     bases, at = np.unique([unit.bases[row] for _, unit, row in rows], return_inverse=True)
+    longest = max(unit.beads.shape[1] for _, unit, _ in rows)  # shorter walks end with pulls of no force, which no row looks at
+    pulls = {name: np.stack([_padded(getattr(unit, name)[row], longest) for _, unit, row in rows]) for name in ("beads", "forces")}
+    numbers = np.array([number for number, _, _ in rows], dtype=np.int64)
+    _write_walks(path, {"state": start.states[bases], "number": numbers, "start": at.astype(np.int64), **pulls})
+
+
+def join_walks(path: Path, sources: Sequence[Path]) -> None:
+    """Write the walks of several such files, whose numbers differ, into one."""
+    columns: dict[str, list[np.ndarray]] = {name: [] for name in ("state", "number", "start", "beads", "forces")}
+    for source in sources:
+        with h5py.File(source, "r") as file:
+            before = sum(map(len, columns["state"]))
+            for name, parts in columns.items():
+                parts.append(file[name][()] + (before if name == "start" else 0))
+    longest = max(beads.shape[1] for beads in columns["beads"])
+    for name in ("beads", "forces"):
+        columns[name] = [np.stack([_padded(pulls, longest) for pulls in part]) for part in columns[name]]
+    _write_walks(path, {name: np.concatenate(parts) for name, parts in columns.items()})
+
+
+def _write_walks(path: Path, columns: Mapping[str, np.ndarray]) -> None:
     squeezed = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
     with whole(path) as part, h5py.File(part, "w") as file:
         file.attrs["format"], file.attrs["format_version"], file.attrs["rope"] = WALKS_FORMAT, WALKS_VERSION, RopeConfig().fingerprint
-        file.create_dataset("state", data=start.states[bases], **squeezed)
-        file.create_dataset("number", data=np.array([number for number, _, _ in rows], dtype=np.int64))
-        file.create_dataset("start", data=at.astype(np.int64))
-        longest = max(unit.beads.shape[1] for _, unit, _ in rows)  # shorter walks end with pulls of no force, which no row looks at
-        file.create_dataset("beads", data=np.stack([_padded(unit.beads[row], longest) for _, unit, row in rows]), **squeezed)
-        file.create_dataset("forces", data=np.stack([_padded(unit.forces[row], longest) for _, unit, row in rows]), **squeezed)
+        for name, column in columns.items():
+            file.create_dataset(name, data=column, **({} if name in ("number", "start") else squeezed))
 
 
 def summary(path: str | Path) -> dict[str, Any]:

@@ -32,8 +32,8 @@ from knotgym.generate.engines import Pool, engine
 from knotgym.generate.image_folder import finish
 from knotgym.generate.image_shards import Row, Shard, write_shard
 from knotgym.generate.job import MOST_NX, NotEnough
-from knotgym.generate.main_job import Occupied
-from knotgym.generate.partial import held
+from knotgym.generate.partial import Occupied, held
+from knotgym.generate.parts import Part
 from knotgym.generate.stir import WALKS, Frames, Unit, Walk, stir
 
 WAVE = 32  # units in a wave at most
@@ -60,6 +60,7 @@ class ImagesConfig:
         stride: pulls from one frame to the next.
         shard: pictures in a file.
         appearance: what varies between pictures.
+        part: of the run, which makes its share of each quota; splits and codes held out are those of the run.
     """
 
     nx: tuple[int, ...] = (0, 1, 2, 3, 4)
@@ -72,6 +73,7 @@ class ImagesConfig:
     stride: int = 2
     shard: int = 500
     appearance: AppearanceConfig = AppearanceConfig()
+    part: Part = Part()
 
     def __post_init__(self) -> None:
         if not self.nx or any(not 0 <= nx <= MOST_NX for nx in self.nx) or len(set(self.nx)) != len(self.nx):
@@ -80,7 +82,9 @@ class ImagesConfig:
             object.__setattr__(self, "test_nx", (max(self.nx),) if len(self.nx) > 1 else ())
         rest = self.trained
         if not set(self.held_nx) <= set(self.nx) or not rest or min(self.held_nx, default=MOST_NX + 1) <= max(rest):
-            raise InvalidImagesJob(f"test-nx takes the largest of the nx asked for, {sorted(self.nx)}, and not all of them; got {sorted(self.held_nx)}")
+            raise InvalidImagesJob(
+                f"test-nx takes the largest of the nx asked for, {sorted(self.nx)}, and not all of them; got {sorted(self.held_nx)}"
+            )
         for name in ("count", "pulls", "stride", "shard"):
             if getattr(self, name) < 1:
                 raise InvalidImagesJob(f"{name} must be at least 1, got {getattr(self, name)}")
@@ -110,7 +114,16 @@ class _Stretch(NamedTuple):
 
 
 def make(
-    config: ImagesConfig, out: Path, *, archive: Path | None, states: Path | None, workers: int, resume: bool, quiet: bool, console: Console
+    config: ImagesConfig,
+    out: Path,
+    *,
+    archive: Path | None,
+    states: Path | None,
+    workers: int,
+    resume: bool,
+    quiet: bool,
+    console: Console,
+    scheduler: str = "",
 ) -> None:
     """Make the new folder `out`; until it is finished everything stands in `.NAME.partial` beside it.
 
@@ -137,7 +150,7 @@ def make(
         with whole(partial / "job.json") as part:
             part.write_text(json.dumps(asked))
         tell = _Teller(console, quiet)
-        with engine(workers) as pool:
+        with engine(workers, scheduler) as pool:
             chooser, walks, dropped = _choose(config, start, partial, pool, tell)
             written = _draw(config, start, chooser, walks, partial / out.name, pool, tell)
         report = {"walks": sum(len(one.numbers) for one in walks), "frames": sum(len(one.walk) for one in walks)}
@@ -198,18 +211,21 @@ def _choose(config: ImagesConfig, start: Bases, partial: Path, pool: Pool, tell:
         if not codes[nx]:
             raise InvalidImagesJob(f"no diagram of {' or '.join(start.knots)} has {nx} crossings")
     quota = quotas(config, {nx: len(codes[nx]) for nx in codes})
-    chooser = Chooser(quota, held_out(config, codes), start.points.shape[1])
+    mine = {key: len(share) for key, count in quota.items() if (share := config.part.share(count))}
+    if not mine:
+        raise InvalidImagesJob(f"shard {config.part} has no picture to make: cut the run into fewer shards")
+    chooser = Chooser(mine, held_out(config, codes), start.points.shape[1])
     split = splits_of(config, start, set(quota))
     done: list[Frames] = []
     dropped: Counter[str] = Counter()
-    gave = dict.fromkeys(quota, _Stretch(0, 0))
-    wave, idle, frame = 0, 0, 0
+    gave = dict.fromkeys(mine, _Stretch(0, 0))
+    first, wave, idle, frame = config.part.first, 0, 0, 0
     while lacking := chooser.lacking():
-        walks, aims = _wave(config, start, split, lacking, gave, wave, sum(len(one.numbers) for one in done))
+        walks, aims = _wave(config, start, split, lacking, gave, first + wave, first + sum(len(one.numbers) for one in done))
         units: list[_UnitFile] = []
         for pulls, group in _by_pulls(config, walks, aims):
-            for first in range(0, len(group), WALKS):
-                some = tuple(group[first : first + WALKS])
+            for begin in range(0, len(group), WALKS):
+                some = tuple(group[begin : begin + WALKS])
                 unit = Unit(some, start.states[[walk.base for walk in some]], config.seed, pulls, config.stride, max(config.nx))
                 units.append(_UnitFile(partial / "units" / f"{len(done) + len(units):06d}.npz", unit))
         chosen = len(chooser.chosen)
@@ -219,16 +235,16 @@ def _choose(config: ImagesConfig, start: Bases, partial: Path, pool: Pool, tell:
             dropped.update(frames.dropped)
             for points, number, ease in zip(frames.points, frames.walk.tolist(), frames.ease.tolist(), strict=True):
                 aim = aims[number]
-                rng = np.random.default_rng([config.seed, 11, frame])
+                rng = np.random.default_rng([config.seed, 11, first + frame])
                 if chooser.consider(points, aim[0], ease, frame, rng):
                     gave[aim] = gave[aim]._replace(chosen=gave[aim].chosen + 1)
                 frame += 1
-            tell(f"{len(chooser.chosen)} of {config.count} configurations chosen from {frame} frames, {len(done)} units of walks")
+            tell(f"{len(chooser.chosen)} of {sum(mine.values())} configurations chosen from {frame} frames, {len(done)} units of walks")
         idle = 0 if len(chooser.chosen) > chosen else idle + 1
         wave += 1
         if idle == IDLE:
             lacks = ", ".join(f"{count} of {key[0]} with nx {key[1]}" for key, count in sorted(chooser.lacking().items()))
-            raise NotEnough(f"{len(chooser.chosen)} of {config.count} pictures found, then no more in {IDLE} waves of walks; lacking {lacks}")
+            raise NotEnough(f"{len(chooser.chosen)} of {sum(mine.values())} pictures found, then no more in {IDLE} waves of walks; lacking {lacks}")
     return chooser, done, dropped
 
 
@@ -288,7 +304,7 @@ def _draw(config: ImagesConfig, start: Bases, chooser: Chooser, walks: list[Fram
     pulls, rounds = (np.concatenate([getattr(one, name) for one in walks]).tolist() for name in ("pulls", "rounds"))
     base_of = {number: base for one in walks for number, base in zip(one.numbers.tolist(), one.bases.tolist(), strict=True)}
     work: list[Shard] = []
-    number = 0
+    number = config.part.first
     for place, split in enumerate(SPLITS):
         mine = [choice for choice in chooser.chosen if choice.split == split]
         order = np.random.default_rng([config.seed, 13, place]).permutation(len(mine))

@@ -25,6 +25,7 @@ from knotgym.generate.curves import knot_curve
 from knotgym.generate.engines import Pool
 from knotgym.generate.instances import Instance, InstanceConfig, Order, make
 from knotgym.generate.natural import natural_shares
+from knotgym.generate.parts import Part
 from knotgym.generate.search import SearchConfig, advance, new_archive
 from knotgym.knots import knot_type
 from knotgym.rope import Array, Rope
@@ -58,6 +59,7 @@ class GenerateConfig:
         cycles: of search and a wave of instances, after which what there is is enough; 0 to go on until all wanted is there.
         wave: instances made in a cycle.
         instance: how they are made and judged.
+        part: of the run, which curates its share of the states and of the codes.
     """
 
     nx: tuple[int, ...] = (3,)
@@ -72,6 +74,7 @@ class GenerateConfig:
     cycles: int = 0
     wave: int = 48
     instance: InstanceConfig = InstanceConfig()
+    part: Part = Part()
 
     def __post_init__(self) -> None:
         if not self.nx or any(not 0 <= nx <= MOST_NX for nx in self.nx) or len(set(self.nx)) != len(self.nx):
@@ -141,13 +144,15 @@ class Job:
         job = cls(config, archive or fresh, knot)
         for nx in config.nx:
             job.existing[nx] = len(codes_of(knot, nx))
-            job.shares[nx] = _shares(config, knot, nx)
+            job.shares[nx] = _dealt(config, nx, _shares(config, knot, nx))
             job.accepted[nx], job.rejected[nx], job.tried[nx] = [], Counter(), Counter()
+        if not any(job.wanted(nx) for nx in config.nx):
+            raise InvalidJob(f"shard {config.part} has no state to make: cut the run into fewer shards")
         return job
 
     def wanted(self, nx: int) -> int:
         """States asked for with nx crossings."""
-        return sum(self.shares[nx].values()) if self.config.every_code else self.config.count
+        return sum(self.shares[nx].values()) if self.config.every_code else len(self.config.part.share(self.config.count))
 
     def wanted_codes(self, nx: int) -> int:
         """Codes with nx crossings to have a choice among: all for `every_code`, else a quarter more than states."""
@@ -204,7 +209,8 @@ def _rounds(job: Job) -> int:
 
 def search_config(config: GenerateConfig) -> SearchConfig:
     """The search that a job runs; it also keeps what shows as many crossings as the start."""
-    return SearchConfig(max_nx=max(*config.nx, label(start_of(config)).nx), seed=config.seed, rope=config.instance.rope)
+    seed = config.seed if config.part.whole else int(np.random.SeedSequence([config.seed, 3, config.part.number]).generate_state(1)[0])
+    return SearchConfig(max_nx=max(*config.nx, label(start_of(config)).nx), seed=seed, rope=config.instance.rope)
 
 
 def start_of(config: GenerateConfig) -> Array:
@@ -232,6 +238,17 @@ def _shares(config: GenerateConfig, knot: str, nx: int) -> dict[GaussCode, int]:
     return dict.fromkeys(known, -(-config.count // len(known)))
 
 
+def _dealt(config: GenerateConfig, nx: int, shares: dict[GaussCode, int]) -> dict[GaussCode, int]:
+    """Of these shares what falls to this part of the run: whole codes while there are as many as parts."""
+    if config.part.whole:
+        return shares
+    order = np.random.default_rng([config.seed, nx, 4]).permutation(len(shares))
+    codes = [list(shares)[k] for k in order]
+    wanted = [code for copy in range(max(shares.values())) for code in codes if shares[code] > copy]
+    mine = Counter(config.part.dealt(wanted))
+    return {code: mine[code] for code in shares if mine[code]}
+
+
 def _orders(job: Job) -> list[tuple[int, Order]]:
     """A wave: codes that lack states, those tried least first, in an order that the seed decides."""
     config = job.config
@@ -252,7 +269,7 @@ def _orders(job: Job) -> list[tuple[int, Order]]:
             number = job.tried[nx][code]
             job.tried[nx][code] += 1
             target = known[number % len(known)]
-            seed = (config.seed, 2, nx, share.index(code), number)
+            seed = (config.seed, 2, nx, share.index(code), config.part.first + number)
             out.append((nx, Order(config.instance, target, tuple(job.archive.leading_to(target)), start, seed)))
     return out
 

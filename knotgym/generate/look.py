@@ -23,6 +23,7 @@ from knotgym.datasets.states import merge_states, read_states, write_states
 from knotgym.datasets.verify import folder_faults, state_faults
 from knotgym.errors import KnotgymError
 from knotgym.generate.film import FRAMES_PER_SECOND, captioned, write_film
+from knotgym.generate.merge import merge_shards, shard_of
 from knotgym.generate.image_checks import image_faults, show_images
 from knotgym.picture import draw
 from knotgym.rope import Array
@@ -133,8 +134,16 @@ def faults(path: str, console: Console | None) -> Iterator[str]:
 
 
 def merge(sources: Sequence[str], out: Path) -> None:
-    """Put datasets of one kind together."""
+    """Put datasets of one kind together, or the shards of one run."""
+    found = [shard for source in sources if (shard := shard_of(source))]
+    if found:
+        if len(found) < len(sources):
+            raise UnknownDataset(f"shards of a run are merged with each other alone; {len(sources) - len(found)} of these {len(sources)} are none")
+        merge_shards(found, out)
+        return
     refuse_existing(out)
+    if any(is_images(source) for source in sources):
+        raise UnknownDataset("perception tables are merged only if they are shards of one run (knotgym images --shard)")
     if all(is_states(source) for source in sources):
         write_states(out, merge_states([read_states(states_path(source)) for source in sources]))
     elif any(is_states(source) for source in sources):

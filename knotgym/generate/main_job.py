@@ -2,31 +2,34 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import pickle
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 
 from rich.console import Console
 
 from knotgym.datasets.files import whole
-from knotgym.errors import KnotgymError
 from knotgym.generate import output
 from knotgym.generate.archive import Archive
 from knotgym.generate.engines import engine
 from knotgym.generate.job import GenerateConfig, InvalidJob, Job, run
+from knotgym.generate.partial import Occupied, held, locked, partial_of
 from knotgym.generate.progress import Progress
 
 
-class Occupied(KnotgymError, ValueError):
-    """The folder cannot be written to now."""
-
-
-def generate(config: GenerateConfig, out: Path, *, archive: Path | None, workers: int, resume: bool, quiet: bool, console: Console) -> None:
+def generate(
+    config: GenerateConfig,
+    out: Path,
+    *,
+    archive: Path | None,
+    workers: int,
+    resume: bool,
+    quiet: bool,
+    console: Console,
+    scheduler: str = "",
+) -> None:
     """Make curated states in the new folder `out`.
 
     While it runs, everything stands in the hidden folder `.NAME.partial` beside `out`; only a finished run takes the name.
@@ -39,6 +42,7 @@ def generate(config: GenerateConfig, out: Path, *, archive: Path | None, workers
         resume: go on from the last cycle that was saved.
         quiet: show nothing.
         console: to show progress on.
+        scheduler: address of a Dask cluster's, to work there.
 
     Raises:
         Occupied: there is something in the way, or another run is at it.
@@ -46,7 +50,7 @@ def generate(config: GenerateConfig, out: Path, *, archive: Path | None, workers
     """
     if workers < 0:
         raise InvalidJob(f"workers must be at least 0, got {workers}")
-    partial = out.parent / f".{out.name}.partial"
+    partial = partial_of(out)
     if out.exists():
         if resume and _finished(out) == json.loads(json.dumps(asdict(config))):
             shutil.rmtree(partial, ignore_errors=True)  # left if it was killed right after the renaming
@@ -55,22 +59,19 @@ def generate(config: GenerateConfig, out: Path, *, archive: Path | None, workers
             return
         raise Occupied(f"{out} is there already; choose another --out, or remove it")
     if partial.exists():
-        with _locked(partial):
+        with locked(partial):
             pass  # nobody is at it
     job = _resumed(partial / "job.pickle", config) if resume else None
     job = job or Job.begin(config, Archive.load(archive) if archive else None)  # before anything is written: it may be refused
     job.config = replace(job.config, attempts=config.attempts, cycles=config.cycles)
-    with _locked(partial):
-        for path in [] if resume else partial.iterdir():
-            if path.name != "lock":
-                shutil.rmtree(path) if path.is_dir() else path.unlink()
+    with held(out, resume):
 
         def each_cycle(job: Job) -> None:
             with whole(partial / "job.pickle") as part:
                 part.write_bytes(pickle.dumps(job))
             progress.cycle(job)
 
-        with engine(workers) as pool, Progress(console, quiet) as progress:
+        with engine(workers, scheduler) as pool, Progress(console, quiet) as progress:
             run(job, pool, each_cycle)
         shutil.rmtree(partial / out.name, ignore_errors=True)
         output.write(job, partial / out.name)
@@ -93,20 +94,10 @@ def _resumed(path: Path, config: GenerateConfig) -> Job | None:
     """The job saved at `path`, None if nothing is; only ever a file that this program wrote."""
     if not path.is_file():
         return None
-    job = pickle.loads(path.read_bytes())
+    try:
+        job = pickle.loads(path.read_bytes())
+    except Exception as error:  # whatever pickle says to bytes that aren't its own
+        raise InvalidJob(f"{path} can't be read, the disk has spoilt it; start without --resume") from error
     if not isinstance(job, Job) or replace(job.config, attempts=config.attempts, cycles=config.cycles) != config:
         raise InvalidJob(f"{path.parent} holds another job than the one asked for; give the same options again, or start without --resume")
     return job
-
-
-@contextmanager
-def _locked(partial: Path) -> Iterator[None]:
-    """Hold the partial folder; the lock goes with the process, however it ends."""
-    partial.mkdir(parents=True, exist_ok=True)
-    with open(partial / "lock", "w") as lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            raise Occupied(f"another run is writing {partial.name[1:-8]} now") from error
-        yield
-

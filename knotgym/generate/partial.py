@@ -2,26 +2,55 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from knotgym.generate.main_job import _locked
+from knotgym.errors import KnotgymError
+
+
+class Occupied(KnotgymError, ValueError):
+    """The folder cannot be written to now."""
+
+
+def partial_of(out: Path) -> Path:
+    """The folder `.NAME.partial` beside `out`, in which everything stands until `out` is finished."""
+    return out.parent / f".{out.name}.partial"
 
 
 @contextmanager
 def held(out: Path, resume: bool) -> Iterator[Path]:
-    """Hold the folder `.NAME.partial` beside `out`, emptied unless an earlier run's work is to be resumed.
+    """Hold the partial folder of `out`, emptied unless an earlier run's work is to be resumed.
 
-    The lock goes with the process, however it ends; the folder stays until the caller removes it.
+    The folder stays until the caller removes it.
 
     Raises:
         Occupied: another process holds it.
     """
-    partial = out.parent / f".{out.name}.partial"
-    with _locked(partial):
+    partial = partial_of(out)
+    with locked(partial):
         for path in [] if resume else partial.iterdir():
             if path.name != "lock":
                 shutil.rmtree(path) if path.is_dir() else path.unlink()
         yield partial
+
+
+@contextmanager
+def locked(partial: Path) -> Iterator[None]:
+    """Hold a folder, as it is; the lock goes with the process, however it ends, so that none is ever stale.
+
+    Raises:
+        Occupied: another process holds it.
+    """
+    partial.mkdir(parents=True, exist_ok=True)
+    with open(partial / "lock", "w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise Occupied(f"another run is writing {partial.name[1:-8]} now") from error
+        if not (partial / "lock").is_file() or not os.path.samestat(os.stat(partial / "lock"), os.fstat(lock.fileno())):
+            raise Occupied(f"another run has just finished {partial.name[1:-8]}")  # and taken the folder away
+        yield

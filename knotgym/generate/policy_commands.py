@@ -8,6 +8,9 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from knotgym.generate.engines import scheduler_of
+from knotgym.generate.options import Engine, Scheduler, Shard
+from knotgym.generate.parts import Part
 from knotgym.generate.planner import PlannerConfig
 from knotgym.generate.policies import PolicyConfig
 from knotgym.tasks import TaskConfig
@@ -51,6 +54,9 @@ def collect(
     code_permalink: Annotated[str | None, typer.Option(help="For the metadata.")] = None,
     seed: Seed = 0,
     workers: Workers = 0,
+    engine: Engine = "local",
+    scheduler: Scheduler = "",
+    shard: Shard = "",
     resume: Annotated[bool, typer.Option("--resume", help="Finish an interrupted run.")] = False,
     quiet: Quiet = False,
 ) -> None:
@@ -58,6 +64,7 @@ def collect(
     from knotgym.generate.collect import CollectConfig
     from knotgym.generate.collect import collect as run
 
+    cluster, part = scheduler_of(engine, scheduler, workers), Part.parse(shard)
     config = CollectConfig(
         task=TaskConfig(
             task=task,
@@ -79,7 +86,7 @@ def collect(
         author_email=tuple(author_email or ()),
         code_permalink=code_permalink,
     )
-    run(config, out, workers=workers, resume=resume, quiet=quiet, console=Console())
+    run(config, out, workers=workers, resume=resume, quiet=quiet, console=Console(), scheduler=cluster, part=part)
 
 
 def evaluate(

@@ -1,0 +1,75 @@
+"""The polygons of a picture by whole-array arithmetic: what the compiled `knotgym.picture._polygons` must equal bit for bit."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.picture import _EDGE, _FAR, _PIECE_SPAN, _SHIFT, _STEEP, PictureConfig, _pixels_per_metre, project
+
+_ROUND = np.array([-1.0, -2 / 3, -1 / 3, 0.0, 1 / 3, 2 / 3, 1.0])
+_ARC = np.array([0.0, 0.25, 0.5, 0.75, 1.0, np.nan, np.nan])
+_INNER = np.isnan(_ARC)
+
+
+def polygons(points: NDArray[np.float64], config: PictureConfig) -> tuple[NDArray[np.int32], NDArray[np.intp]]:
+    """The pieces of the beads as convex polygons, in the order in which to paint them.
+
+    Each bead is cut across into as many equal pieces as its span of heights asks for. Where two beads meet, each ends at the bisector of the
+    joint, as the capsules themselves do, so that neighbours neither overlap nor gape and the order of painting them does not matter.
+
+    Returns:
+        int32, shape (pieces, 14, 2): vertices in 1/2**_SHIFT pixels of the supersampled canvas, OpenCV's convention (centres at whole numbers);
+        and for each the bead it belongs to, shape (pieces,).
+    """
+    offset = points - points.mean(axis=0)
+    pixels = config.supersampling * project(points, config) - 0.5
+    if config.camera == "orthographic":
+        height = offset[:, 2]
+    else:
+        height = -np.linalg.norm(offset - np.array([0.0, 0.0, config.camera_height]), axis=1)
+    radius = np.maximum(config.supersampling * config.drawn_radius * _pixels_per_metre(offset, config) - _EDGE, _EDGE)
+
+    along = np.roll(pixels, -1, axis=0) - pixels
+    length = np.hypot(along[:, 0], along[:, 1])
+    along = np.where(length[:, None] > 1e-9, along / np.maximum(length, 1e-9)[:, None], np.array([1.0, 0.0]))
+    before = np.roll(along, 1, axis=0)
+    turn = np.arctan2(before[:, 0] * along[:, 1] - before[:, 1] * along[:, 0], np.sum(before * along, axis=1))  # at points[i], from bead i - 1 to i
+
+    climb = np.roll(height, -1) - height
+    pieces = np.maximum(np.ceil(np.abs(climb) / _PIECE_SPAN), 1.0).astype(np.intp)
+    bead = np.repeat(np.arange(len(points)), pieces)
+    nth = np.arange(len(bead)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
+    start, stop = nth / pieces[bead], (nth + 1) / pieces[bead]
+    after = (bead + 1) % len(points)
+
+    # A piece's start is the end of the same piece walked backwards: the direction and the turn change sign.
+    head = _end(along[bead], radius[after], np.where(nth + 1 == pieces[bead], turn[after], 0.0), length[bead] / pieces[bead])
+    tail = _end(-along[bead], radius[bead], np.where(nth == 0, -turn[bead], 0.0), length[bead] / pieces[bead])
+    step = (along * length[:, None])[bead]
+    head += (pixels[bead] + stop[:, None] * step)[:, None]
+    tail += (pixels[bead] + start[:, None] * step)[:, None]
+    corners = np.concatenate([head, tail], axis=1)
+
+    side = config.size * config.supersampling
+    seen = np.all((corners.max(axis=1) >= -1.0) & (corners.min(axis=1) <= side), axis=1)  # false for NaN
+    order = np.flatnonzero(seen)[np.argsort((height[bead] + 0.5 * (start + stop) * climb[bead])[seen], kind="stable")]
+    return np.rint(np.clip(corners[order], -_FAR, _FAR) * 2**_SHIFT).astype(np.int32), bead[order]
+
+
+def _end(along: NDArray[np.float64], radius: NDArray[np.float64], turn: NDArray[np.float64], length: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The vertices of pieces' ends, from right to left, relative to the joint's pixel: shape (pieces, 7, 2).
+
+    Args:
+        along: unit vector out of the piece, shape (pieces, 2).
+        turn: radians by which the next bead turns away, shape (pieces,); 0 ends the piece square.
+        length: pixels of the piece, shape (pieces,).
+    """
+    half = 0.5 * np.abs(turn)
+    angle = np.where(_INNER, 0.5 * np.pi, -0.5 * np.pi + half[:, None] * np.where(_INNER, 0.0, _ARC))
+    back = np.where(_INNER, np.minimum(radius * np.tan(np.minimum(half, 1.5)), 0.5 * length)[:, None], 0.0)
+    right = (turn < 0.0)[:, None]
+    angle, back = np.where(right, -angle[:, ::-1], angle), np.where(right, back[:, ::-1], back)
+    rounded = (length < _STEEP * radius)[:, None]
+    angle, back = np.where(rounded, 0.5 * np.pi * _ROUND, angle), np.where(rounded, 0.0, back)
+    forward, sideways = radius[:, None] * np.cos(angle) - back, radius[:, None] * np.sin(angle)
+    x, y = along[:, :1], along[:, 1:]
+    return np.stack([forward * x - sideways * y, forward * y + sideways * x], axis=-1)

@@ -1,0 +1,192 @@
+"""Engines: results in the order of the work, little of it under way, and the same bytes on a cluster whose workers die."""
+
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from knotgym.generate.collect import CollectConfig, collect
+from knotgym.generate.engines import AHEAD, InvalidEngine, engine, ordered, scheduler_of
+from knotgym.generate.images import ImagesConfig, make
+from knotgym.generate.policies import PolicyConfig
+from knotgym.tasks import TaskConfig
+
+from .small_job import knotgym, typed
+from .test_main_job import SECONDS, WANTED, bytes_of, said
+
+with_dask = pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="Dask distributed isn't installed")
+with_arrow = pytest.mark.skipif(importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed")
+
+Begin = Callable[[], "subprocess.Popen[bytes]"]
+
+
+@contextmanager
+def cluster(room: Path, workers: int, *options: str) -> Iterator[tuple[str, list["subprocess.Popen[bytes]"], Begin]]:
+    """A scheduler and its workers, each a process of its own: the address, the workers, and what starts another."""
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    file = room / "scheduler.json"
+    command = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
+    processes = [subprocess.Popen([*command, "--scheduler-file", str(file)], **quiet, cwd=room)]
+
+    def begin() -> "subprocess.Popen[bytes]":
+        words = ["--scheduler-file", str(file), "--nthreads", "1", "--no-nanny", "--no-dashboard", "--host", "127.0.0.1", *options]
+        processes.append(subprocess.Popen([sys.executable, "-m", "distributed.cli.dask_worker", *words], **quiet, cwd=room))
+        return processes[-1]
+
+    try:
+        began = [begin() for _ in range(workers)]
+        until = time.monotonic() + SECONDS
+        while not file.is_file() and time.monotonic() < until:
+            time.sleep(0.05)
+        address = str(json.loads(file.read_text())["address"])
+        yield address, began, begin
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+
+
+def generated(out: Path, scheduler: str, killed: "subprocess.Popen[bytes]", after: Callable[[], object] = lambda: None) -> None:
+    """The small main job on a cluster, one of whose workers is killed after the first cycle."""
+    run = subprocess.Popen(typed("generate", *WANTED, "--engine", "dask", "--scheduler", scheduler, "--out", out, "--quiet"))
+    until = time.monotonic() + 2 * SECONDS
+    while not (out.parent / f".{out.name}.partial" / "job.pickle").exists() and run.poll() is None and time.monotonic() < until:
+        time.sleep(0.02)
+    assert run.poll() is None
+    os.kill(killed.pid, signal.SIGKILL)
+    after()
+    assert run.wait(timeout=4 * SECONDS) == 0
+
+
+def test_results_come_in_the_order_of_the_work_with_little_of_it_under_way() -> None:
+    begun: list[int] = []
+
+    def submit(piece: int) -> "Future[int]":
+        begun.append(piece)
+        future: Future[int] = Future()
+        future.set_result(piece * piece)
+        return future
+
+    results = ordered(submit, iter(range(10)), 3)
+    assert begun == [0, 1, 2]
+    assert next(results) == 0 and begun == [0, 1, 2, 3]
+    assert list(results) == [k * k for k in range(1, 10)]
+
+
+def test_processes_take_work_that_never_ends() -> None:
+    def endless() -> Iterator[int]:
+        k = 0
+        while True:
+            taken.append(k)
+            yield -k
+            k += 1
+
+    taken: list[int] = []
+    with engine(2) as pool:
+        results = iter(pool.map(abs, endless()))
+        assert [next(results) for _ in range(5)] == [0, 1, 2, 3, 4]
+    assert len(taken) <= 5 + 2 * AHEAD
+
+
+@pytest.mark.parametrize(
+    ("options", "problem"),
+    [
+        (("mpi", "", 0), "engine must be local or dask, got 'mpi'"),
+        (("local", "tcp://a:1", 0), "--scheduler tcp://a:1 is for --engine dask"),
+        (("dask", "", 0), "--engine dask needs the address"),
+        (("dask", "tcp://a:1", 2), "--workers 2 is for --engine local"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused(options: tuple[str, str, int], problem: str) -> None:
+    with pytest.raises(InvalidEngine, match=problem):
+        scheduler_of(*options)
+
+
+@pytest.mark.parametrize("command", ["generate", "collect", "images"])
+def test_a_wrong_engine_is_one_line_and_writes_nothing(command: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert knotgym(command, "--engine", "mpi", "--out", tmp_path / "a") == 2
+    assert said(capfd) == ["knotgym: engine must be local or dask, got 'mpi'"] and list(tmp_path.iterdir()) == []
+
+
+def test_without_dask_one_line_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    assert knotgym("generate", "--nx", 0, "--count", 1, "--engine", "dask", "--scheduler", "tcp://127.0.0.1:9", "--out", tmp_path / "a") == 2
+    (line,) = said(capfd)
+    assert "pip install 'knotgym[dask]'" in line
+
+
+@with_dask
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x", "tcp://127.0.0.1:port"])
+def test_a_scheduler_that_does_not_answer_is_one_line(
+    address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    from knotgym.generate import dask_engine
+
+    monkeypatch.setattr(dask_engine, "CONNECT", 1.0)
+    assert knotgym("generate", "--nx", 0, "--count", 1, "--engine", "dask", "--scheduler", address, "--out", tmp_path / "a") == 2
+    (line,) = said(capfd)
+    assert f"no Dask scheduler answers at {address}" in line
+
+
+@with_dask
+def test_a_worker_of_several_threads_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    with cluster(tmp_path, 1, "--nthreads", "2") as (scheduler, _, _):
+        assert knotgym("generate", "--nx", 0, "--count", 1, "--engine", "dask", "--scheduler", scheduler, "--out", tmp_path / "a") == 2
+    assert "has 2 threads" in said(capfd)[-1]
+
+
+@with_dask
+def test_a_cluster_that_loses_a_worker_makes_the_same_bytes(curated: Path, states_path: str, tmp_path: Path) -> None:
+    settings = {"resume": False, "quiet": True, "console": Console()}
+    task = TaskConfig(task="unknot", nx=1, states=states_path, observation="state", horizon=4)
+    config = CollectConfig(task=task, policy=PolicyConfig(policy="scripted"), episodes=6)
+    with cluster(tmp_path, 2) as (scheduler, workers, _):
+        generated(tmp_path / "nx0-1", scheduler, workers[0])
+        there = collect(config, tmp_path / "there", workers=0, scheduler=scheduler, **settings)
+    assert bytes_of(tmp_path / "nx0-1") == bytes_of(curated)
+    here = collect(config, tmp_path / "here", workers=1, **settings)
+    assert bytes_of(there / "data")["main_data.hdf5"] == bytes_of(here / "data")["main_data.hdf5"]
+
+
+@with_dask
+@with_arrow
+def test_pictures_come_out_the_same_on_a_cluster(tmp_path: Path) -> None:
+    settings = {"archive": None, "states": None, "resume": False, "quiet": True, "console": Console()}
+    config = ImagesConfig(nx=(0, 1), count=12, pulls=4, stride=2, shard=5)
+    with cluster(tmp_path, 2) as (scheduler, _, _):
+        make(config, tmp_path / "there", workers=0, scheduler=scheduler, **settings)
+    make(config, tmp_path / "here", workers=1, **settings)
+    assert bytes_of(tmp_path / "there") == bytes_of(tmp_path / "here")
+
+
+@with_dask
+def test_a_scheduler_that_dies_is_one_line_and_the_run_goes_on_elsewhere(curated: Path, tmp_path: Path) -> None:
+    out = tmp_path / "nx0-1"
+    with cluster(tmp_path, 1) as (scheduler, _, _):
+        words = typed("generate", *WANTED, "--engine", "dask", "--scheduler", scheduler, "--out", out)
+        run = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        while not (tmp_path / ".nx0-1.partial" / "job.pickle").exists() and run.poll() is None:
+            time.sleep(0.02)
+    error = run.communicate(timeout=SECONDS)[1]
+    assert run.returncode == 1 and error == "knotgym: the scheduler is gone; --resume goes on from there, on any engine\n"
+    assert knotgym("generate", *WANTED, "--workers", 1, "--out", out, "--resume", "--quiet") == 0
+    assert bytes_of(out) == bytes_of(curated)
+
+
+@with_dask
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [1, 2, 4])
+def test_any_number_of_workers_makes_the_same_bytes_with_one_killed_and_another_come(workers: int, curated: Path, tmp_path: Path) -> None:
+    with cluster(tmp_path, workers) as (scheduler, began, begin):
+        generated(tmp_path / "nx0-1", scheduler, began[0], begin)
+    assert bytes_of(tmp_path / "nx0-1") == bytes_of(curated)
