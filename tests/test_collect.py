@@ -1,4 +1,5 @@
 import json
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -13,6 +14,7 @@ from rich.console import Console
 
 from knotgym.datasets.episode_checks import verify_episodes
 from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.generate.cli import main
 from knotgym.generate.collect import CollectConfig, InvalidCollection, collect
 from knotgym.generate.main_job import Occupied
 from knotgym.generate.planner import PlannerConfig
@@ -20,6 +22,8 @@ from knotgym.generate.policies import PolicyConfig
 from knotgym.generate.rollouts import episode_seed
 from knotgym.tasks import TaskConfig
 
+FORK = multiprocessing.get_context("forkserver")
+FORK.set_forkserver_preload(["knotgym.generate.cli", "knotgym.generate.collect"])
 QUIET = {"workers": 1, "resume": False, "quiet": True, "console": Console()}
 
 
@@ -109,6 +113,40 @@ def test_a_killed_run_leaves_nothing_under_its_name_and_resumes_to_the_same_byte
     assert made(tmp_path / "broken/knotgym/unknot-nx1/scripted-v0") == made(tmp_path / "whole/knotgym/unknot-nx1/scripted-v0")
 
 
+@pytest.mark.slow
+def test_ten_kills_at_random_moments_leave_nothing_half_written_and_change_no_byte(states_path: str, tmp_path: Path) -> None:
+    name, episodes, rng = "knotgym/unknot-nx1/mixed-v0", 24, np.random.default_rng(7)
+    words = ["collect", "--task", "unknot", "--nx", "1", "--policy", "mixed", "--budget", "40", "--states", states_path, "--horizon", "12"]
+    words += ["--image-size", "32", "--episodes", str(episodes), "--quiet", "--resume", "--out"]
+
+    def begun(where: str) -> multiprocessing.process.BaseProcess:
+        process = FORK.Process(target=main, args=([*words, str(tmp_path / where), "--workers", str(1 + int(rng.integers(2)))],))
+        process.start()
+        return process
+
+    began = time.perf_counter()
+    unbroken = begun("whole")
+    unbroken.join()
+    took = time.perf_counter() - began
+    assert unbroken.exitcode == 0
+    kills, runs = 0, 0
+    while kills < 10 or not (tmp_path / f"broken-{runs}" / name).exists():
+        where = tmp_path / f"broken-{runs}"
+        process = begun(where.name)
+        process.join(rng.uniform(0, took) if kills < 10 else None)
+        if process.is_alive():
+            process.kill()
+            process.join()
+            kills += 1
+        else:
+            assert process.exitcode == 0
+        if (where / name).exists():  # perhaps just before the kill
+            assert verify_episodes(where / name) == []
+            assert [made(where / name), len(EpisodeReader(where / name))] == [made(tmp_path / "whole" / name), episodes]
+            runs += kills < 10
+    assert all(list((tmp_path / f"broken-{run}" / name).parent.iterdir()) == [tmp_path / f"broken-{run}" / name] for run in range(runs))
+
+
 def test_another_collection_is_not_resumed(states_path: str, tmp_path: Path) -> None:
     partial = tmp_path / "knotgym/unknot-nx1/.scripted-v0.partial"
     partial.mkdir(parents=True)
@@ -125,8 +163,6 @@ def test_settings_that_make_no_sense_are_refused(settings: dict[str, object], st
 
 @pytest.mark.parametrize("words", [["--policy", "genius"], ["--task", "knit"], ["--split", "dev"], ["--id", "no version"], ["--shares", "a"]])
 def test_a_mistake_is_one_line_and_status_2(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from knotgym.generate.cli import main
-
     with pytest.raises(SystemExit) as left:
         main(["collect", "--out", str(tmp_path), *words])
     assert left.value.code == 2

@@ -129,6 +129,7 @@ def collect(config: CollectConfig, out: Path | None, *, workers: int, resume: bo
     settings = json.loads(json.dumps(asdict(config)))
     if folder.exists():
         if resume and _settings(folder / "data" / "collection.json") == settings:
+            shutil.rmtree(folder.parent / f".{folder.name}.partial", ignore_errors=True)  # killed between its last two steps
             if not quiet:
                 console.print(f"{folder} is finished already", soft_wrap=True)
             return folder
