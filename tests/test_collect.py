@@ -13,7 +13,10 @@ import pytest
 from rich.console import Console
 
 from knotgym.datasets.episode_checks import verify_episodes
+from knotgym.datasets.episode_files import EpisodeWriter
 from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.episodes import relabel_all
+from knotgym.datasets.minari_files import MinariMetadata, publish
 from knotgym.generate.cli import main
 from knotgym.generate.collect import CollectConfig, InvalidCollection, collect
 from knotgym.generate.main_job import Occupied
@@ -21,6 +24,8 @@ from knotgym.generate.planner import PlannerConfig
 from knotgym.generate.policies import PolicyConfig
 from knotgym.generate.rollouts import episode_seed
 from knotgym.tasks import TaskConfig
+
+from .minari_list import check_minari
 
 FORK = multiprocessing.get_context("forkserver")
 FORK.set_forkserver_preload(["knotgym.generate.cli", "knotgym.generate.collect"])
@@ -62,6 +67,25 @@ def test_the_environment_s_reset_with_the_stored_seed_begins_the_same_episode(st
             assert (reward, terminated, truncated) == (episode.rewards[step], episode.terminations[step], episode.truncations[step])
             assert info["gauss_code_chiral"] == episode.gauss_code_chiral[step + 1]
             assert info["bead"] == episode.bead[step + 1] and np.array_equal(info["force"], episode.force[step + 1])
+
+
+@pytest.mark.parametrize("observation", ["pixels", "state", "both"])
+def test_minari_does_with_a_dataset_all_that_it_does(observation: str, states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    task = TaskConfig(task="tie", nx=1, states=states_path, observation=observation, horizon=6, image_size=32)
+    name = "tests/scripted-v3"
+    collect(config(states_path, task=task, policy=PolicyConfig(policy="scripted"), episodes=5, dataset_id=name), tmp_path, **QUIET)
+    check_minari(tmp_path, name, monkeypatch)
+
+
+def test_minari_does_it_with_hindsight_too(states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    task = TaskConfig(task="tie", nx=1, states=states_path, observation="both", horizon=16, image_size=32)
+    played = collect(config(states_path, task=task, episodes=5), tmp_path / "played", **QUIET)
+    with EpisodeWriter(tmp_path / "hindsight.h5", task) as writer:
+        for episode in relabel_all(EpisodeReader(played), "all"):
+            writer.add(episode)
+    name = "knotgym/tie-nx1/hindsight-v0"
+    publish([tmp_path / "hindsight.h5"], MinariMetadata(dataset_id=name, algorithm_name="scripted", description="Codes passed."), tmp_path / "root")
+    check_minari(tmp_path / "root", name, monkeypatch)
 
 
 @pytest.mark.parametrize("name", ["scripted", "noisy-expert"])

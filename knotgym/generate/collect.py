@@ -11,7 +11,7 @@ import json
 import shutil
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,6 +22,7 @@ from knotgym.datasets.episode_files import EpisodeWriter
 from knotgym.datasets.episode_reader import minari_root
 from knotgym.datasets.files import whole
 from knotgym.datasets.minari_files import MinariMetadata, publish
+from knotgym.datasets.states import states_file
 from knotgym.errors import KnotgymError
 from knotgym.generate.engines import engine
 from knotgym.generate.main_job import Occupied
@@ -69,6 +70,11 @@ class CollectConfig:
             raise InvalidCollection(f"seed must be at least 0, got {self.seed}")
         if not self.dataset_id:
             object.__setattr__(self, "dataset_id", f"knotgym/{self.task.task}-nx{self.task.nx}/{self.policy.short}-v0")
+
+    @property
+    def stored_task(self) -> TaskConfig:
+        """The environment as the dataset names it: states that don't ship are carried along, and found by the dataset's id."""
+        return self.task if self.task.states is None else replace(self.task, states=self.dataset_id)
 
 
 class _Shard(NamedTuple):
@@ -150,7 +156,8 @@ def collect(config: CollectConfig, out: Path | None, *, workers: int, resume: bo
         metadata = _metadata(config, tally)
         staged = partial / "whole"
         shutil.rmtree(staged, ignore_errors=True)
-        made = publish([shard.path for shard in shards], metadata, staged)
+        carried = None if config.task.states is None else states_file(config.task.states)
+        made = publish([shard.path for shard in shards], metadata, staged, states=carried)
         counted = {"config": settings, "version": knotgym.__version__, "tally": {**asdict(tally), "planning_seconds": round(tally.planning_seconds, 1)}}
         (made / "data" / "collection.json").write_text(json.dumps(counted, indent=1, sort_keys=True), encoding="utf-8")
         made.rename(folder)
@@ -194,7 +201,7 @@ def play(shard: _Shard) -> Tally:
     config = shard.config
     rollouts = roll(config.task, make_policy(config.policy), shard.numbers, config.seed)
     kept = [one for one in rollouts if one.success or config.keep_failed]
-    with EpisodeWriter(shard.path, config.task) as writer:
+    with EpisodeWriter(shard.path, config.stored_task) as writer:
         for one in kept:
             writer.add(one.episode, one.number)
     tally = Tally(

@@ -92,7 +92,7 @@ def write(job: Job, folder: Path) -> dict[str, Any]:
     folder.mkdir(parents=True)
     states, report, config = states_of(job), report_of(job), asdict(job.config)
     write_states(folder / "states.h5", states)
-    write_trajectories(job, folder / "minari")
+    write_trajectories(job, folder / "minari", folder / "states.h5")
     job.archive.save(folder / "archive.h5")
     write_gallery(folder / "gallery.png", states)
     (folder / "README.md").write_text(card(states, report, config), encoding="utf-8")
@@ -109,22 +109,26 @@ def write(job: Job, folder: Path) -> dict[str, Any]:
     return manifest
 
 
-def write_trajectories(job: Job, folder: Path) -> None:
-    """One Minari dataset for each nx, knotgym/tie-nx3/ways-v0 below `folder`, pixels and states; an episode a state, in their order."""
+def write_trajectories(job: Job, folder: Path, states: Path) -> None:
+    """One Minari dataset for each nx, knotgym/tie-nx3/ways-v0 below `folder`, pixels and states; an episode a state, in their order.
+
+    Each carries `states`, the job's state file, so that the environment recovered from it resets from the very states.
+    """
     for nx in job.config.nx:
         # a loop has nothing to tie: its episodes are those of an unknot task whose goal is shown from the start
-        task = TaskConfig(task="tie" if nx else "unknot", nx=max(1, nx), observation="both", horizon=HORIZON)
+        name = f"knotgym/{'tie' if nx else 'unknot'}-nx{max(1, nx)}/{POLICY}-v0"
+        task = TaskConfig(task="tie" if nx else "unknot", nx=max(1, nx), observation="both", horizon=HORIZON, states=name)
         shard = folder / f"nx{nx}.h5"
         with EpisodeWriter(shard, task) as writer:
             for instance in job.accepted[nx]:
                 writer.add(episode_of(instance))
         metadata = MinariMetadata(
-            dataset_id=f"knotgym/{task.task}-nx{task.nx}/{POLICY}-v0",
+            dataset_id=name,
             algorithm_name=POLICY,
             description=f"The ways to {len(job.accepted[nx])} curated rope states with {nx} crossings: searched, carried over by symmetry, opened up. "
             "An episode goes on past the first time that its code is shown, until the rope lies open and at rest, and ends there.",
         )
-        publish([shard], metadata, folder)
+        publish([shard], metadata, folder, states=states)
         shard.unlink()
 
 
