@@ -1,11 +1,13 @@
 """Behaviour cloning on the expert's state observations, and what it reaches beside random and expert.
 
-    knotgym collect --task tie --nx 2 --policy expert --episodes 200 --observation state --out bc-data
+    knotgym collect --task tie --nx 2 --policy expert --episodes 300 --observation state --out bc-data
     python examples/behaviour_cloning.py bc-data/knotgym/tie-nx2/expert-v0 --out bc
 
-A small network in NumPy sees the rope and its goal as vertices, turned into a frame of the rope's own, and learns two things:
-which of the beads the expert pulls (cross-entropy) and with which force (squared error). Turns about z and mirrors, which are
-exact symmetries of the rope, make many episodes of one. Writes `policy.npz`, `curve.csv`, `curve.png` and `success.json`.
+A small network in NumPy learns two things: which of the beads the expert pulls (cross-entropy) and with which force (squared
+error). Turns about z, mirrors and the exchange of over and under are exact symmetries of the rope, so every rope is first brought
+into one frame: turned so that the loop begins at the right, reflected so that it runs counter-clockwise, and switched so that the
+goal's code begins with an over. The goal is told by its code, read off the goal that is observed. Hindsight adds the codes that an
+episode passed on its way. Writes `policy.npz`, `curve.csv`, `curve.png`, `success.json` and `success_expert.json`.
 """
 
 from __future__ import annotations
@@ -16,13 +18,15 @@ import functools
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
+from knotgym.crossings import find_crossings
+from knotgym.gauss import GaussCode
 from knotgym.generate.evaluate import EvaluateConfig, run
 from knotgym.generate.planner import PlannerConfig
 from knotgym.generate.policies import PolicyConfig
@@ -32,7 +36,50 @@ from knotgym.rope import RopeConfig
 Array = NDArray[np.float32]
 ROPE = RopeConfig()
 SCALE = 5.0  # metres to numbers of about 1
+VISITS = 8  # of a code, that the network sees
 WEIGHTS = "KNOTGYM_BC_WEIGHTS"  # environment variable with the path of the weights, for `act`
+
+
+class Frame(NamedTuple):
+    """How a rope is brought into the network's frame.
+
+    Attributes:
+        reflect, switch: x -> -x, z -> -z.
+        turn: then about z, radians.
+    """
+
+    reflect: bool
+    switch: bool
+    turn: float
+
+    def into(self, vectors: NDArray[Any]) -> NDArray[Any]:
+        """Positions about the middle, or forces, (..., 3)."""
+        out = vectors * (-1.0 if self.reflect else 1.0, 1.0, -1.0 if self.switch else 1.0)
+        return _turned(out, self.turn)
+
+    def back(self, vectors: NDArray[Any]) -> NDArray[Any]:
+        """The inverse of `into`."""
+        return _turned(vectors, -self.turn) * (-1.0 if self.reflect else 1.0, 1.0, -1.0 if self.switch else 1.0)
+
+
+def frame_of(rope: NDArray[Any], goal: GaussCode) -> Frame:
+    """The frame of a rope (beads, 3): by the larger of the two waves that run once round the rope."""
+    flat = (rope[:, 0] - rope[:, 0].mean()) + 1j * (rope[:, 1] - rope[:, 1].mean())
+    wave = np.exp(2j * np.pi * np.arange(len(rope)) / len(rope))
+    forwards, backwards = (flat * wave.conj()).sum(), (flat * wave).sum()
+    reflect = abs(backwards) > abs(forwards)
+    return Frame(bool(reflect), bool(goal.visits) and goal.visits[0] < 0, -float(np.angle(-backwards.conj() if reflect else forwards)))
+
+
+def seen(rope: NDArray[Any], goal: GaussCode, frame: Frame) -> Array:
+    """What the network sees of a rope (beads, 3), float32 (inputs,): every second vertex, its code and where it crosses, the goal's code."""
+    moved = frame.into(rope - rope.mean(axis=0))
+    crossings = find_crossings(np.ascontiguousarray(moved, dtype=np.float64))
+    places = np.zeros(VISITS)
+    visits = np.sort(np.concatenate([crossings.over_place, crossings.under_place]))[:VISITS]
+    places[: len(visits)] = visits / ROPE.beads
+    wanted = goal.mirrored() if frame.switch else goal
+    return np.concatenate([SCALE * moved[::2].ravel(), _hot(crossings.code), places, _hot(wanted)]).astype(np.float32)
 
 
 class Network:
@@ -56,7 +103,7 @@ class Network:
         return out
 
     def learn(self, layers: list[Array], slope: Array, rate: float) -> None:
-        """One step of Adam down the slope of the loss by the outputs."""
+        """One step of Adam down the slope of the loss by the outputs, with weights that decay."""
         self._steps += 1
         for k in range(len(self.weights) - 2, -1, -2):
             slopes = layers[k // 2].T @ slope, slope.sum(axis=0)
@@ -65,25 +112,44 @@ class Network:
                 self._first[at] += 0.1 * (one - self._first[at])
                 self._second[at] += 0.001 * (one**2 - self._second[at])
                 mean, square = self._first[at] / (1 - 0.9**self._steps), self._second[at] / (1 - 0.999**self._steps)
-                self.weights[at] -= rate * mean / (np.sqrt(square) + 1e-8)
+                self.weights[at] -= rate * (mean / (np.sqrt(square) + 1e-8) + 0.02 * self.weights[at] * (at == k))
 
 
-def seen(ropes: Array) -> Array:
-    """Rope and goal (n, 2, beads, 3), metres, as the network sees them: about their centres, every second vertex; float32 (n, inputs)."""
-    centred = ropes - ropes.mean(axis=2, keepdims=True)
-    return (SCALE * centred[:, :, ::2]).reshape(len(ropes), -1).astype(np.float32)
+class Examples(NamedTuple):
+    """What the expert did, n times, in the network's frame.
+
+    Attributes:
+        inputs: float32 (n, inputs).
+        beads: int64 (n,), pulled.
+        forces: float32 (n, 3), in units of the largest.
+        held: bool (n,), of an episode kept for the curve.
+    """
+
+    inputs: Array
+    beads: NDArray[np.int64]
+    forces: Array
+    held: NDArray[np.bool_]
 
 
-def turned(ropes: Array, forces: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    """The same turned about z by any angle, rope and goal by one each (a goal's code does not turn with it)."""
-    out, angles = ropes.copy(), rng.uniform(-np.pi, np.pi, (2, len(ropes)))
-    for side, angle in enumerate(angles):
-        c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
-        x, y = ropes[:, side, :, 0], ropes[:, side, :, 1]
-        out[:, side, :, 0], out[:, side, :, 1] = c * x - s * y, s * x + c * y
-    c, s = np.cos(angles[0]), np.sin(angles[0])
-    pulled = np.stack([c * forces[:, 0] - s * forces[:, 1], s * forces[:, 0] + c * forces[:, 1], forces[:, 2]], axis=1)
-    return out.astype(np.float32), pulled.astype(np.float32)
+def examples(dataset: str, nx: int) -> Examples:
+    """The transitions that led to codes of nx crossings; every tenth of these ways is held out."""
+    data: dict[str, Any] = arrays(dataset, observation="state", relabel="all")
+    ropes = np.asarray(data["observations"], dtype=np.float64).reshape(-1, 2, ROPE.beads, 3)
+    actions = np.asarray(data["actions"], dtype=np.float32)
+    way = np.concatenate([[0], np.cumsum(data["terminals"])[:-1]])
+    inputs, beads, forces, ways = [], [], [], []
+    goal, last = GaussCode(()), -1
+    for row, ((rope, wanted), action) in enumerate(zip(ropes, actions, strict=True)):
+        if way[row] != last:
+            goal, last = find_crossings(wanted).code.plain, int(way[row])
+        if goal.nx == nx:
+            frame = frame_of(rope, goal)
+            inputs.append(seen(rope, goal, frame))
+            beads.append(int(((rope - ROPE.reach * action[:3]) ** 2).sum(axis=1).argmin()))
+            forces.append(frame.into(action[3:]))
+            ways.append(last)
+    number = np.unique(ways, return_inverse=True)[1]
+    return Examples(np.array(inputs), np.array(beads), np.array(forces, dtype=np.float32), number % 10 == 9)
 
 
 def losses(network: Network, x: Array, beads: NDArray[np.int64], forces: Array) -> tuple[float, float, Array, list[Array]]:
@@ -102,34 +168,29 @@ def losses(network: Network, x: Array, beads: NDArray[np.int64], forces: Array) 
     return float(-(wanted * np.log(chance + 1e-9)).sum(axis=1).mean()), float((off**2).sum(axis=1).mean()), slope, layers
 
 
-def train(dataset: str, epochs: int, seed: int, console: Console) -> tuple[Network, list[dict[str, float]]]:
-    """Clone the expert; every tenth episode is held out for the curve."""
-    data: dict[str, Any] = arrays(dataset, observation="state")
-    ropes = np.asarray(data["observations"], dtype=np.float32).reshape(-1, 2, ROPE.beads, 3)
-    actions = np.asarray(data["actions"], dtype=np.float32)
-    beads = ((ropes[:, 0] - ROPE.reach * actions[:, None, :3]) ** 2).sum(axis=2).argmin(axis=1)
-    forces, ends = actions[:, 3:], np.asarray(data["terminals"], dtype=bool) | np.asarray(data["timeouts"], dtype=bool)
-    episode = np.concatenate([[0], np.cumsum(ends)[:-1]])
-    held = episode % 10 == 9
+def train(data: Examples, epochs: int, seed: int, console: Console) -> tuple[Network, list[dict[str, float]]]:
+    """Clone the expert; the network kept is the one with the least loss on what is held out."""
     rng = np.random.default_rng(seed)
-    network = Network((seen(ropes[:1]).shape[1], 512, 256, 4 * ROPE.beads), rng)
-    curve = []
-    rows = np.flatnonzero(~held)
+    network = Network((data.inputs.shape[1], 256, 256, 4 * ROPE.beads), rng)
+    rows, curve, best = np.flatnonzero(~data.held), [], np.inf
+    kept = network.weights
     for epoch in range(epochs):
         rate = 1e-3 * 0.5 * (1 + np.cos(np.pi * epoch / epochs))
         sums = np.zeros(2)
         batches = np.array_split(rng.permutation(rows), max(1, len(rows) // 128))
         for batch in batches:
-            moved, pulled = turned(ropes[batch], forces[batch], rng)
-            bead, force, slope, layers = losses(network, seen(moved), beads[batch], pulled)
+            noised = data.inputs[batch] + rng.normal(0, 0.02, (len(batch), data.inputs.shape[1])).astype(np.float32)
+            bead, force, slope, layers = losses(network, noised, data.beads[batch], data.forces[batch])
             network.learn(layers, slope, rate)
             sums += bead, force
+        held = losses(network, data.inputs[data.held], data.beads[data.held], data.forces[data.held])[:2]
         row = {"epoch": epoch + 1, "train_bead": sums[0] / len(batches), "train_force": sums[1] / len(batches)}
-        if held.any():
-            row["held_bead"], row["held_force"] = losses(network, seen(ropes[held]), beads[held], forces[held])[:2]
-        curve.append({name: float(value) for name, value in row.items()})
+        curve.append({name: float(value) for name, value in (row | {"held_bead": held[0], "held_force": held[1]}).items()})
+        if sum(held) < best:
+            best, kept = sum(held), [w.copy() for w in network.weights]
         if epoch % 10 == 9:
             console.print("  ".join(f"{name} {value:.3f}" for name, value in curve[-1].items()), highlight=False)
+    network.weights = kept
     return network, curve
 
 
@@ -144,33 +205,36 @@ def _trained(path: str) -> Network:
 
 def act(observation: Array, info: dict[str, Any], rng: np.random.Generator) -> Array:
     """The cloned policy, for `knotgym evaluate --policy behaviour_cloning:act` (weights named by KNOTGYM_BC_WEIGHTS)."""
-    ropes = np.asarray(observation, dtype=np.float32).reshape(1, 2, ROPE.beads, 3)
-    out = _trained(os.environ[WEIGHTS]).layers(seen(ropes))[-1][0]
+    rope, wanted = np.asarray(observation, dtype=np.float64).reshape(2, ROPE.beads, 3)
+    goal = find_crossings(wanted).code.plain
+    frame = frame_of(rope, goal)
+    out = _trained(os.environ[WEIGHTS]).layers(seen(rope, goal, frame)[None])[-1][0]
     chance = np.exp(out[: ROPE.beads] - out[: ROPE.beads].max()) ** 2
     bead = int(rng.choice(ROPE.beads, p=chance / chance.sum()))
-    return np.clip(np.concatenate([ropes[0, 0, bead] / ROPE.reach, out[ROPE.beads :].reshape(-1, 3)[bead]]), -1, 1).astype(np.float32)
+    force = frame.back(out[ROPE.beads :].reshape(-1, 3)[bead])
+    return np.clip(np.concatenate([rope[bead] / ROPE.reach, force]), -1, 1).astype(np.float32)
 
 
 def draw(curve: list[dict[str, float]], path: Path) -> None:
-    """The training curve: both losses, trained on (full) and held out (pale)."""
+    """The training curve: both losses, trained on (blue) and held out (orange)."""
     width, height, edge = 640, 240, 24
     picture = np.full((2 * height, width, 3), 255, np.uint8)
     for panel, loss in enumerate(("bead", "force")):
-        lines = {name: [row[name] for row in curve if name in row] for name in (f"train_{loss}", f"held_{loss}")}
-        top = max(max(values) for values in lines.values() if values)
+        lines = {name: [row[name] for row in curve] for name in (f"train_{loss}", f"held_{loss}")}
+        top = max(max(values) for values in lines.values())
         for (name, values), colour in zip(lines.items(), ((160, 60, 20), (90, 170, 240)), strict=True):
             x = edge + np.arange(len(values)) * (width - 2 * edge) / max(1, len(curve) - 1)
             y = panel * height + height - edge - np.array(values) / top * (height - 2 * edge)
             cv2.polylines(picture, [np.stack([x, y], axis=1).astype(np.int32)], False, colour, 2, cv2.LINE_AA)
             place = (edge + 300 * name.startswith("held"), panel * height + 16)
-            cv2.putText(picture, f"{name} {values[-1] if values else 0:.3f}", place, cv2.FONT_HERSHEY_SIMPLEX, 0.45, colour, 1, cv2.LINE_AA)
+            cv2.putText(picture, f"{name} {values[-1]:.3f}", place, cv2.FONT_HERSHEY_SIMPLEX, 0.45, colour, 1, cv2.LINE_AA)
     cv2.imwrite(str(path), picture)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("dataset", help="Minari id or folder of expert episodes with states")
-    parser.add_argument("--epochs", type=int, default=100)
+    parser.add_argument("--epochs", type=int, default=60)
     parser.add_argument("--episodes", type=int, default=128, help="of each policy in the evaluation")
     parser.add_argument("--expert-episodes", type=int, default=32, help="of the expert, which plans for seconds an episode")
     parser.add_argument("--nx", type=int, default=2)
@@ -179,8 +243,12 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("bc"))
     args = parser.parse_args()
     console = Console(width=150)
+    data = examples(args.dataset, args.nx)
+    if not data.held.any():
+        parser.error(f"{args.dataset} leads to codes of {args.nx} crossings fewer than 10 times: too little to learn from")
     args.out.mkdir(parents=True, exist_ok=True)
-    network, curve = train(args.dataset, args.epochs, args.seed, console)
+    console.print(f"{len(data.beads)} examples, {data.held.sum()} of them held out", highlight=False)
+    network, curve = train(data, args.epochs, args.seed, console)
     np.savez(args.out / "policy.npz", *network.weights)
     with open(args.out / "curve.csv", "w", newline="") as file:
         writer = csv.DictWriter(file, list(curve[0]))
@@ -188,8 +256,6 @@ def main() -> None:
         writer.writerows(curve)
     draw(curve, args.out / "curve.png")
     os.environ[WEIGHTS] = str((args.out / "policy.npz").resolve())
-    here = str(Path(__file__).resolve().parent)
-    os.environ["PYTHONPATH"] = os.pathsep.join([here, *filter(None, [os.environ.get("PYTHONPATH")])])  # where workers find `act`
     cheap = EvaluateConfig(
         policies=(PolicyConfig(policy="random"), PolicyConfig(policy="behaviour_cloning:act")),
         nx=(args.nx,),
@@ -199,7 +265,22 @@ def main() -> None:
     )
     dear = replace(cheap, policies=(PolicyConfig(policy="expert", planner=PlannerConfig()),), splits=("test",), episodes=args.expert_episodes)
     for name, config in (("success", cheap), ("success_expert", dear)):
-        run(config, workers=args.workers, out=args.out / f"{name}.json", video=None, quiet=False, console=console)
+        if config.episodes:
+            run(config, workers=args.workers, out=args.out / f"{name}.json", video=None, quiet=False, console=console)
+
+
+def _hot(code: GaussCode) -> Array:
+    """The first visits of a code: of each its label up to 4, over or under, one of eight; float32 (VISITS * 8,)."""
+    out = np.zeros((VISITS, 8), np.float32)
+    for k, visit in enumerate(code.visits[:VISITS]):
+        if abs(visit) <= 4:
+            out[k, 2 * abs(visit) - 2 + (visit < 0)] = 1
+    return out.ravel()
+
+
+def _turned(vectors: NDArray[Any], angle: float) -> NDArray[Any]:
+    c, s = np.cos(angle), np.sin(angle)
+    return np.asarray(vectors @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]))
 
 
 if __name__ == "__main__":

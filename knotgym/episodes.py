@@ -7,14 +7,13 @@ Rows are drawn from the state file, laid with noise that keeps their Gauss code,
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.crossings import label, label_many
-from knotgym.datasets.states import States, read_states, shipped
+from knotgym.datasets.states import States, read_states, shipped, states_file
 from knotgym.gauss import GaussCode
 from knotgym.observations import picture_config, pixels, state
 from knotgym.picture import draw
@@ -169,7 +168,7 @@ def start_qpos(rope: Rope, states: States, row: int, code: GaussCode, scale: flo
 
 def _side(config: TaskConfig, nx: int, rope: Rope) -> States:
     """The states that a side of the task draws from: the file asked for, or for want of rows the one that ships."""
-    paths: list[str | Path] = [shipped()] if config.states is None else [config.states, shipped()]
+    paths = [shipped()] if config.states is None else [states_file(config.states), shipped()]
     for path in paths:
         states = read_states(path, images=False)
         made_for = states.attributes.get("rope")

@@ -1,4 +1,5 @@
 import json
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -12,7 +13,11 @@ import pytest
 from rich.console import Console
 
 from knotgym.datasets.episode_checks import verify_episodes
+from knotgym.datasets.episode_files import EpisodeWriter
 from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.episodes import relabel_all
+from knotgym.datasets.minari_files import MinariMetadata, publish
+from knotgym.generate.cli import main
 from knotgym.generate.collect import CollectConfig, InvalidCollection, collect
 from knotgym.generate.partial import Occupied
 from knotgym.generate.planner import PlannerConfig
@@ -20,6 +25,10 @@ from knotgym.generate.policies import PolicyConfig
 from knotgym.generate.rollouts import episode_seed
 from knotgym.tasks import TaskConfig
 
+from .minari_list import check_minari
+
+FORK = multiprocessing.get_context("forkserver")
+FORK.set_forkserver_preload(["knotgym.generate.cli", "knotgym.generate.collect"])
 QUIET = {"workers": 1, "resume": False, "quiet": True, "console": Console()}
 
 
@@ -58,6 +67,25 @@ def test_the_environment_s_reset_with_the_stored_seed_begins_the_same_episode(st
             assert (reward, terminated, truncated) == (episode.rewards[step], episode.terminations[step], episode.truncations[step])
             assert info["gauss_code_chiral"] == episode.gauss_code_chiral[step + 1]
             assert info["bead"] == episode.bead[step + 1] and np.array_equal(info["force"], episode.force[step + 1])
+
+
+@pytest.mark.parametrize("observation", ["pixels", "state", "both"])
+def test_minari_does_with_a_dataset_all_that_it_does(observation: str, states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    task = TaskConfig(task="tie", nx=1, states=states_path, observation=observation, horizon=6, image_size=32)
+    name = "tests/scripted-v3"
+    collect(config(states_path, task=task, policy=PolicyConfig(policy="scripted"), episodes=5, dataset_id=name), tmp_path, **QUIET)
+    check_minari(tmp_path, name, monkeypatch)
+
+
+def test_minari_does_it_with_hindsight_too(states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    task = TaskConfig(task="tie", nx=1, states=states_path, observation="both", horizon=16, image_size=32)
+    played = collect(config(states_path, task=task, episodes=5), tmp_path / "played", **QUIET)
+    with EpisodeWriter(tmp_path / "hindsight.h5", task) as writer:
+        for episode in relabel_all(EpisodeReader(played), "all"):
+            writer.add(episode)
+    name = "knotgym/tie-nx1/hindsight-v0"
+    publish([tmp_path / "hindsight.h5"], MinariMetadata(dataset_id=name, algorithm_name="scripted", description="Codes passed."), tmp_path / "root")
+    check_minari(tmp_path / "root", name, monkeypatch)
 
 
 @pytest.mark.parametrize("name", ["scripted", "noisy-expert"])
@@ -109,6 +137,40 @@ def test_a_killed_run_leaves_nothing_under_its_name_and_resumes_to_the_same_byte
     assert made(tmp_path / "broken/knotgym/unknot-nx1/scripted-v0") == made(tmp_path / "whole/knotgym/unknot-nx1/scripted-v0")
 
 
+@pytest.mark.slow
+def test_ten_kills_at_random_moments_leave_nothing_half_written_and_change_no_byte(states_path: str, tmp_path: Path) -> None:
+    name, episodes, rng = "knotgym/unknot-nx1/mixed-v0", 24, np.random.default_rng(7)
+    words = ["collect", "--task", "unknot", "--nx", "1", "--policy", "mixed", "--budget", "40", "--states", states_path, "--horizon", "12"]
+    words += ["--image-size", "32", "--episodes", str(episodes), "--quiet", "--resume", "--out"]
+
+    def begun(where: str) -> multiprocessing.process.BaseProcess:
+        process = FORK.Process(target=main, args=([*words, str(tmp_path / where), "--workers", str(1 + int(rng.integers(2)))],))
+        process.start()
+        return process
+
+    began = time.perf_counter()
+    unbroken = begun("whole")
+    unbroken.join()
+    took = time.perf_counter() - began
+    assert unbroken.exitcode == 0
+    kills, runs = 0, 0
+    while kills < 10 or not (tmp_path / f"broken-{runs}" / name).exists():
+        where = tmp_path / f"broken-{runs}"
+        process = begun(where.name)
+        process.join(rng.uniform(0, took) if kills < 10 else None)
+        if process.is_alive():
+            process.kill()
+            process.join()
+            kills += 1
+        else:
+            assert process.exitcode == 0
+        if (where / name).exists():  # perhaps just before the kill
+            assert verify_episodes(where / name) == []
+            assert [made(where / name), len(EpisodeReader(where / name))] == [made(tmp_path / "whole" / name), episodes]
+            runs += kills < 10
+    assert all(list((tmp_path / f"broken-{run}" / name).parent.iterdir()) == [tmp_path / f"broken-{run}" / name] for run in range(runs))
+
+
 def test_another_collection_is_not_resumed(states_path: str, tmp_path: Path) -> None:
     partial = tmp_path / "knotgym/unknot-nx1/.scripted-v0.partial"
     partial.mkdir(parents=True)
@@ -125,8 +187,6 @@ def test_settings_that_make_no_sense_are_refused(settings: dict[str, object], st
 
 @pytest.mark.parametrize("words", [["--policy", "genius"], ["--task", "knit"], ["--split", "dev"], ["--id", "no version"], ["--shares", "a"]])
 def test_a_mistake_is_one_line_and_status_2(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from knotgym.generate.cli import main
-
     with pytest.raises(SystemExit) as left:
         main(["collect", "--out", str(tmp_path), *words])
     assert left.value.code == 2

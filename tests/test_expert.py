@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from knotgym.crossings import find_crossings, label
 from knotgym.episodes import Episodes
 from knotgym.gauss import GaussCode
-from knotgym.generate.atlas import Atlas, shipped_atlas
+from knotgym.generate.atlas import DOUBT, Atlas, shipped_atlas
 from knotgym.generate.curate import codes_of
 from knotgym.generate.expert import BLIND, Expert
 from knotgym.generate.planner import InvalidPlanner, PlannerConfig, plan, reason
@@ -46,10 +46,10 @@ def test_changes_are_counted_alike_for_a_rope_and_its_mirror() -> None:
     assert sorted(table.seen.values()) == [2, 5]
 
 
-def test_the_distance_is_one_over_the_chance() -> None:
+def test_the_distance_is_one_over_the_doubted_chance() -> None:
     atlas = Atlas(kinks())
     distances = atlas.distances(GaussCode.parse("1+,1-"))
-    assert distances(FLAT) == pytest.approx(9 / 4)
+    assert distances(FLAT) == pytest.approx((8 + DOUBT) / 4)
     assert distances(KINK) == 0
     assert distances(GaussCode.parse("1+a,1-a,2+c,2-c")) > distances(FLAT)
 

@@ -40,6 +40,7 @@ from knotgym.rope import Rope
 from knotgym.simulation import Simulation
 
 from .conftest import SEARCH, trefoil
+from .minari_list import check_minari
 from .small_job import knotgym, small, typed
 
 WANTED = ("--nx", "0,1", "--count", 4)  # what conftest's `curated` folder was asked for
@@ -203,11 +204,18 @@ def test_minari_loads_the_trajectories(curated: Path, states: States, monkeypatc
         assert np.array_equal(episode.observations["pixels"][-1, :, :128], states.image[row])
 
 
-def test_minari_makes_the_environment_again(curated: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("name", ["knotgym/unknot-nx1/ways-v0", "knotgym/tie-nx1/ways-v0"])
+def test_minari_does_with_the_trajectories_all_that_it_does(curated: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    check_minari(curated / "minari", name, monkeypatch)
+
+
+def test_the_recovered_environment_resets_from_the_states_of_the_job(curated: Path, states: States, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(curated / "minari"))
-    dataset = minari.load_dataset("knotgym/tie-nx1/ways-v0")
-    observation, _ = dataset.recover_environment().reset(seed=0)
-    assert dataset.observation_space.contains(observation)
+    env = minari.load_dataset("knotgym/tie-nx1/ways-v0").recover_environment()
+    for row in states.rows(1, "train"):
+        _, info = env.reset(seed=0, options={"goal": int(row)})
+        assert info["goal_gauss_code"] == states.gauss_code[row]
+        assert np.array_equal(env.unwrapped.episodes.goal_points(0), states.points[row])
 
 
 def test_verify_finds_no_fault(curated: Path, capfd: pytest.CaptureFixture[str]) -> None:

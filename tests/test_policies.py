@@ -1,8 +1,13 @@
+import json
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from knotgym.episodes import Episodes
+from knotgym.generate.cli import main
 from knotgym.generate.planner import PlannerConfig
 from knotgym.generate.policies import MIXED, InvalidPolicy, PolicyConfig, make_policy
 from knotgym.tasks import TaskConfig
@@ -83,6 +88,17 @@ def test_a_function_of_the_user_is_a_policy_and_its_actions_are_cut(states_path:
         act_once(PolicyConfig(policy="own_policies:nothing"), states_path, 0)
     with pytest.raises(InvalidPolicy, match="must be a function"):
         make_policy(PolicyConfig(policy="own_policies:three"))
+
+
+def test_a_function_is_found_in_the_folder_where_the_command_is_typed(states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "left_alone.py").write_text("def act(observation, info, rng):\n    return [0, 0, 0, 0, 0, 0]\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    words = ["--task", "unknot", "--nx", "1", "--policy", "left_alone:act", "--states", states_path, "--horizon", "2", "--episodes", "9"]
+    with pytest.raises(SystemExit) as left:
+        main(["evaluate", *words, "--workers", "2", "--quiet", "--out", "result.json"])
+    assert left.value.code == 0
+    assert json.loads((tmp_path / "result.json").read_text())["episodes"] == 9
 
 
 @pytest.mark.parametrize(

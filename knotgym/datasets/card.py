@@ -107,14 +107,7 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
             "| --- | --- | --- |",
             *rejected,
             "",
-            "## Growth",
-            "",
-            "Codes known to the search, and states accepted, by environment steps.",
-            "",
-            _row("steps", *(f"nx {nx}: known / accepted" for nx in report["existing_codes"])),
-            _row(*["---"] * (1 + len(report["existing_codes"]))),
-            *(_row(one["steps"], *(f"{one['known'][nx]} / {one['accepted'][nx]}" for nx in one["known"])) for one in growth(report)),
-            "",
+            *_grown(report),
             "## How to make it again",
             "",
             "```json",
@@ -123,6 +116,16 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
             "",
         ]
     )
+
+
+def _grown(report: Mapping[str, Any]) -> list[str]:
+    found = growth(report)
+    if not found:
+        return []
+    head = ["steps", *(f"nx {nx}: known / accepted" for nx in found[-1]["known"])]
+    rows = [_row(one["steps"], *(f"{one['known'][nx]} / {one['accepted'][nx]}" for nx in one["known"])) for one in found]
+    said = "Codes known to the search, and states accepted, by environment steps."
+    return ["## Growth", "", said, "", _row(*head), _row(*["---"] * len(head)), *rows, ""]
 
 
 def growth(report: Mapping[str, Any], rows: int = 12) -> list[dict[str, Any]]:

@@ -2,6 +2,7 @@
 
     {out}/{dataset id}/data/main_data.hdf5      an episode file, see `episode_reader`
     {out}/{dataset id}/data/metadata.json       Minari's, images declared lossless
+    {out}/{dataset id}/data/states.h5           the states it resets from, where they aren't those that ship
 
 Minari itself would store images as JPEG, and lose seeds and options when datasets are combined; so the files are written here.
 """
@@ -12,6 +13,7 @@ import copy
 import json
 import os
 import re
+import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -74,6 +76,7 @@ def publish(
     store: str | None = None,
     concatenate: bool = False,
     overwrite: bool = False,
+    states: str | os.PathLike[str] | None = None,
 ) -> Path:
     """Merge episode files, compact ones too, into a Minari dataset, which appears whole or not at all.
 
@@ -84,6 +87,7 @@ def publish(
         store: observations, "pixels", "state" or "both"; None for the sources' (the task's, if those are compact).
         concatenate: as `merge`.
         overwrite: replace a dataset of this id.
+        states: a state file to carry along; a task whose `states` is the dataset's id resets from it, wherever the dataset goes.
 
     Returns:
         The dataset's folder.
@@ -106,7 +110,9 @@ def publish(
         merged = EpisodeReader(part)
         entries = {**minari_entries(metadata, merged.task), "total_episodes": len(merged), "total_steps": int(merged.lengths.sum())}
         merged.close()
-        entries["dataset_size"] = round((merged.path.stat().st_size + len(json.dumps(entries))) / 1e6, 1)
+        if states is not None:
+            shutil.copyfile(states, data / "states.h5")
+        entries["dataset_size"] = round((sum(file.stat().st_size for file in data.iterdir()) + len(json.dumps(entries))) / 1e6, 1)
         (data / "metadata.json").write_text(json.dumps(entries, sort_keys=True), encoding="utf-8")
     return folder
 

@@ -85,6 +85,14 @@ def shipped() -> Path:
     return Path(str(files("knotgym.datasets") / "curated" / "states.h5"))
 
 
+def states_file(named: str) -> Path:
+    """The state file that a path means, or the id of a Minari dataset that carries one."""
+    from knotgym.datasets.episode_reader import minari_root
+
+    carried = minari_root() / named / "data" / "states.h5"
+    return carried if carried.is_file() and not Path(named).is_file() else Path(named)
+
+
 def write_states(path: str | os.PathLike[str], states: States) -> None:
     """Write a state file; it appears under its name whole or not at all."""
     if states.image is None:

@@ -1,7 +1,8 @@
 """How far a code is from a goal, in manoeuvres: shortest ways over the counted changes of codes.
 
-A change that one manoeuvre in n makes costs n manoeuvres. The distances of all codes to a goal come from Dijkstra's algorithm,
-run backwards from the goal; a code that the counts don't reach is as far as the last one reached and farther by its crossings.
+A change that one manoeuvre in n makes costs n manoeuvres, and more where few were tried. The distances of all codes to a goal
+come from Dijkstra's algorithm, run backwards from the goal; a code that the counts don't reach is as far as the last one
+reached and farther by its crossings.
 """
 
 from __future__ import annotations
@@ -14,12 +15,12 @@ from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
 
-
 from knotgym.diagrams import chiralities
 from knotgym.gauss import GaussCode
 from knotgym.generate.symmetry import class_of
 from knotgym.generate.transitions import Grip, Transitions, spins, spun
 
+DOUBT = 30.0  # failures added to those counted, so that a change seen in two of three manoeuvres isn't taken at its word
 STRANGE = 30.0  # manoeuvres that a crossing too many or too few costs where nothing is known
 
 
@@ -70,7 +71,7 @@ class Atlas:
         self._after: dict[GaussCode, list[tuple[GaussCode, float]]] = {}  # class -> changes out of it, with their chances
         self._before: dict[GaussCode, list[tuple[GaussCode, GaussCode, float]]] = {}  # class shown -> changes that lead to it
         for (before, after), seen in transitions.seen.items():
-            chance = seen / (transitions.tried[before] + 1)
+            chance = seen / (transitions.tried[before] + DOUBT)
             self._after.setdefault(before, []).append((after, chance))
             self._before.setdefault(class_of(after), []).append((before, after, chance))
         self._known: dict[GaussCode, Distances] = {}

@@ -11,7 +11,7 @@ import json
 import shutil
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,9 +22,10 @@ from knotgym.datasets.episode_files import EpisodeWriter, merge
 from knotgym.datasets.episode_reader import minari_root
 from knotgym.datasets.files import sha256, whole
 from knotgym.datasets.minari_files import MinariMetadata, publish
+from knotgym.datasets.states import states_file
 from knotgym.errors import KnotgymError
 from knotgym.generate.engines import engine
-from knotgym.generate.partial import Occupied, held
+from knotgym.generate.partial import Occupied, held, partial_of
 from knotgym.generate.parts import Part
 from knotgym.generate.policies import PolicyConfig, make_policy
 from knotgym.generate.rollouts import roll
@@ -71,6 +72,11 @@ class CollectConfig:
             raise InvalidCollection(f"seed must be at least 0, got {self.seed}")
         if not self.dataset_id:
             object.__setattr__(self, "dataset_id", f"knotgym/{self.task.task}-nx{self.task.nx}/{self.policy.short}-v0")
+
+    @property
+    def stored_task(self) -> TaskConfig:
+        """The environment as the dataset names it: states that don't ship are carried along, and found by the dataset's id."""
+        return self.task if self.task.states is None else replace(self.task, states=self.dataset_id)
 
 
 class _Shard(NamedTuple):
@@ -146,6 +152,7 @@ def collect(
         raise InvalidCollection(f"shard {part} of {config.episodes} episodes has none: cut the run into fewer shards")
     if folder.exists():
         if resume and settings_of(folder) == settings:
+            shutil.rmtree(partial_of(folder), ignore_errors=True)  # killed between its last two steps
             if not quiet:
                 console.print(f"{folder} is finished already", soft_wrap=True)
             return folder
@@ -192,7 +199,8 @@ def write_whole(config: CollectConfig, sources: Sequence[Path], tally: Tally, ro
     """
     if not tally.kept:
         raise InvalidCollection(f"none of {tally.played} episodes reached the goal, and failed ones are dropped: nothing is left to write")
-    made = publish(sources, _metadata(config, tally), root, concatenate=concatenate)
+    carried = None if config.task.states is None else states_file(config.task.states)
+    made = publish(sources, _metadata(config, tally), root, concatenate=concatenate, states=carried)
     _report(made / "data" / REPORT, json.loads(json.dumps({**asdict(config), "part": asdict(_WHOLE)})), tally)
     return made
 
@@ -229,7 +237,7 @@ def play(shard: _Shard) -> Tally:
     config = shard.config
     rollouts = roll(config.task, make_policy(config.policy), shard.numbers, config.seed)
     kept = [one for one in rollouts if one.success or config.keep_failed]
-    with EpisodeWriter(shard.path, config.task) as writer:
+    with EpisodeWriter(shard.path, config.stored_task) as writer:
         for one in kept:
             writer.add(one.episode, one.number)
     tally = Tally(

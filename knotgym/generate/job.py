@@ -156,7 +156,7 @@ class Job:
 
     def wanted_codes(self, nx: int) -> int:
         """Codes with nx crossings to have a choice among: all for `every_code`, else a quarter more than states."""
-        return len(self.shares[nx]) if self.config.every_code else min(len(self.shares[nx]), max(1, int(1.25 * self.config.count)))
+        return len(self.shares[nx]) if self.config.every_code else min(len(self.shares[nx]), max(1, int(1.25 * self.wanted(nx))))
 
     def steps(self) -> int:
         """Environment steps made so far, by the search and for instances."""

@@ -20,7 +20,7 @@ from knotgym.datasets.episode_reader import Chosen
 from knotgym.datasets.files import sha256
 from knotgym.datasets.images import SPLITS, arrow, points_of, read_table, shard_name, shards, write_table
 from knotgym.datasets.near import apart
-from knotgym.datasets.states import States, merge_states, read_states
+from knotgym.datasets.states import States, merge_states, read_states, write_states
 from knotgym.errors import KnotgymError
 from knotgym.gauss import GaussCode
 from knotgym.generate import image_folder, output
@@ -123,22 +123,25 @@ def _states(ordered: Sequence[Shard], folder: Path) -> Path:
     merged, number = _rows(merged, kept), number[kept]
     splits = merged.split.copy()
     place = np.zeros(len(merged), dtype=np.int64)
-    folder.mkdir(parents=True)
     for nx in config["nx"]:
         mine = np.flatnonzero(merged.nx == nx)
         codes = [GaussCode.parse(text) for text in merged.gauss_code[mine]]
         splits[mine] = split(codes, config["split_by"], config["train_share"], np.random.default_rng([config["seed"], 5, nx]))
         place[mine] = np.arange(len(mine))
+    trajectories, attributes = merged.source["trajectory"], {**merged.attributes, "config": json.dumps(config, sort_keys=True)}
+    merged = replace(merged, split=splits, source={**merged.source, "trajectory": place}, attributes=attributes)
+    folder.mkdir(parents=True)
+    write_states(folder / "states.h5", merged)
+    for nx in sorted(set(merged.nx.tolist())):
+        mine = np.flatnonzero(merged.nx == nx)
         ways = [
-            Chosen(output.ways_folder(shard.folder / "minari", nx), merged.source["trajectory"][mine[number[mine] == k]].tolist())
+            Chosen(output.ways_folder(shard.folder / "minari", nx), trajectories[mine[number[mine] == k]].tolist())
             for k, shard in enumerate(ordered)
         ]
-        output.publish_ways(nx, [one for one in ways if one.episode_indices], len(mine), folder / "minari")
-    source = {**merged.source, "trajectory": place}
-    attributes = {**merged.attributes, "config": json.dumps(config, sort_keys=True)}
+        output.publish_ways(nx, [one for one in ways if one.episode_indices], len(mine), folder / "minari", folder / "states.h5")
     _archive([Archive.load(shard.folder / "archive.h5") for shard in ordered]).save(folder / "archive.h5")
     report = _report_of_states([shard.said["report"] for shard in ordered], len(order) - len(kept))
-    output.finish(folder, replace(merged, split=splits, source=source, attributes=attributes), report, config)
+    output.finish(folder, merged, report, config)
     return folder
 
 
@@ -176,7 +179,7 @@ def _report_of_states(reports: Sequence[dict[str, Any]], near: int) -> dict[str,
         "attempts": sum(report["attempts"] for report in reports),
         "actions": sum(report["actions"] for report in reports),
         "rejected": {nx: dict(sorted(reasons.items())) for nx, reasons in rejected.items()},
-        "growth": [row for report in reports for row in report["growth"]],
+        "growth": [],  # that of each shard is its own
         "near_duplicates_between_shards": near,
     }
 

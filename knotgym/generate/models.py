@@ -20,11 +20,16 @@ def load_model(path: Path, word: str = "") -> Callable[[Any], Any]:
         word: the Stable-Baselines3 algorithm, "PPO" for "".
 
     Raises:
-        InvalidPolicy: there is no such file, or its library isn't installed.
+        InvalidPolicy: there is no such file, it holds no such model, or its library isn't installed.
     """
     if not path.is_file():
         raise InvalidPolicy(f"no policy file at {path}")
-    return {".zip": _sb3, ".onnx": _onnx, ".pt": _torchscript}[path.suffix](path, word)
+    try:
+        return {".zip": _sb3, ".onnx": _onnx, ".pt": _torchscript}[path.suffix](path, word)
+    except InvalidPolicy:
+        raise
+    except Exception as error:  # each library has its own for a file it can't read
+        raise InvalidPolicy(f"{path} holds no {path.suffix} model that can be read: {' '.join(str(error).split())[:200]}") from error
 
 
 def _sb3(path: Path, word: str) -> Callable[[Any], Any]:

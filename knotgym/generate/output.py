@@ -91,14 +91,15 @@ def report_of(job: Job) -> dict[str, Any]:
 def write(job: Job, folder: Path) -> dict[str, Any]:
     """Write everything the contract lists into a new folder, the manifest last; return the manifest."""
     folder.mkdir(parents=True)
-    write_trajectories(job, folder / "minari")
+    states = states_of(job)
+    write_states(folder / "states.h5", states)
+    write_trajectories(job, folder / "minari", folder / "states.h5")
     job.archive.save(folder / "archive.h5")
-    return finish(folder, states_of(job), report_of(job), asdict(job.config))
+    return finish(folder, states, report_of(job), asdict(job.config))
 
 
 def finish(folder: Path, states: States, report: dict[str, Any], config: dict[str, Any]) -> dict[str, Any]:
-    """Write states, gallery, card and manifest into a folder that has the trajectories; return the manifest."""
-    write_states(folder / "states.h5", states)
+    """Write gallery, card and manifest into a folder that has the states and the trajectories; return the manifest."""
     write_gallery(folder / "gallery.png", states)
     (folder / "README.md").write_text(card(states, report, config), encoding="utf-8")
     manifest = {
@@ -114,21 +115,21 @@ def finish(folder: Path, states: States, report: dict[str, Any], config: dict[st
     return manifest
 
 
-def write_trajectories(job: Job, folder: Path) -> None:
+def write_trajectories(job: Job, folder: Path, states: Path) -> None:
     """One Minari dataset for each nx, knotgym/tie-nx3/ways-v0 below `folder`, pixels and states; an episode a state, in their order."""
     for nx in [nx for nx in job.config.nx if job.accepted[nx]]:
         shard = folder / f"nx{nx}.h5"
         with EpisodeWriter(shard, ways_task(nx)) as writer:
             for instance in job.accepted[nx]:
                 writer.add(episode_of(instance))
-        publish_ways(nx, [shard], len(job.accepted[nx]), folder)
+        publish_ways(nx, [shard], len(job.accepted[nx]), folder, states)
         shard.unlink()
 
 
 def ways_task(nx: int) -> TaskConfig:
     """The task that the ways to states with nx crossings are episodes of."""
     # a loop has nothing to tie: its episodes are those of an unknot task whose goal is shown from the start
-    return TaskConfig(task="tie" if nx else "unknot", nx=max(1, nx), observation="both", horizon=HORIZON)
+    return TaskConfig(task="tie" if nx else "unknot", nx=max(1, nx), observation="both", horizon=HORIZON, states=_ways_id(nx))
 
 
 def ways_folder(root: Path, nx: int) -> Path:
@@ -136,20 +137,22 @@ def ways_folder(root: Path, nx: int) -> Path:
     return root / _ways_id(nx)
 
 
-def publish_ways(nx: int, sources: Sequence[Any], count: int, root: Path) -> None:
-    """Write `count` ways from the episodes of `sources`, one source after another, below `root`."""
+def publish_ways(nx: int, sources: Sequence[Any], count: int, root: Path, states: Path) -> None:
+    """Write `count` ways from the episodes of `sources`, one source after another, below `root`.
+
+    The dataset carries `states`, so that the environment recovered from it resets from the very states that the ways lead to.
+    """
     metadata = MinariMetadata(
         dataset_id=_ways_id(nx),
         algorithm_name=POLICY,
         description=f"The ways to {count} curated rope states with {nx} crossings: searched, carried over by symmetry, opened up. "
         "An episode goes on past the first time that its code is shown, until the rope lies open and at rest, and ends there.",
     )
-    publish(sources, metadata, root, concatenate=True)
+    publish(sources, metadata, root, concatenate=True, states=states)
 
 
 def _ways_id(nx: int) -> str:
-    task = ways_task(nx)
-    return f"knotgym/{task.task}-nx{task.nx}/{POLICY}-v0"
+    return f"knotgym/{'tie' if nx else 'unknot'}-nx{max(1, nx)}/{POLICY}-v0"
 
 
 def episode_of(instance: Instance) -> Episode:

@@ -5,7 +5,7 @@
     expert          plans in the simulator from the state the rope is in, see `expert`
     noisy-expert    an expert; each pull is a random one instead with probability `noise`, and the expert plans anew
     mixed           each episode is one of the four
-    module:function a function (observation, info, generator) -> action (6,), of the user's own
+    module:function a function (observation, info, generator) -> action (6,), of the user's own; its module may lie in the current folder
     FILE            a model that takes observations: .zip (Stable-Baselines3; FILE.zip:SAC for another algorithm than PPO),
                     .onnx, or .pt (TorchScript)
 """
@@ -13,6 +13,8 @@
 from __future__ import annotations
 
 import importlib
+import os
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -283,9 +285,11 @@ def _checked(actions: list[Any], name: str) -> Choice:
 
 
 def _function(module: str, word: str) -> Callable[[Any, dict[str, Any], np.random.Generator], Any]:
+    if os.getcwd() not in sys.path:
+        sys.path.append(os.getcwd())  # a user's file lies where the command is typed; last, so that it hides nothing
     try:
         found = getattr(importlib.import_module(module), word)
-    except (ImportError, AttributeError, ValueError) as error:
+    except (ImportError, AttributeError, ValueError, SyntaxError) as error:
         raise InvalidPolicy(f"no policy {module}:{word}: {error}") from error
     if not callable(found):
         raise InvalidPolicy(f"policy {module}:{word} must be a function (observation, info, generator) -> action")
