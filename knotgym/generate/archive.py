@@ -28,6 +28,7 @@ from knotgym.rope import Array
 
 FORMAT = "knotgym-archive"
 FORMAT_VERSION = 2
+FAIR = 50
 KEPT = 2  # elites kept for their short way, and as many for their looks
 
 
@@ -80,14 +81,17 @@ class Archive:
     transitions: Transitions = field(default_factory=Transitions)
 
     def offer(self, elite: Elite) -> bool:
-        """Keep an elite if it is among the KEPT shortest or the KEPT best-looking of its class; say whether the class is new."""
+        """Keep an elite if it is among the KEPT shortest or the KEPT best-looking of its class; say whether the class is new.
+
+        Looks are paid for with actions: FAIR of them for 1 of badness.
+        """
         niche = mirror_images(elite.code)[0]
         new = niche not in self.niches
         pool = [*self.niches.get(niche, []), elite]
         if any(one.exact for one in pool):  # a way that holds for this very base bead beats those that hold nearly
             pool = [one for one in pool if one.exact]
         short = sorted(pool, key=lambda one: (len(one.way), one.badness))[:KEPT]
-        pretty = sorted(pool, key=lambda one: (one.badness, len(one.way)))[:KEPT]
+        pretty = sorted(pool, key=lambda one: (one.badness + len(one.way) / FAIR, len(one.way)))[:KEPT]
         self.niches[niche] = short + [one for one in pretty if not any(one is other for other in short)]
         return new
 

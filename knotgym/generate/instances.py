@@ -19,7 +19,7 @@ from knotgym.generate.archive import Elite
 from knotgym.generate.manoeuvres import NO_WAY, Way, pull
 from knotgym.generate.opening import OpeningConfig, open_up
 from knotgym.generate.quality import Limits, Quality, measure, noise_survival
-from knotgym.generate.search import readings
+from knotgym.generate.search import JITTER, readings
 from knotgym.generate.symmetry import Symmetry, mirrorings
 from knotgym.oracle import pyknotid_code
 from knotgym.rope import Array, Rope, RopeConfig, noised
@@ -53,7 +53,7 @@ class InstanceConfig:
     start_noise: float = 0.0
     stir: int = 3
     stir_loop: int = 12
-    longest: int = 96
+    longest: int = 120
     reset_noise: float = 0.015
     rope: RopeConfig = RopeConfig()
 
@@ -114,11 +114,13 @@ def _made(order: Order, simulation: Simulation) -> Instance:
     start_qpos = rope.qpos(symmetry.configuration(noised(order.start, config.start_noise, rng)))
     simulation.lay(start_qpos[None], ONE)
     way = Way(symmetry.beads(elite.way.beads, config.rope.beads).astype(np.int16), symmetry.vectors(elite.way.forces.astype(np.float64)).astype(np.float32))
+    if not elite.exact:
+        way = way.jittered(rng.uniform(0, JITTER), rng)
     if _follow(simulation, way) is None:
         return _rejected("simulation failed", order, rope)
     if label(simulation.points[0]) != order.code:
         return _rejected("way missed the code", order, rope)
-    way += _opening(simulation, order, rng)
+    way += _opening(simulation, order, rng, at_rest=not way.forces[-REST:].any())
     simulation.lay(start_qpos[None], ONE)
     followed = _follow(simulation, way)
     if followed is None:
@@ -152,13 +154,14 @@ def _follow(simulation: Simulation, way: Way) -> tuple[NDArray[np.float32], Arra
     return actions, np.stack(points)
 
 
-def _opening(simulation: Simulation, order: Order, rng: np.random.Generator) -> Way:
+def _opening(simulation: Simulation, order: Order, rng: np.random.Generator, at_rest: bool) -> Way:
     """Stir rope 0, open it up and let it come to rest, and once more if it doesn't do yet; the way from where it lies."""
     config, way, state = order.config, NO_WAY, simulation.states(ONE)
-    if _follow(simulation, STILL) and label(simulation.points[0]) == order.code:
-        way = STILL
-    else:  # what shows the code in motion alone may be opened up in motion
-        simulation.restore(state, ONE)
+    if not at_rest:
+        if _follow(simulation, STILL) and label(simulation.points[0]) == order.code:
+            way = STILL
+        else:  # what shows the code in motion alone may be opened up in motion
+            simulation.restore(state, ONE)
     state, stirring = _stir(simulation, int(rng.integers(config.stir + 1)) if order.code.nx else config.stir_loop, rng)
     way += stirring
     for _ in range(ROUNDS):

@@ -265,8 +265,9 @@ def _orders(job: Job) -> list[tuple[int, Order]]:
         lacking.sort(key=lambda one: job.tried[nx][one[0]])
         for k in range(-(-config.wave // len(open_nx)) if lacking else 0):
             code, known = lacking[k % len(lacking)]
-            known = [one for one in known if job.archive.sure(one)] or known
             number = job.tried[nx][code]
+            if number % 3:  # the chiralities that an exact way leads to, two times of three
+                known = [one for one in known if job.archive.sure(one)] or known
             job.tried[nx][code] += 1
             target = known[number % len(known)]
             seed = (config.seed, 2, nx, share.index(code), config.part.first + number)

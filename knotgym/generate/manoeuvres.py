@@ -125,6 +125,11 @@ class Way:
     def __len__(self) -> int:
         return len(self.beads)
 
+    def jittered(self, scale: float, rng: np.random.Generator) -> Way:
+        """The same pulls, each stronger or weaker by a share of about `scale`: another try where the way itself just misses."""
+        strength = 1 + rng.normal(0, scale, (len(self), 1))
+        return Way(self.beads, np.clip(self.forces * strength, -1, 1).astype(np.float32))
+
     def __add__(self, other: Way) -> Way:
         return Way(np.concatenate([self.beads, other.beads]), np.concatenate([self.forces, other.forces]))
 

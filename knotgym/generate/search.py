@@ -25,6 +25,9 @@ from knotgym.rope import Array, Rope, RopeConfig
 from knotgym.simulation import Simulation
 
 
+JITTER = 0.04  # of ways that hold nearly: the same way would miss again
+
+
 @dataclass(frozen=True, kw_only=True)
 class SearchConfig:
     """What is searched and how.
@@ -240,7 +243,8 @@ def _unconfirmed(archive: Archive, config: SearchConfig, number: int) -> list[Wa
         else:
             symmetry = Symmetry(turn=-turn, roll=elite.roll)
         beads = symmetry.beads(elite.way.beads, config.rope.beads).astype(np.int16)
-        ways.append(Way(beads, symmetry.vectors(elite.way.forces.astype(np.float64)).astype(np.float32)))
+        way = Way(beads, symmetry.vectors(elite.way.forces.astype(np.float64)).astype(np.float32))
+        ways.append(way.jittered(rng.uniform(0, JITTER), rng))
     return ways
 
 
