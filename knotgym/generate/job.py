@@ -265,12 +265,13 @@ def _orders(job: Job) -> list[tuple[int, Order]]:
         lacking.sort(key=lambda one: job.tried[nx][one[0]])
         for k in range(-(-config.wave // len(open_nx)) if lacking else 0):
             code, known = lacking[k % len(lacking)]
-            number = job.tried[nx][code]
+            number, index = job.tried[nx][code], share.index(code)
             if number % 3:  # the chiralities that an exact way leads to, two times of three
                 known = [one for one in known if job.archive.sure(one)] or known
             job.tried[nx][code] += 1
-            target = known[number % len(known)]
-            seed = (config.seed, 2, nx, share.index(code), config.part.first + number)
+            first = int(np.random.default_rng([config.seed, nx, 6, index]).integers(2**nx))  # not all begin with the same handedness
+            target = known[(number + first) % len(known)]
+            seed = (config.seed, 2, nx, index, config.part.first + number)
             out.append((nx, Order(config.instance, target, tuple(job.archive.leading_to(target)), start, seed)))
     return out
 
