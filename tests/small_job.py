@@ -46,12 +46,13 @@ def small() -> Iterator[None]:
 
 def knotgym(*arguments: object) -> int:
     """Type a `knotgym` command, small; its exit status."""
-    handler = signal.getsignal(signal.SIGTERM)
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         with small(), pytest.raises(SystemExit) as ended:
             cli.main([str(one) for one in arguments])
     finally:
-        signal.signal(signal.SIGTERM, handler)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
     assert isinstance(ended.value.code, int)
     return ended.value.code
 

@@ -20,6 +20,7 @@ from knotgym.errors import KnotgymError
 from knotgym.picture import (
     PictureConfig,
     PictureError,
+    _polygons,
     bead_colours,
     crossing_pixels,
     draw,
@@ -29,7 +30,29 @@ from knotgym.picture import (
     shown_strands,
 )
 
+from .plain_polygons import polygons
+
 Points = NDArray[np.float64]
+
+
+COMPILED = [
+    PictureConfig(),
+    PictureConfig(camera="perspective"),
+    PictureConfig(turn=0.7, zoom=2.5, width=1.3, size=256),
+    PictureConfig(camera="perspective", camera_height=0.1, size=64, zoom=5.0),
+    PictureConfig(supersampling=1, size=512),
+]
+
+
+@pytest.mark.parametrize("config", COMPILED)
+def test_compiled_polygons_are_those_of_plain_arithmetic_bit_for_bit(config: PictureConfig) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(40):
+        waves = rng.normal(size=(3, 5)) / np.arange(1, 6)
+        at = 2 * np.pi * np.arange(100)[:, None] / 100 * np.arange(1, 6)
+        rope = 0.1 * (np.cos(at + rng.uniform(0, 6, 5)) @ waves.T) * [rng.choice([1.0, 0.01]), 1.0, rng.choice([0.2, 2.0])]
+        for ours, plain in zip(_polygons(rope, config), polygons(rope, config), strict=True):
+            assert ours.dtype == plain.dtype and np.array_equal(ours, plain)
 
 
 @pytest.fixture(scope="session")

@@ -167,6 +167,9 @@ def _file_faults(reader: EpisodeReader, rope: Rope) -> list[str]:
     faults = []
     if reader.rope != rope.config.fingerprint:
         faults.append(f"{reader.path}: made with rope model {reader.rope}, this version has {rope.config.fingerprint}")
+    there = {int(name.removeprefix("episode_")): int(group.attrs["total_steps"]) for name, group in reader.file.items()}
+    if "index" in reader.file.attrs and {int(row): int(steps) for row, steps in reader.file.attrs["index"]} != there:
+        faults.append(f"{reader.path}: its index isn't that of its episodes")
     if sorted(reader.rows) != list(range(len(reader.file))):
         faults.append(f"{reader.path}: episodes aren't numbered from 0 to {len(reader.file) - 1}, as Minari counts them")
     beside = reader.path.with_name("metadata.json")

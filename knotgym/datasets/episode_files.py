@@ -48,6 +48,7 @@ class EpisodeWriter:
         self.stored = "none" if compact else task.observation
         self._stack = ExitStack()
         self._next = 0
+        self._index: list[tuple[int, int]] = []
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
@@ -56,6 +57,8 @@ class EpisodeWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if error is None:
+            _write_index(self._file, self._index)
         self._stack.__exit__(kind, error, trace)
 
     def add(self, episode: Episode, number: int | None = None) -> None:
@@ -67,6 +70,7 @@ class EpisodeWriter:
         """
         number = self._next if number is None else number
         self._next = number + 1
+        self._index.append((number, len(episode)))
         group = self._file.create_group(f"episode_{number}")
         written = {"id": number, "number": number, "total_steps": len(episode), "digest": episode.digest(), **episode.labels()}
         options = {f"options/{name}": row for name, row in written.pop("options").items()}
@@ -127,6 +131,7 @@ def merge(
             _copy(reader.group(i), file.create_group(f"episode_{number}"), number, keep=store == first.stored)
             if store != first.stored:
                 _observe(file[f"episode_{number}"], task, store)
+        _write_index(file, [(number, int(reader.lengths[i])) for number, (_, reader, i) in enumerate(order)])
     for reader in readers:
         reader.close()
 
@@ -142,6 +147,11 @@ def _attributes(task: TaskConfig, stored: str) -> dict[str, Any]:
         "stored": stored,
         "versions": json.dumps({"knotgym": knotgym.__version__, "mujoco": version("mujoco")}),
     }
+
+
+def _write_index(file: h5py.File, index: list[tuple[int, int]]) -> None:
+    """Say which episodes there are and how long each is, so that a file of many opens without looking into every one."""
+    file.attrs["index"] = np.array(sorted(index), dtype=np.int32).reshape(-1, 2)
 
 
 def _created(path: Path, attributes: dict[str, Any]) -> h5py.File:

@@ -1,6 +1,7 @@
 """Reading episode files: whole episodes or single frames, in any process.
 
-    /                   attributes: format, format_version, task (JSON), rope, stored, versions (JSON), card (JSON, in datasets)
+    /                   attributes: format, format_version, task (JSON), rope, stored, versions (JSON), card (JSON, in datasets);
+                        index, int32 (n, 2): the k and T of each episode, in order of k (missing in files made before there was one)
     /episode_{k}        attributes: id, number, total_steps, policy, goal_gauss_code, relabelled, hold, digest, seed, options/start, options/goal
         actions rewards terminations truncations infos/*            what Minari reads
         observations    pixels and state, one of them, or none      what Minari reads; redrawn from `rope/points`, they are the same bytes
@@ -75,9 +76,13 @@ class EpisodeReader:
         self.stored = str(attributes["stored"])
         self.rope = str(attributes["rope"])
         self.versions: dict[str, str] = json.loads(attributes["versions"])
-        present = sorted(int(name.removeprefix("episode_")) for name in self.file)
-        self.rows: list[int] = [int(row) for row in source.episode_indices] if hasattr(source, "episode_indices") else present
-        self.lengths: NDArray[np.int64] = np.array([self.group(i).attrs["total_steps"] for i in range(len(self.rows))], dtype=np.int64)
+        if "index" in attributes:
+            index = {int(row): int(steps) for row, steps in attributes["index"]}
+        else:
+            present = sorted(int(name.removeprefix("episode_")) for name in self.file)
+            index = {row: int(self.file[f"episode_{row}"].attrs["total_steps"]) for row in present}
+        self.rows: list[int] = [int(row) for row in source.episode_indices] if hasattr(source, "episode_indices") else list(index)
+        self.lengths: NDArray[np.int64] = np.array([index[row] for row in self.rows], dtype=np.int64)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_opened": None}

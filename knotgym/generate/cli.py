@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -32,6 +33,7 @@ Resume = Annotated[bool, typer.Option("--resume", help="Finish an interrupted ru
 
 _USAGE: Any = typer.BadParameter.__mro__[2]  # ClickException, be it Click's own or the copy inside typer
 _FAILED, _MISTAKEN, _INTERRUPTED = 1, 2, 130
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _STOPPED = "interrupted; nothing half-written is left, --resume goes on from the last cycle"
 
 
@@ -146,7 +148,8 @@ def main_generate(arguments: Sequence[str] | None = None) -> None:
 def _run(command: typer.Typer, arguments: Sequence[str] | None) -> None:
     from knotgym.generate.job import NotEnough
 
-    signal.signal(signal.SIGTERM, _interrupt)
+    for number in _SIGNALS:
+        signal.signal(number, _interrupt)
     try:
         result = command(args=arguments, standalone_mode=False)
         status = result if isinstance(result, int) else 0
@@ -161,17 +164,35 @@ def _run(command: typer.Typer, arguments: Sequence[str] | None) -> None:
     except BrokenExecutor:
         status = _say("a worker died, perhaps for want of memory; --resume goes on from the last cycle", _FAILED)
     except OSError as error:
-        status = _say(f"{error.strerror or error} {error.filename or ''}", _FAILED)
+        status = _say(_trouble(error), _FAILED)
     except (KeyboardInterrupt, typer.Abort):
         status = _say(_STOPPED, _INTERRUPTED)
     sys.exit(status)
 
 
 def _interrupt(number: int, frame: object) -> None:
+    for one in _SIGNALS:
+        signal.signal(one, _end)
     raise KeyboardInterrupt
+
+
+def _end(number: int, frame: object) -> None:
+    """Asked to stop again while clearing up: leave at once. What is half-written has no final name, and workers end with their parent."""
+    shown = "\x1b[?25h" if sys.stderr.isatty() else ""  # a live table had hidden the cursor
+    os.write(2, f"{shown}knotgym: {_STOPPED}\n".encode())
+    os._exit(_INTERRUPTED)
+
+
+def _trouble(error: OSError) -> str:
+    """What the system says, without what a library adds to it."""
+    said = os.strerror(error.errno) if error.errno else str(error)
+    return f"{said} {error.filename or ''}"
 
 
 def _say(text: str, status: int) -> int:
     """One line on standard error."""
+    if status == _INTERRUPTED:
+        for number in _SIGNALS:
+            signal.signal(number, signal.SIG_IGN)  # it is the last
     print(f"knotgym: {' '.join(text.split())}", file=sys.stderr)
     return status

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from knotgym.crossings import Crossings, find_crossings
+from knotgym.datasets.files import sha256, whole
 from knotgym.datasets.images import encode, write_rows
 from knotgym.errors import KnotgymError
 from knotgym.gauss import GaussCode
@@ -45,21 +46,24 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class Shard:
-    """A file to be written."""
+    """A file to be written, and a file for its checksum, by which a later sitting knows that it is whole."""
 
     path: Path
+    seal: Path
     rows: tuple[Row, ...]
     appearance: AppearanceConfig
 
 
 def write_shard(shard: Shard) -> Path:
-    """Write a shard unless it is there already; it appears whole.
+    """Write a shard unless it is there already, unspoilt; it appears whole.
 
     Raises:
         Untrue: one of the two labellers reads another code than the row's.
     """
-    if not shard.path.is_file():
+    if not (shard.path.is_file() and shard.seal.is_file() and shard.seal.read_text() == sha256(shard.path)):
         write_rows(shard.path, [record(row, shard.appearance) for row in shard.rows])
+        with whole(shard.seal) as part:
+            part.write_text(sha256(shard.path))
     return shard.path
 
 

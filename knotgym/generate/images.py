@@ -15,6 +15,7 @@ from collections import Counter
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -318,7 +319,8 @@ def _draw(config: ImagesConfig, start: Bases, chooser: Chooser, walks: list[Fram
                 own = {"walk": walk[choice.frame], "pulls": pulls[choice.frame], "rounds": rounds[choice.frame]}
                 rows.append(Row(choice.points, choice.code, split, {**own, **moved, "family": family, "seed": config.seed, "row": number}))
                 number += 1
-            work.append(Shard(folder / shard_name(split, index, count), tuple(rows), config.appearance))
+            name = shard_name(split, index, count)
+            work.append(Shard(folder / name, folder.with_name("seals") / name, tuple(rows), config.appearance))
     written: list[Path] = []
     for path in pool.map(write_shard, work):
         written.append(path)
@@ -332,8 +334,10 @@ class _UnitFile(NamedTuple):
 
 
 def _stirred(work: _UnitFile) -> Path:
-    """Make a unit's walks and keep them in a file, unless it is there."""
-    if not work.path.is_file():
+    """Make a unit's walks and keep them in a file, unless it is there, unspoilt."""
+    try:
+        _load(work.path)  # the file has checksums
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
         frames = stir(work.unit)
         with whole(work.path) as part, open(part, "wb") as file:
             np.savez(file, **{**vars(frames), "dropped": np.array(json.dumps(frames.dropped))})

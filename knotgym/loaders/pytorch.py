@@ -23,14 +23,14 @@ class TransitionDataset(Dataset[dict[str, Any]]):
     def __getitem__(self, index: int) -> dict[str, Any]:
         row = _checked(index, len(self))
         segment, step = self.transitions.place(row)
-        seen = self.transitions.observations(segment, step, step + 2)
+        seen, own = self.transitions.observations(segment, step, step + 2), self.transitions.columns(segment)
         return {
             "observation": _tensor(_at(seen, 0)),
-            "action": torch.from_numpy(self.transitions.actions[row].copy()),
-            "reward": torch.tensor(self.transitions.rewards[row], dtype=torch.float32),
+            "action": torch.from_numpy(own.actions[step].copy()),
+            "reward": torch.tensor(own.rewards[step], dtype=torch.float32),
             "next_observation": _tensor(_at(seen, 1)),
-            "terminal": torch.tensor(bool(self.transitions.terminals[row])),
-            "timeout": torch.tensor(bool(self.transitions.timeouts[row])),
+            "terminal": torch.tensor(bool(own.terminals[step])),
+            "timeout": torch.tensor(bool(own.timeouts[step])),
         }
 
 
@@ -45,13 +45,13 @@ class EpisodeDataset(Dataset[dict[str, Any]]):
 
     def __getitem__(self, index: int) -> dict[str, Any]:
         segment = _checked(index, len(self))
-        part = slice(*self.transitions.starts[segment : segment + 2])
+        own = self.transitions.columns(segment)
         return {
             "observations": _tensor(self.transitions.observations(segment)),
-            "actions": torch.from_numpy(self.transitions.actions[part].copy()),
-            "rewards": torch.from_numpy(self.transitions.rewards[part].astype(np.float32)),
-            "terminals": torch.from_numpy(self.transitions.terminals[part].copy()),
-            "timeouts": torch.from_numpy(self.transitions.timeouts[part].copy()),
+            "actions": torch.from_numpy(own.actions.copy()),
+            "rewards": torch.from_numpy(own.rewards.astype(np.float32)),
+            "terminals": torch.from_numpy(own.terminals.copy()),
+            "timeouts": torch.from_numpy(own.timeouts.copy()),
         }
 
 
@@ -60,15 +60,14 @@ class FrameDataset(Dataset[dict[str, Any]]):
 
     def __init__(self, transitions: Transitions) -> None:
         self.transitions = transitions
-        self._codes = np.array([code for segment in range(transitions.segments) for code in transitions.codes(segment)])
 
     def __len__(self) -> int:
-        return len(self._codes)
+        return len(self.transitions) + self.transitions.segments
 
     def __getitem__(self, index: int) -> dict[str, Any]:
         frame = _checked(index, len(self))
         segment, step = self.transitions.frame_place(frame)
-        code = str(self._codes[frame])
+        code = self.transitions.codes(segment)[step]
         return {
             "observation": _tensor(_at(self.transitions.observations(segment, step, step + 1), 0)),
             "gauss_code": code,

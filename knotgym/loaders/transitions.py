@@ -1,11 +1,12 @@
-"""A dataset as one long row of transitions: the small columns in memory, observations read or drawn when asked for.
+"""A dataset as one long row of transitions: small columns kept once they are read, observations read or drawn when asked for.
 
 Segments lie one after another: an episode as it was, or, with hindsight, the part of one that leads to a code it reached.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +15,20 @@ from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episodes import goal_steps
 
 
+_KEPT = 256  # segments whose codes are kept
+
+
+class Columns(NamedTuple):
+    """What is small of the T transitions of a segment: float32 (T, 6), float64 (T,), bool (T,), bool (T,)."""
+
+    actions: NDArray[np.float32]
+    rewards: NDArray[np.float64]
+    terminals: NDArray[np.bool_]
+    timeouts: NDArray[np.bool_]
+
+
 class Transitions:
-    """N transitions in S segments; pickles, and reads from any process.
+    """N transitions in S segments; pickles, and reads from any process. A million open at once: columns are read when needed.
 
     Attributes:
         episode: int64 (S,), index in the dataset of the episode that a segment is of.
@@ -27,7 +40,7 @@ class Transitions:
     """
 
     def __init__(self, dataset: Any, *, observation: str | None = None, picture: Any = None, relabel: str | None = None) -> None:
-        """Read the small columns.
+        """Find the segments.
 
         Args:
             dataset: a Minari dataset's id or folder or `minari.MinariDataset`, or an episode file, compact or not.
@@ -38,23 +51,52 @@ class Transitions:
         """
         self._reader = EpisodeReader(dataset)
         self._seen: dict[str, Any] = {"observation": observation or "", "picture": picture}
-        task = self._reader.task
-        parts: list[tuple[int, int]] = []
-        columns: list[list[NDArray[Any]]] = []
-        for index in range(len(self._reader)):
-            own = [self._reader.column(index, name) for name in ("actions", "rewards", "terminations", "truncations")]
-            if relabel is None:
-                parts.append((index, -1))
-                columns.append(own)
-                continue
-            for goal in goal_steps(self._reader.column(index, "gauss_code"), relabel, task.hold):
-                end = np.arange(goal) == goal - 1
-                parts.append((index, goal))
-                columns.append([own[0][:goal], np.where(end, task.success_reward, 0.0), end, np.zeros(goal, dtype=bool)])
+        self._relabelled = relabel is not None
+        self._read: dict[int, Columns] = {}
+        self._codes: dict[int, list[str]] = {}
+        if relabel is None:
+            parts = [(index, -1) for index in range(len(self._reader))]
+            lengths = self._reader.lengths.tolist()
+        else:
+            hold = self._reader.task.hold
+            parts = [(k, goal) for k in range(len(self._reader)) for goal in goal_steps(self._reader.column(k, "gauss_code"), relabel, hold)]
+            lengths = [goal for _, goal in parts]
         self.episode, self.goal_step = np.array(parts, dtype=np.int64).reshape(-1, 2).T
-        self.starts: NDArray[np.int64] = np.cumsum([0, *(len(part[0]) for part in columns)])
-        empty = [np.empty((0, 6), np.float32), np.empty(0), np.empty(0, bool), np.empty(0, bool)]
-        self.actions, self.rewards, self.terminals, self.timeouts = (np.concatenate(parts) for parts in zip(empty, *columns, strict=True))
+        self.starts: NDArray[np.int64] = np.cumsum([0, *lengths])
+
+    @cached_property
+    def actions(self) -> NDArray[np.float32]:
+        """All of them."""
+        return self._all(0, np.empty((0, 6), np.float32))
+
+    @cached_property
+    def rewards(self) -> NDArray[np.float64]:
+        """All of them."""
+        return self._all(1, np.empty(0))
+
+    @cached_property
+    def terminals(self) -> NDArray[np.bool_]:
+        """All of them."""
+        return self._all(2, np.empty(0, bool))
+
+    @cached_property
+    def timeouts(self) -> NDArray[np.bool_]:
+        """All of them."""
+        return self._all(3, np.empty(0, bool))
+
+    def columns(self, segment: int) -> Columns:
+        """The small columns of a segment of T transitions, read when first asked for and then kept."""
+        if segment not in self._read:
+            index, goal = int(self.episode[segment]), int(self.goal_step[segment])
+            own = [self._reader.column(index, name) for name in ("actions", "rewards", "terminations", "truncations")]
+            if self._relabelled:
+                end = np.arange(goal) == goal - 1
+                own = [own[0][:goal], np.where(end, self._reader.task.success_reward, 0.0), end, np.zeros(goal, dtype=bool)]
+            self._read[segment] = Columns(*own)
+        return self._read[segment]
+
+    def _all(self, column: int, empty: NDArray[Any]) -> NDArray[Any]:
+        return np.concatenate([empty, *(self.columns(segment)[column] for segment in range(self.segments))])
 
     def __len__(self) -> int:
         """N, the transitions."""
@@ -88,6 +130,10 @@ class Transitions:
         return self._reader.observations(int(self.episode[segment]), steps, goal_step=None if goal < 0 else goal, **self._seen)
 
     def codes(self, segment: int) -> list[str]:
-        """The Gauss codes of a segment's T + 1 states."""
-        codes: list[str] = self._reader.column(int(self.episode[segment]), "gauss_code").tolist()
-        return codes[: int(self.starts[segment + 1] - self.starts[segment]) + 1]
+        """The Gauss codes of a segment's T + 1 states; those of the segments asked for last are kept."""
+        if segment not in self._codes:
+            if len(self._codes) == _KEPT:
+                del self._codes[next(iter(self._codes))]
+            codes = self._reader.column(int(self.episode[segment]), "gauss_code").tolist()
+            self._codes[segment] = codes[: int(self.starts[segment + 1] - self.starts[segment]) + 1]
+        return self._codes[segment]

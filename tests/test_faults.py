@@ -1,0 +1,208 @@
+"""What can go wrong while a run writes: each goes on or says in one line what happened, and --resume completes to the same bytes.
+
+Kills of the main job and of a collection are in test_main_job and test_collect, those of a cluster's workers in test_engines.
+"""
+
+import contextlib
+import importlib.util
+import os
+import resource
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from .small_job import knotgym, typed
+from .test_main_job import SECONDS, WANTED, begun, bytes_of, held, said
+
+with_arrow = pytest.mark.skipif(importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed")
+
+# command, words, the folder below --out, the files whose bytes are compared
+GENERATE = ("generate", *WANTED)
+COLLECT = ("collect", "--task", "unknot", "--nx", 1, "--policy", "random", "--horizon", 10, "--episodes", 16)
+IMAGES = ("images", "--nx", "0,1", "--count", 40)
+COMMANDS = [pytest.param(GENERATE, id="generate"), pytest.param(COLLECT, id="collect"), pytest.param(IMAGES, id="images", marks=with_arrow)]
+RESUMED = "goes on from the last cycle"
+
+
+def made(folder: Path) -> dict[str, str]:
+    """SHA-256 of every finished file but the report of a collection, which tells how long planning took."""
+    return {name: digest for name, digest in bytes_of(folder).items() if ".partial/" not in name and not name.endswith("collection.json")}
+
+
+@pytest.fixture(scope="module")
+def unbroken(tmp_path_factory: pytest.TempPathFactory, curated: Path) -> dict[str, dict[str, str]]:
+    """What each command leaves when nothing goes wrong."""
+    out = {"generate": made(curated)}
+    for command, *words in (COLLECT, *([IMAGES] if importlib.util.find_spec("pyarrow") else [])):
+        folder = tmp_path_factory.mktemp("unbroken") / "a"
+        assert knotgym(command, *words, "--workers", 1, "--quiet", "--out", folder) == 0
+        out[str(command)] = made(folder)
+    return out
+
+
+@contextlib.contextmanager
+def mounted(folder: Path, megabytes: float) -> Iterator[None]:
+    """A small disk of its own at a folder; skips where this user may not mount one."""
+    folder.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={int(1024 * megabytes)}k", "tmpfs", str(folder)], capture_output=True).returncode:
+        pytest.skip("no disk can be mounted here")
+    try:
+        yield
+    finally:
+        subprocess.run(["umount", "-l", str(folder)], check=True)
+
+
+def remounted(folder: Path, options: str) -> None:
+    subprocess.run(["mount", "-o", f"remount,{options}", str(folder)], check=True)
+
+
+def run(*words: object, **options: object) -> "subprocess.CompletedProcess[str]":
+    """A command in a process of its own."""
+    return subprocess.run(typed(*words), capture_output=True, text=True, timeout=4 * SECONDS, **options)  # type: ignore[call-overload]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_full_disk_is_one_line_and_room_makes_it_go_on(command: tuple[object, ...], unbroken: dict[str, dict[str, str]], tmp_path: Path) -> None:
+    disk = tmp_path / "disk"
+    with mounted(disk, 0.25):
+        out = disk / "a"
+        full = run(*command, "--workers", 1, "--quiet", "--out", out)
+        assert full.returncode == 1 and full.stderr.startswith("knotgym: No space left on device") and full.stderr.count("\n") == 1
+        assert [
+            path for path in disk.rglob("*") if path.is_dir() and (path / "data").is_dir() and not any(".partial" in part for part in path.parts)
+        ] == []
+        remounted(disk, "size=128m")
+        assert run(*command, "--workers", 1, "--quiet", "--out", out, "--resume").returncode == 0
+        assert made(out) == unbroken[str(command[0])]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_limit_on_files_is_one_line(
+    command: tuple[object, ...], unbroken: dict[str, dict[str, str]], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
+    try:
+        assert knotgym(*command, "--workers", 1, "--quiet", "--out", tmp_path / "a") == 1
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    (line,) = said(capfd)
+    assert line.startswith("knotgym: File too large") and made(tmp_path / "a") == {}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_read_only_target_is_one_line(command: tuple[object, ...], tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    with mounted(tmp_path / "disk", 8):
+        remounted(tmp_path / "disk", "ro")
+        assert knotgym(*command, "--workers", 1, "--quiet", "--out", tmp_path / "disk" / "a") == 1
+    (line,) = said(capfd)
+    assert line.startswith("knotgym: Read-only file system")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_second_run_is_refused_and_a_stale_lock_is_not_in_the_way(
+    command: tuple[object, ...], unbroken: dict[str, dict[str, str]], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    name = "random-v0" if command[0] == "collect" else "a"
+    room = tmp_path / "a" / "knotgym" / "unknot-nx1" if command[0] == "collect" else tmp_path
+    room.mkdir(parents=True, exist_ok=True)
+    with held(room / f".{name}.partial"):
+        assert knotgym(*command, "--workers", 1, "--quiet", "--out", tmp_path / "a") == 2
+    assert said(capfd) == [f"knotgym: another run is writing {name} now"]
+    assert (room / f".{name}.partial" / "lock").is_file()  # left by a process that is gone
+    assert knotgym(*command, "--workers", 1, "--quiet", "--out", tmp_path / "a") == 0
+    assert made(tmp_path / "a") == unbroken[str(command[0])]
+
+
+def children(process: int) -> list[int]:
+    """The processes that descend from one, the youngest last."""
+    own = [int(word) for word in Path(f"/proc/{process}/task/{process}/children").read_text().split()]
+    return own + [below for child in own for below in children(child)]
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc")
+def test_a_worker_that_dies_is_one_line_and_the_rest_is_kept(unbroken: dict[str, dict[str, str]], tmp_path: Path) -> None:
+    words = typed(*COLLECT, "--workers", 2, "--quiet", "--out", tmp_path / "a")
+    broken = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    until = time.monotonic() + SECONDS
+    while not list(tmp_path.rglob("shard-*.json")) and broken.poll() is None and time.monotonic() < until:
+        time.sleep(0.005)
+    os.kill(children(broken.pid)[-1], signal.SIGKILL)
+    error = broken.communicate(timeout=SECONDS)[1]
+    assert broken.returncode == 1 and error == f"knotgym: a worker died, perhaps for want of memory; --resume {RESUMED}\n"
+    assert knotgym(*COLLECT, "--workers", 1, "--quiet", "--out", tmp_path / "a", "--resume") == 0
+    assert made(tmp_path / "a") == unbroken["collect"]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_asked_to_stop_twice_it_says_so_once(command: tuple[object, ...], tmp_path: Path) -> None:
+    words = typed(*command, "--workers", 2, "--quiet", "--out", tmp_path / "a")
+    stopped = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    until = time.monotonic() + SECONDS
+    while not list(tmp_path.rglob("lock")) and stopped.poll() is None and time.monotonic() < until:
+        time.sleep(0.005)
+    for _ in range(2):
+        os.killpg(stopped.pid, signal.SIGINT)
+        time.sleep(0.01)
+    error = stopped.communicate(timeout=SECONDS)[1]
+    assert stopped.returncode == 130 and error == f"knotgym: interrupted; nothing half-written is left, --resume {RESUMED}\n"
+
+
+def test_a_spoilt_checkpoint_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    going = begun(tmp_path / "a", "--workers", 1, saved=True)
+    going.kill()
+    going.communicate()
+    saved = tmp_path / ".a.partial" / "job.pickle"
+    saved.write_bytes(saved.read_bytes()[:-1000])
+    assert knotgym("generate", *WANTED, "--workers", 1, "--out", tmp_path / "a", "--resume") == 2
+    (line,) = said(capfd)
+    assert line == f"knotgym: {saved} can't be read, the disk has spoilt it; start without --resume"
+
+
+def spoil(path: Path) -> None:
+    """Change a byte in the middle of a file."""
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 255
+    path.write_bytes(data)
+
+
+def interrupted(command: tuple[object, ...], out: Path, sign: str, count: int) -> None:
+    """Kill a run once `count` files of this name are there."""
+    going = subprocess.Popen(typed(*command, "--workers", 1, "--quiet", "--out", out))
+    until = time.monotonic() + SECONDS
+    while len(list(out.parent.rglob(sign))) < count and going.poll() is None and time.monotonic() < until:
+        time.sleep(0.005)
+    assert going.poll() is None
+    going.kill()
+    going.wait()
+
+
+def test_spoilt_shards_of_a_collection_are_made_anew(unbroken: dict[str, dict[str, str]], tmp_path: Path) -> None:
+    interrupted(COLLECT, tmp_path / "a", "shard-*.json", 2)
+    first, second = (next(tmp_path.rglob(f"shard-00000{k}.{kind}")) for k, kind in ((0, "h5"), (1, "json")))
+    spoil(first)
+    second.write_text("{")
+    assert knotgym(*COLLECT, "--workers", 1, "--quiet", "--out", tmp_path / "a", "--resume") == 0
+    assert made(tmp_path / "a") == unbroken["collect"]
+
+
+@with_arrow
+def test_spoilt_walks_and_shards_of_pictures_are_made_anew(
+    unbroken: dict[str, dict[str, str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from knotgym.generate import images
+
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(images, "finish", killed)
+        assert knotgym(*IMAGES, "--workers", 1, "--quiet", "--out", tmp_path / "a") == 130
+    spoil(next(tmp_path.rglob("*.npz")))
+    spoil(next(tmp_path.rglob("*.parquet")))
+    assert knotgym(*IMAGES, "--workers", 1, "--quiet", "--out", tmp_path / "a", "--resume") == 0
+    assert made(tmp_path / "a") == unbroken["images"] and [path.name for path in tmp_path.iterdir()] == ["a"]
