@@ -1,6 +1,6 @@
 """How fast a perception table is read: pictures per second through torch's DataLoader.
 
-    python benchmarks/images.py FOLDER [--workers 2] [--batch 64]
+python benchmarks/images.py FOLDER [--workers 2] [--batch 64]
 """
 
 import argparse
