@@ -1,6 +1,6 @@
 """Read the Gauss code off a published picture without learning anything: trace the hue along the rope.
 
-    python examples/perception/trace.py FOLDER [--split test] [--count 500]
+    python examples/perception/trace.py FOLDER [--split test] [--count 500] [--page misread.png]
 
 A published rope says by its colour where along itself a pixel lies: the colours of beads 1 to 99 go once round a circle. On a black
 background a pixel that one strand covers in part has that strand's hue, only darker. So each pixel whose colour is that of one
@@ -13,8 +13,11 @@ It needs the published colours and nothing else; it fails where strands run alon
 
 import argparse
 from collections import Counter
+from pathlib import Path
 
+import cv2
 import numpy as np
+from misread import Misread, page
 from numpy.typing import NDArray
 
 from knotgym.crossings import find_crossings
@@ -49,9 +52,17 @@ def read(image: NDArray[np.uint8]) -> GaussCode | None:
     bright = np.linalg.norm(seen, axis=1)
     likeness = (seen / bright[:, None]) @ UNIT.T
     best = likeness.argmax(axis=1)
-    white = (seen.min(axis=1) > 0.75 * seen.max(axis=1)) & (seen.max(axis=1) > 60)
-    pure = (likeness.max(axis=1) > 0.997) & ~white
-    axis = follow(at[pure], PLACE[best[pure]], np.minimum(bright[pure], 255.0), at[white], bright[white])
+    grey = (seen.min(axis=1) > 0.75 * seen.max(axis=1)) & (seen.max(axis=1) > 60)
+    pure = (likeness.max(axis=1) > 0.997) & ~grey
+    # the base bead: near its hue's place the least of the three channels says how white a pixel is. Where strands of opposite hues cross
+    # there are grey pixels too, but not so many.
+    whiteness = image.min(axis=2).astype(np.float64)
+    top = np.unravel_index(cv2.blur(whiteness, (3, 3)).argmax(), whiteness.shape)
+    white = np.where(np.hypot(at[:, 1] - top[0] - 0.5, at[:, 0] - top[1] - 0.5) < 2.5, whiteness[rows, columns], 0.0)
+    if not white.any():
+        return None
+    base = np.average(at, axis=0, weights=white)
+    axis = follow(at[pure], PLACE[best[pure]], np.minimum(bright[pure], 255.0) / 255, base, white.sum() / 255)
     if axis is None:
         return None
     flat = np.column_stack([axis[:, 0], -axis[:, 1], np.zeros(len(axis))])
@@ -68,29 +79,22 @@ def read(image: NDArray[np.uint8]) -> GaussCode | None:
     return find_crossings(np.column_stack([flat[:, :2], height])).code
 
 
-def follow(at: Array, place: Array, weight: Array, white: Array, bright: Array) -> Array | None:
-    """The axis, float64 (2 BEADS, 2), half a bead apart from the start of the base bead, from pixels and their places."""
-    knots = np.arange(0.5, BEADS + 0.5, 0.5) - 0.5  # the middle of bead i is knot 2 i
-    points, weights = np.zeros((len(knots), 2)), np.zeros(len(knots))
-    last = None
-    for k, knot in enumerate(knots):
-        if 1.0 <= knot <= BEADS - 1:
-            near = np.abs(place - knot) <= 0.5
-            if near.sum() == 0:
-                continue
-            own, mass = at[near], weight[near]
-            if last is not None:  # of two blobs of one hue (a blend of two other strands) the one next to the last
-                close = np.linalg.norm(own - points[last], axis=1) < 2.2 + 1.6 * (k - last)
-                if not close.any():
-                    continue
-                own, mass = own[close], mass[close]
-            points[k], weights[k] = (own * mass[:, None]).sum(axis=0) / mass.sum(), mass.sum() / 255
-            last = k
-    if len(white):
-        points[0], weights[0] = (white * bright[:, None]).sum(axis=0) / bright.sum(), bright.sum() / 255
-    if (weights > 0).sum() < len(knots) / 2:
+def follow(at: Array, place: Array, weight: Array, base: Array, base_weight: float) -> Array | None:
+    """The axis, float64 (2 BEADS, 2), half a bead apart from the middle of the base bead on, from pixels, their places and weights."""
+    count = 2 * BEADS
+    points, weights = np.zeros((count, 2)), np.zeros(count)
+    points[0], weights[0] = base, base_weight
+    for way in (1, -1):  # from the base bead, which is sure, to the far side
+        last = 0
+        for k in range(2, BEADS + 1):
+            near = np.abs(place - way * k / 2 % BEADS) <= 0.5
+            # of two blobs of one hue, one may be a blend of two other strands: the one that follows on is meant
+            near &= np.linalg.norm(at - points[way * last], axis=1) < 2.2 + 1.6 * (k - last)
+            if near.any():
+                points[way * k], weights[way * k], last = np.average(at[near], axis=0, weights=weight[near]), weight[near].sum(), k
+    if (weights > 0).sum() < count / 2:
         return None
-    bend = np.roll(np.eye(len(knots)), 1, axis=0) + np.roll(np.eye(len(knots)), -1, axis=0) - 2 * np.eye(len(knots))
+    bend = np.roll(np.eye(count), 1, axis=0) + np.roll(np.eye(count), -1, axis=0) - 2 * np.eye(count)
     return np.asarray(np.linalg.solve(np.diag(weights) + STIFF * bend.T @ bend, weights[:, None] * points))
 
 
@@ -117,27 +121,30 @@ def main() -> None:
     parser.add_argument("folder")
     parser.add_argument("--split")
     parser.add_argument("--count", type=int, default=10**9)
+    parser.add_argument("--page", type=Path, help="draw the misread pictures that were accepted here")
     given = parser.parse_args()
     right: Counter[tuple[str, object]] = Counter()
     tried: Counter[tuple[str, object]] = Counter()
-    missed = []
+    missed: list[Misread] = []
     for number, row in enumerate(read_rows(given.folder, given.split, ["image", "gauss_code", "nx", "grade", "accepted", "appearance", "source"])):
         if number >= given.count:
             break
         if row["appearance"]["colours"] != "published" or any(row["appearance"]["background"]):
             continue
-        code = read(decode(row["image"]))
+        image = decode(row["image"])
+        code = read(image)
         good = code is not None and str(code) == row["gauss_code"]
         keys = [("all", ""), ("nx", row["nx"]), ("grade", row["grade"]), ("accepted" if row["accepted"] else "not accepted", "")]
         for key in keys:
             tried[key] += 1
             right[key] += good
         if row["accepted"] and not good:
-            missed.append((row["source"]["row"], row["gauss_code"], "lost" if code is None else str(code)))
+            missed.append((image, row["gauss_code"], "lost" if code is None else str(code)))
+            print(f"accepted, misread: row {row['source']['row']}, {row['gauss_code']} read as {missed[-1][2]}")
     for key in sorted(tried, key=str):
         print(f"{' '.join(map(str, key)):16} {right[key]:5} of {tried[key]:5} {100 * right[key] / tried[key]:6.2f} %")
-    for one in missed:
-        print("accepted, misread: row {}, {} read as {}".format(*one))
+    if given.page:
+        page(missed, given.page)
 
 
 if __name__ == "__main__":
