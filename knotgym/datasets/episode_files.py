@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, replace
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from types import TracebackType
@@ -23,7 +24,7 @@ from numpy.typing import NDArray
 import knotgym
 from knotgym.datasets.episode_reader import FORMAT, FORMAT_VERSION, STORED, EpisodeReader, InvalidEpisodeFile, place
 from knotgym.datasets.episodes import Episode
-from knotgym.datasets.files import whole
+from knotgym.datasets.files import new_hdf5, whole
 from knotgym.tasks import TaskConfig
 
 _STRIP_FRAMES = 4
@@ -57,9 +58,10 @@ class EpisodeWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        if error is None:
+        with self._stack:
+            if error is not None:
+                raise error
             _write_index(self._file, self._index)
-        self._stack.__exit__(kind, error, trace)
 
     def add(self, episode: Episode, number: int | None = None) -> None:
         """Write an episode.
@@ -145,8 +147,14 @@ def _attributes(task: TaskConfig, stored: str) -> dict[str, Any]:
         "task": json.dumps(asdict(task), sort_keys=True),
         "rope": RopeConfig().fingerprint,
         "stored": stored,
-        "versions": json.dumps({"knotgym": knotgym.__version__, "mujoco": version("mujoco")}),
+        "versions": json.dumps({"knotgym": knotgym.__version__, "mujoco": _mujoco()}),
     }
+
+
+@cache
+def _mujoco() -> str:
+    """MuJoCo's version, looked up once: it takes as long as ten pictures."""
+    return version("mujoco")
 
 
 def _write_index(file: h5py.File, index: list[tuple[int, int]]) -> None:
@@ -154,10 +162,11 @@ def _write_index(file: h5py.File, index: list[tuple[int, int]]) -> None:
     file.attrs["index"] = np.array(sorted(index), dtype=np.int32).reshape(-1, 2)
 
 
-def _created(path: Path, attributes: dict[str, Any]) -> h5py.File:
-    file = h5py.File(path, "w", libver=("v110", "v110"))
-    file.attrs.update(attributes)
-    return file
+@contextmanager
+def _created(path: Path, attributes: dict[str, Any]) -> Iterator[h5py.File]:
+    with new_hdf5(path, libver=("v110", "v110")) as file:
+        file.attrs.update(attributes)
+        yield file
 
 
 def _observe(group: h5py.Group, task: TaskConfig, stored: str) -> None:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import os
 import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+
+import h5py
 
 
 @contextmanager
@@ -30,6 +34,69 @@ def whole(path: str | os.PathLike[str]) -> Iterator[Path]:
         part.replace(target)
     finally:
         shutil.rmtree(room, ignore_errors=True)
+
+
+@contextmanager
+def new_hdf5(path: str | os.PathLike[str], **options: Any) -> Iterator[h5py.File]:
+    """Yield a new HDF5 file; `options` as of h5py.File.
+
+    HDF5 can't fail to write: on a full disk it neither closes the file nor stays in one piece. So it never hears of that; what
+    there is no room for goes nowhere, and the trouble is raised here once the file is closed.
+    """
+    with open(path, "w+b", buffering=0) as target:
+        sink = _Sink(target)
+        try:
+            with h5py.File(sink, "w", **options) as file:
+                yield file
+        finally:
+            if sink.trouble is not None:
+                raise OSError(sink.trouble.errno, sink.trouble.strerror, str(path)) from sink.trouble
+
+
+class _Sink:
+    """A file as h5py wants it, whose writing never fails; the first trouble is kept."""
+
+    def __init__(self, file: io.FileIO) -> None:
+        self._file, self._at = file, 0
+        self.trouble: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        view = memoryview(data)
+        try:
+            done = 0
+            while self.trouble is None and done < len(view):
+                done += os.pwrite(self._file.fileno(), view[done:], self._at + done)
+        except OSError as error:
+            self.trouble = error
+        self._at += len(view)
+        return len(view)
+
+    def read(self, size: int) -> bytes:
+        out = bytearray(size)
+        self.readinto(out)
+        return bytes(out)
+
+    def readinto(self, buffer: Any) -> int:
+        view = memoryview(buffer)
+        found = os.pread(self._file.fileno(), len(view), self._at)
+        view[:] = found.ljust(len(view), b"\0")  # what went nowhere reads as nothing
+        self._at += len(view)
+        return len(view)
+
+    def seek(self, offset: int, whence: int = os.SEEK_SET) -> int:
+        self._at = offset + (0, self._at, os.fstat(self._file.fileno()).st_size)[whence]
+        return self._at
+
+    def tell(self) -> int:
+        return self._at
+
+    def truncate(self, size: int) -> int:
+        if self.trouble is None:
+            os.ftruncate(self._file.fileno(), size)
+        return size
+
+    def flush(self) -> None:
+        """Nothing is held back."""
 
 
 def sha256(path: str | os.PathLike[str]) -> str:

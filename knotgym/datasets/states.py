@@ -19,7 +19,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.datasets.files import whole
+from knotgym.datasets.files import new_hdf5, whole
 from knotgym.errors import KnotgymError
 
 FORMAT = "knotgym-states"
@@ -97,7 +97,7 @@ def write_states(path: str | os.PathLike[str], states: States) -> None:
     """Write a state file; it appears under its name whole or not at all."""
     if states.image is None:
         raise InvalidStates("a state file holds images; these states were read without")
-    with whole(path) as part, h5py.File(part, "w") as file:
+    with whole(path) as part, new_hdf5(part) as file:
         for name, value in {"format": FORMAT, "format_version": FORMAT_VERSION, **states.attributes}.items():
             file.attrs[name] = json.dumps(value) if isinstance(value, dict) else value
         for name in _COLUMNS:

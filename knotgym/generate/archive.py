@@ -17,7 +17,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from knotgym.datasets.files import whole
+from knotgym.datasets.files import new_hdf5, whole
 from knotgym.diagrams import chiralities
 from knotgym.errors import KnotgymError
 from knotgym.gauss import GaussCode
@@ -115,7 +115,7 @@ class Archive:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the archive; it appears whole or not at all."""
         elites = list(self._elites())
-        with whole(path) as part, h5py.File(part, "w") as file:
+        with whole(path) as part, new_hdf5(part) as file:
             file.attrs["format"], file.attrs["format_version"] = FORMAT, FORMAT_VERSION
             file["settings"] = json.dumps(self.settings)  # datasets: an attribute holds 64 kB at most
             file["growth"] = json.dumps(self.growth)

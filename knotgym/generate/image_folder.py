@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 
 import knotgym
-from knotgym.datasets.files import sha256, whole
+from knotgym.datasets.files import new_hdf5, sha256, whole
 from knotgym.datasets.images import GRADES, SPLITS, read_table
 from knotgym.generate.bases import Bases
 from knotgym.generate.stir import Frames
@@ -81,7 +81,7 @@ def join_walks(path: Path, sources: Sequence[Path]) -> None:
 
 def _write_walks(path: Path, columns: Mapping[str, np.ndarray]) -> None:
     squeezed = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
-    with whole(path) as part, h5py.File(part, "w") as file:
+    with whole(path) as part, new_hdf5(part) as file:
         file.attrs["format"], file.attrs["format_version"], file.attrs["rope"] = WALKS_FORMAT, WALKS_VERSION, RopeConfig().fingerprint
         for name, column in columns.items():
             file.create_dataset(name, data=column, **({} if name in ("number", "start") else squeezed))

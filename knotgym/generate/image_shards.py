@@ -60,7 +60,7 @@ def write_shard(shard: Shard) -> Path:
     Raises:
         Untrue: one of the two labellers reads another code than the row's.
     """
-    if not (shard.path.is_file() and shard.seal.is_file() and shard.seal.read_text() == sha256(shard.path)):
+    if not (shard.path.is_file() and shard.seal.is_file() and shard.seal.read_bytes() == sha256(shard.path).encode()):
         write_rows(shard.path, [record(row, shard.appearance) for row in shard.rows])
         with whole(shard.seal) as part:
             part.write_text(sha256(shard.path))
