@@ -1,12 +1,14 @@
 """Planning in the simulator: pulls that lead a rope from the very state it is in to a Gauss code.
 
 A pool of states met is kept by their codes. Copies of the rope set out from states whose codes are near the goal, as the atlas
-tells, each through one manoeuvre: one like those that made a change towards the goal before, or any. Every new code on the way
-joins the pool. MuJoCo repeats itself bit for bit from an integration state, so a plan that reaches the goal here reaches it.
+tells, each through one manoeuvre: the most promising of several that are sketched, some of them like those that made a change
+towards the goal before; or any. Every new code on the way joins the pool. MuJoCo repeats itself bit for bit from an integration
+state, so a plan that reaches the goal here reaches it.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,12 +19,16 @@ from knotgym.errors import KnotgymError
 from knotgym.gauss import GaussCode
 from knotgym.generate.atlas import Atlas, Distances, Step
 from knotgym.generate.manoeuvres import Hand, Manoeuvre, move_aside, pass_strand, propose, pull
+from knotgym.generate.sketch import sketched
 from knotgym.generate.transitions import Grip, Places
 from knotgym.rope import Array
 from knotgym.simulation import Simulation
 
 _STUCK = 24  # manoeuvres from one code
-_DRAWN = 3  # variations of a manoeuvre, of which the shortest is taken
+_TRUST = 3  # failures after which a promise counts half
+_SKETCHED = 10  # pulls of a sketch
+Tried = Counter[tuple[GaussCode, GaussCode]]  # code set out from, nearest code in a sketch -> manoeuvres chosen for it
+
 REST = "rest"  # the kind of a pull with no force, by which a code is held
 
 
@@ -37,7 +43,8 @@ class PlannerConfig:
     Attributes:
         budget: simulated actions for one episode at most, all its plans together.
         slots: copies of the rope led side by side.
-        guided: share of manoeuvres that are like one that made a change towards the goal; the others are any.
+        guided: share of manoeuvres that are chosen among `sketches`; the others are any.
+        sketches: manoeuvres sketched for each one chosen.
         longest: pulls of one manoeuvre.
         kept: states kept for a code.
         greed: how much likelier a state is to be set out from the nearer it is; 0 for not at all.
@@ -47,7 +54,8 @@ class PlannerConfig:
 
     budget: int = 20000
     slots: int = 8
-    guided: float = 0.7
+    guided: float = 0.8
+    sketches: int = 32
     longest: int = 10
     kept: int = 6
     greed: float = 2.0
@@ -55,7 +63,7 @@ class PlannerConfig:
     patience: float = 10.0
 
     def __post_init__(self) -> None:
-        for name in ("slots", "longest", "kept"):
+        for name in ("slots", "sketches", "longest", "kept"):
             if getattr(self, name) < 1:
                 raise InvalidPlanner(f"{name} must be at least 1, got {getattr(self, name)}")
         if self.budget < 0:
@@ -150,9 +158,9 @@ def plan(
 
 
 def guided(points: Array, atlas: Atlas, distances: Distances, rng: np.random.Generator) -> Manoeuvre:
-    """A manoeuvre like one that made a change towards the goal, or any where none is known."""
-    crossings = find_crossings(points)
-    return _like(points, atlas.steps(crossings.code, distances), Places(crossings, len(points)), rng)
+    """A manoeuvre that promises to lead towards the goal."""
+    code = find_crossings(points).code
+    return _foreseen(points, code, atlas.steps(code, distances), distances, rng, Counter(), PlannerConfig().sketches)
 
 
 def reason(before: GaussCode, after: GaussCode, kind: str) -> str:
@@ -198,7 +206,7 @@ class _Search:
         self.pool: dict[GaussCode, list[Node]] = {self.root.code: [self.root]}
         self.tries: dict[GaussCode, int] = {}
         self.towards: dict[GaussCode, list[Step]] = {}
-        self.attempts: dict[GaussCode, Array] = {}  # for each of these steps, manoeuvres meant to make it
+        self.promised: Tried = Counter()
         self.hand = Hand(simulation.count)
 
     def run(self, budget: int) -> Plan:
@@ -248,8 +256,7 @@ class _Search:
         if self.rng.random() < self.config.guided:
             if node.code not in self.towards:
                 self.towards[node.code] = self.atlas.steps(node.code, self.distances)
-            attempts = self.attempts.setdefault(node.code, np.zeros(len(self.towards[node.code])))
-            manoeuvre = _like(points, self.towards[node.code], Places(find_crossings(points), len(points)), self.rng, attempts)
+            manoeuvre = _foreseen(points, node.code, self.towards[node.code], self.distances, self.rng, self.promised, self.config.sketches)
         else:
             manoeuvre = propose(points, self.rng)
         self.hand.take(row, manoeuvre)
@@ -289,17 +296,29 @@ class _Search:
         return Node(self.simulation.states([row])[0], node.code, node.pulls + len(still), node, REST, still), len(still)
 
 
-def _like(points: Array, steps: list[Step], places: Places, rng: np.random.Generator, attempts: Array | None = None) -> Manoeuvre:
-    """A manoeuvre held as one that made one of these changes, rather one seldom attempted so far; counts itself among the attempts."""
-    if not steps:
-        return propose(points, rng)
-    weights = np.array([step.chance * step.gain for step in steps]) / (1 if attempts is None else 1 + attempts / _DRAWN)
-    choice = rng.choice(len(steps), p=weights / weights.sum())
-    if attempts is not None:
-        attempts[choice] += 1
-    grips = steps[choice].grips
-    drawn = [held_so(points, grips[rng.integers(len(grips))], places, rng) for _ in range(_DRAWN)]
-    return min(drawn, key=lambda one: np.linalg.norm(np.diff(one.waypoints[:2, :2], axis=0, prepend=points[one.bead, None, :2]), axis=1).sum())
+def _foreseen(
+    points: Array, code: GaussCode, steps: list[Step], distances: Distances, rng: np.random.Generator, tried: Tried, count: int
+) -> Manoeuvre:
+    """Of some manoeuvres, half of them held as ones that made a change towards the goal, the one whose sketch comes nearest to it.
+
+    What a sketch promises counts the less the oftener it was chosen for the same promise; the choice is counted in `tried`.
+    """
+    places = Places(find_crossings(points), len(points))
+    weights = np.array([step.chance * step.gain for step in steps])
+    here, best, promise, chosen = distances(code), -np.inf, code, None
+    for number in range(count):
+        if steps and number % 2 == 0:
+            grips = steps[rng.choice(len(steps), p=weights / weights.sum())].grips
+            manoeuvre = held_so(points, grips[rng.integers(len(grips))], places, rng)
+        else:
+            manoeuvre = propose(points, rng)
+        nearest = min(label_many(sketched(points, manoeuvre, _SKETCHED)), key=distances)
+        gain = (here - distances(nearest)) / (1 + tried[code, nearest] / _TRUST)
+        if gain > best:
+            best, promise, chosen = gain, nearest, manoeuvre
+    assert chosen is not None  # count is at least 1, and no distance is infinite
+    tried[code, promise] += 1
+    return chosen
 
 
 def held_so(points: Array, grip: Grip, places: Places, rng: np.random.Generator) -> Manoeuvre:
