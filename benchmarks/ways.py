@@ -2,12 +2,14 @@
 
     python benchmarks/ways.py knotgym-data/nx4/archive.h5
 
-A way counts when the rope, led from the plain loop at rest (mirrored or turned over where the code is such an image), shows
-the code. Writes JSON, with the growth of the archive by rounds, to --out.
+A way counts when the rope, led from the plain loop at rest (mirrored or turned over where the code is such an image, numbered
+from another sub-chain or the other way where the archive knows the way so), shows the code; actions count until it first does.
+Writes JSON, with the growth of the archive by rounds, to --out.
 """
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,20 +25,23 @@ from knotgym.generate.symmetry import mirrorings
 from knotgym.simulation import Simulation
 
 
-def leads(simulation: Simulation, elite: Elite, code: GaussCode) -> bool:
-    """Whether the elite's way, carried over, ends in a rope that shows `code`."""
+def leads(simulation: Simulation, elite: Elite, code: GaussCode) -> int | None:
+    """After how many actions of the elite's way, carried over, the rope shows `code`; None if it never does."""
     rope = simulation.rope
     for shown, symmetry in mirrorings(elite.code):
         if shown.plain != code:
             continue
+        symmetry = replace(symmetry, reverse=elite.reverse, roll=-elite.roll if elite.reverse else elite.roll)
         simulation.lay(rope.qpos(symmetry.configuration(rope.loop()))[None])
         beads = symmetry.beads(elite.way.beads, rope.config.beads)
         forces = symmetry.vectors(elite.way.forces.astype(np.float64))
-        for bead, force in zip(beads, forces, strict=True):
+        for taken, (bead, force) in enumerate(zip(beads, forces, strict=True)):
+            if label(simulation.points[0]).plain == code:
+                return taken
             pull(simulation, np.array([bead]), force[None].astype(np.float32))
         if label(simulation.points[0]).plain == code:
-            return True
-    return False
+            return len(beads)
+    return None
 
 
 def main() -> None:
@@ -51,10 +56,10 @@ def main() -> None:
     for nx in range(args.most_nx + 1):
         lengths: dict[str, int] = {}
         for code in codes_of("0_1", nx):
-            elites = [one for handed in archive.handed(code) for one in archive.leading_to(handed) if one.exact]
+            elites = [one for handed in archive.handed(code) for one in archive.leading_to(handed)]
             for elite in sorted(elites, key=lambda one: len(one.way)):
-                if leads(simulation, elite, code):
-                    lengths[str(code)] = len(elite.way)
+                if (taken := leads(simulation, elite, code)) is not None:
+                    lengths[str(code)] = taken
                     break
         counts = [len(codes_of("0_1", nx)), len(archive.codes(nx)), len(lengths)]
         spread = [int(value) for value in np.quantile(list(lengths.values()), [0, 0.5, 1])] if lengths else ["-"] * 3

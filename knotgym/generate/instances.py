@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.crossings import find_crossings, label
+from knotgym.crossings import find_crossings, label, label_many
 from knotgym.gauss import GaussCode
 from knotgym.generate.archive import Elite
 from knotgym.generate.manoeuvres import NO_WAY, Way, pull
@@ -140,7 +141,15 @@ def _made(order: Order, simulation: Simulation) -> Instance:
         faults.append("code lost at rest")
     elif pyknotid_code(last) != crossings.code:
         faults.append("labellers disagree")
+    elif not _shown_longest_last(points, crossings.code):
+        faults.append("code shown longer before")  # an episode that ends when the code has been held so long would end there
     return Instance(crossings.code, tuple(faults), order.seed, start_qpos, actions, points, qpos, quality, elites=elites)
+
+
+def _shown_longest_last(points: Array, code: GaussCode) -> bool:
+    """Whether the configurations (T + 1, beads, 3) show `code`, chirality aside, nowhere after the first for as long as at the end."""
+    runs = [len(list(run)) for shown, run in groupby(one.matches(code) for one in label_many(points[1:])) if shown]
+    return not runs or max(runs[:-1], default=0) < runs[-1]
 
 
 def _follow(simulation: Simulation, way: Way) -> tuple[NDArray[np.float32], Array] | None:
