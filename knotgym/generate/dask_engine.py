@@ -41,12 +41,13 @@ class _Awaited:
 
         alone_since: float | None = None
         while True:
+            done = self._future.done()
             try:
-                return self._future.result(timeout=2.0)
+                return self._future.result(timeout=None if done else 2.0)
             except KilledWorker as error:
                 raise LostWorkers("workers of the cluster died again and again over one piece of work; --resume goes on from there") from error
             except TimeoutError:
-                if self._future.done():  # the work itself timed out
+                if done:  # the work itself timed out
                     raise
             except (CommClosedError, CancelledError) as error:
                 raise LostWorkers(_GONE) from error
