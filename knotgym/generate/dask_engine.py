@@ -88,7 +88,8 @@ def cluster(scheduler: str) -> Iterator[Cluster]:
         from distributed import Client
     except ModuleNotFoundError as error:
         raise InvalidEngine("--engine dask needs Dask distributed, which isn't installed; install it: pip install 'knotgym[dask]'") from error
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters comes as an exception
+    for name in ("distributed", *(one for one in logging.root.manager.loggerDict if one.startswith(("distributed.", "tornado")))):
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)  # what matters comes as an exception
     try:
         client = Client(scheduler, timeout=CONNECT, set_as_default=False)
     except (OSError, ValueError) as error:
