@@ -2,7 +2,9 @@
 
 import importlib.util
 import json
+import os
 import shutil
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +19,7 @@ from knotgym.datasets.states import read_states
 from knotgym.generate.archive import Archive
 from knotgym.generate.parts import InvalidPart, Part
 
-from .small_job import knotgym
+from .small_job import knotgym, typed
 from .test_main_job import bytes_of, said
 
 with_arrow = pytest.mark.skipif(importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed")
@@ -183,3 +185,20 @@ def test_merged_pictures_verify_without_a_leak_or_a_duplicate(tmp_path: Path, ca
     assert all((distances(points[k], points[k + 1 :]) >= NEAR).all() for k in range(len(points) - 1))
     assert knotgym("dataset", "merge", *parts, "--out", tmp_path / "table") == 2
     assert "is there already" in said(capfd)[-1]
+
+
+# The example for Slurm.
+
+
+def test_the_scripts_for_slurm_make_and_merge_a_run(tmp_path: Path) -> None:
+    scripts = Path(__file__).parents[1] / "examples" / "slurm"
+    (tmp_path / "knotgym").write_text(f'#!/bin/sh\nexec {" ".join(typed())} "$@"\n')
+    (tmp_path / "knotgym").chmod(0o755)
+    for number in (1, 2):
+        task = {"SLURM_ARRAY_TASK_ID": str(number), "SLURM_ARRAY_TASK_COUNT": "2", "SLURM_CPUS_PER_TASK": "1"}
+        environment = {**os.environ, **task, "PATH": f"{tmp_path}:{os.environ['PATH']}"}
+        words = [str(word) for word in (*COLLECT, "--out", tmp_path / "root")]
+        subprocess.run(["bash", scripts / "array.sh", *words], check=True, env=environment)
+    dataset = tmp_path / "root" / "knotgym" / "unknot-nx1" / "random-v0"
+    subprocess.run(["bash", scripts / "merge.sh", dataset, tmp_path / "root"], check=True, env=environment)
+    assert (dataset / "data" / "main_data.hdf5").is_file()

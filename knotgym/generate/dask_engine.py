@@ -41,12 +41,13 @@ class _Awaited:
 
         alone_since: float | None = None
         while True:
+            done = self._future.done()
             try:
-                return self._future.result(timeout=2.0)
+                return self._future.result(timeout=None if done else 2.0)
             except KilledWorker as error:
                 raise LostWorkers("workers of the cluster died again and again over one piece of work; --resume goes on from there") from error
             except TimeoutError:
-                if self._future.done():  # the work itself timed out
+                if done:  # the work itself timed out
                     raise
             except (CommClosedError, CancelledError) as error:
                 raise LostWorkers(_GONE) from error
@@ -87,7 +88,8 @@ def cluster(scheduler: str) -> Iterator[Cluster]:
         from distributed import Client
     except ModuleNotFoundError as error:
         raise InvalidEngine("--engine dask needs Dask distributed, which isn't installed; install it: pip install 'knotgym[dask]'") from error
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters comes as an exception
+    for name in ("distributed", *(one for one in logging.root.manager.loggerDict if one.startswith(("distributed.", "tornado")))):
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)  # what matters comes as an exception
     try:
         client = Client(scheduler, timeout=CONNECT, set_as_default=False)
     except (OSError, ValueError) as error:

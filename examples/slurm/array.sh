@@ -1,0 +1,8 @@
+#!/bin/bash
+# One shard of any knotgym command, by the number of its array task:
+#   sbatch --array=1-32 array.sh generate --nx 4 --count 3200 --out runs/nx4
+#SBATCH --cpus-per-task=4
+#SBATCH --time=04:00:00
+#SBATCH --requeue
+set -euo pipefail
+exec knotgym "$@" --shard "$SLURM_ARRAY_TASK_ID/$SLURM_ARRAY_TASK_COUNT" --workers "$SLURM_CPUS_PER_TASK" --resume --quiet
