@@ -33,10 +33,10 @@ def chosen(path: Path, states_path: str, observation: str) -> tuple[NDArray[np.f
     return policy.act(episodes, np.arange(3)).actions, [episodes.observation(index) for index in range(3)]
 
 
-def first_six(seen: Any) -> NDArray[np.float64]:
-    """What the models below do: a hundredth of the first six numbers they see, of every part that there is, added up."""
+def said(seen: Any) -> NDArray[np.float64]:
+    """What the models below do: of every part they see a hundredth of the first six numbers and of the mean, added up."""
     parts = seen.values() if isinstance(seen, dict) else [seen]
-    return np.sum([part.reshape(-1)[:6].astype(np.float64) / 100 for part in parts], axis=0)
+    return np.sum([(part.reshape(-1)[:6] + part.mean(dtype=np.float64)) / 100 for part in parts], axis=0)
 
 
 class TestTorchScript:
@@ -48,7 +48,8 @@ class TestTorchScript:
 
         class One(torch.nn.Module):
             def forward(self, seen: torch.Tensor) -> torch.Tensor:
-                return seen.reshape(len(seen), -1)[:, :6].float() / 100
+                flat = seen.reshape(len(seen), -1).float()
+                return (flat[:, :6] + flat.mean(1, keepdim=True)) / 100
 
         class Parts(torch.nn.Module):
             def __init__(self) -> None:
@@ -60,7 +61,7 @@ class TestTorchScript:
 
         torch.jit.script(Parts() if observation == "both" else One()).save(str(tmp_path / "model.pt"))
         actions, seen = chosen(tmp_path / "model.pt", states_path, observation)
-        assert np.allclose(actions, [first_six(one) for one in seen], atol=1e-6) and np.abs(actions).max() > 0
+        assert np.allclose(actions, [said(one) for one in seen], atol=1e-6) and np.abs(actions).max() > 0
 
 
 class TestOnnx:
@@ -74,14 +75,16 @@ class TestOnnx:
         shapes = {"pixels": (TensorProto.UINT8, ["n", 16, 32, 3]), "state": (TensorProto.FLOAT, ["n", 600])}
         numbers = {"flat": [0, -1], "from": [0], "to": [6], "axis": [1]}
         constants = [numpy_helper.from_array(np.array(value, dtype=np.int64), name) for name, value in numbers.items()]
-        constants.append(numpy_helper.from_array(np.float32(100), "hundred"))
+        constants.append(numpy_helper.from_array(np.array(100, dtype=np.float32), "hundred"))
         nodes = []
         for part in parts:
             nodes += [
                 helper.make_node("Reshape", [part, "flat"], [f"{part} flat"]),
-                helper.make_node("Slice", [f"{part} flat", "from", "to", "axis"], [f"{part} six"]),
-                helper.make_node("Cast", [f"{part} six"], [f"{part} float"], to=TensorProto.FLOAT),
-                helper.make_node("Div", [f"{part} float", "hundred"], [f"{part} small"]),
+                helper.make_node("Cast", [f"{part} flat"], [f"{part} float"], to=TensorProto.FLOAT),
+                helper.make_node("Slice", [f"{part} float", "from", "to", "axis"], [f"{part} six"]),
+                helper.make_node("ReduceMean", [f"{part} float"], [f"{part} mean"], axes=[1], keepdims=1),
+                helper.make_node("Add", [f"{part} six", f"{part} mean"], [f"{part} both"]),
+                helper.make_node("Div", [f"{part} both", "hundred"], [f"{part} small"]),
             ]
         nodes.append(helper.make_node("Sum", [f"{part} small" for part in parts], ["actions"]))
         inputs = [helper.make_tensor_value_info(part, *shapes[part]) for part in parts]
@@ -89,7 +92,7 @@ class TestOnnx:
         graph = helper.make_graph(nodes, "six", inputs, outputs, constants)
         save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9), str(tmp_path / "model.onnx"))
         actions, seen = chosen(tmp_path / "model.onnx", states_path, observation)
-        assert np.allclose(actions, [first_six(one) for one in seen], atol=1e-6) and np.abs(actions).max() > 0
+        assert np.allclose(actions, [said(one) for one in seen], atol=1e-6) and np.abs(actions).max() > 0
 
 
 class TestStableBaselines3:

@@ -58,7 +58,7 @@ class PlannerConfig:
     sketches: int = 32
     longest: int = 10
     kept: int = 6
-    greed: float = 2.0
+    greed: float = 4.0
     stride: float = 6.0
     patience: float = 10.0
 
