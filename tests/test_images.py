@@ -341,9 +341,11 @@ def _installed(distribution: str) -> bool:
 
 @pytest.fixture
 def hugging_face(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Hugging Face's library, which a folder of this name does not stand for, with a cache that goes away."""
+    """Hugging Face's library, with a cache that goes away; not the checkout's folder of that name, which `python -m pytest` would find first."""
     if not _installed("datasets"):
         pytest.skip("Hugging Face's datasets isn't installed")
+    checkout = Path(__file__).parents[1]
+    monkeypatch.setattr(sys, "path", [place for place in sys.path if Path(place).resolve() != checkout])
     library = importlib.import_module("datasets")
     monkeypatch.setattr(library.config, "HF_DATASETS_CACHE", tmp_path / "cache")
     return library

@@ -43,7 +43,7 @@ def images(path: str | os.PathLike[str], split: str | None = None, kind: str = "
 
 
 def _needed(module: str, name: str, extra: str) -> Any:
-    """Import a module that has `name`; the link `datasets` of a checkout, a namespace package, doesn't."""
+    """Import a module that has `name`; the link `datasets` of a checkout, found first from its top, doesn't."""
     how = f"pip install 'knotgym[{extra}]'"
     try:
         found = importlib.import_module(module)
