@@ -382,6 +382,7 @@ def mistaken(tmp_path: Path) -> Path:
         ("--count many", "--count"),
         ("--every-code -2", "every_code must be at least 0, got -2"),
         ("--attempts 0", "attempts must be at least 1, got 0"),
+        ("--cycles -1", "cycles must be at least 0, got -1"),
         ("--seed -1", "seed must be at least 0, got -1"),
         ("--workers -1", "workers must be at least 0, got -1"),
         ("--colour red", "No such option: --colour"),
@@ -396,7 +397,7 @@ def mistaken(tmp_path: Path) -> Path:
         ("--knot {}/empty.npy", "empty.npy holds no curve"),
         ("--archive {}/absent.h5", "no archive at"),
         ("--archive {}/text.h5", "text.h5 isn't a whole archive"),
-        ("--archive {}/foreign.h5", "foreign.h5 isn't an archive of format 'knotgym-archive' version 1"),
+        ("--archive {}/foreign.h5", "foreign.h5 isn't an archive of format 'knotgym-archive' version 2"),
         ("--archive {}/knotted.h5", "the archive's ways begin at another curve"),
     ],
 )
