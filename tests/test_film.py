@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from knotgym.datasets.card import summary
+from knotgym.datasets.card import growth, summary
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.gallery import contact_sheet, write_gallery
 from knotgym.datasets.states import States, read_states, write_states
@@ -129,6 +129,13 @@ def test_show_finds_a_dataset_by_its_id(curated: Path, monkeypatch: pytest.Monke
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(curated / "minari"))
     assert knotgym("dataset", "show", "knotgym/tie-nx1/ways-v0") == 0
     assert "knotgym/tie-nx1/ways-v0" in capfd.readouterr().out
+
+
+def test_growth_is_told_in_a_dozen_rows_the_last_among_them() -> None:
+    rows = [{"steps": 100 * k, "known": {"3": k}, "accepted": {"3": k // 2}} for k in range(1, 500)]
+    told = growth({"growth": rows})
+    assert len(told) <= 12 and told[0] == rows[0] and told[-1] == rows[-1] and told == sorted(told, key=lambda one: one["steps"])
+    assert growth({"growth": rows[:5]}) == rows[:5] and growth({}) == []
 
 
 def test_a_summary_counts_what_is_there(curated: Path) -> None:

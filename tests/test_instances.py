@@ -9,6 +9,7 @@ import pytest
 
 from knotgym.crossings import label
 from knotgym.gauss import GaussCode
+from knotgym.generate import instances
 from knotgym.generate.archive import Archive, Elite
 from knotgym.generate.instances import REST, Instance, InstanceConfig, Order, make
 from knotgym.generate.manoeuvres import NO_WAY, pull
@@ -18,6 +19,7 @@ from knotgym.oracle import pyknotid_code
 from knotgym.rope import Rope
 from knotgym.simulation import Simulation
 
+from .conftest import curled
 from .small_job import INSTANCE
 
 Made = Sequence[tuple[Order, Instance]]
@@ -139,6 +141,13 @@ def test_limits_that_nothing_meets_reject_everything(searched: Archive) -> None:
 def test_variants_of_one_way_end_in_different_places(followed: Made) -> None:
     ends = np.array([one.points[-1] - one.points[-1].mean(axis=0) for _, one in followed])
     assert len({end.tobytes() for end in ends}) == len(ends)
+
+
+def test_a_code_held_longer_before_the_end_is_told(rope: Rope) -> None:
+    loop, kink = rope.loop(), rope.from_curve(curled(1, 0.4))
+    code = label(kink)
+    held = [np.stack([loop] + [kink if shown == "x" else loop for shown in row]) for row in ("..x.xx", "xx.x", "x.x", "xxx", "...")]
+    assert [instances._shown_longest_last(points, code) for points in held] == [True, False, False, True, True]
 
 
 def test_what_goes_back_to_the_archive_is_reached_from_the_plain_loop_and_better_than_what_was_there(followed: Made, rope: Rope) -> None:

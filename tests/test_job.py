@@ -197,6 +197,25 @@ def test_what_cannot_be_accepted_ends_with_a_line_that_says_so() -> None:
         done(Job.begin(hopeless))
 
 
+def test_a_job_stops_after_its_cycles_with_what_there_is() -> None:
+    job = done(Job.begin(config(nx=(1, 2), count=40, cycles=2)))
+    assert job.cycle == len(job.growth) == 2 and 0 < len(job.accepted[1]) < 40
+    assert job.growth[-1]["accepted"] == {str(nx): len(instances) for nx, instances in job.accepted.items()}
+    assert job.growth[-1]["known"] == {str(nx): len(job.archive.codes(nx)) for nx in (1, 2)}
+    assert job.growth[-1]["steps"] == job.steps() > job.growth[0]["steps"] > job.archive.growth[0]["actions"]
+
+
+def test_cycles_that_accept_nothing_end_with_a_line_that_says_so() -> None:
+    hopeless = config(nx=(0,), count=1, cycles=1, instance=replace(INSTANCE, limits=Limits(crossing_angle=91.0)))
+    with pytest.raises(NotEnough, match="no state accepted in 1 cycles; use --resume and more --cycles"):
+        done(Job.begin(hopeless))
+
+
+def test_more_is_searched_while_wanted_codes_are_unknown(finished: Job) -> None:
+    assert jobs._rounds(Job.begin(config(nx=(3,), every_code=1))) == 1 + jobs.MORE_ROUNDS
+    assert jobs._rounds(finished) == 1 and jobs._rounds(Job.begin(config(nx=(0,)))) == 0
+
+
 def test_a_random_policy_meets_the_loop_at_once() -> None:
     assert frequencies(0, 1, 0, RopeConfig()) == {GaussCode(): 64}
 
