@@ -173,7 +173,14 @@ def _run(command: typer.Typer, arguments: Sequence[str] | None) -> None:
 def _interrupt(number: int, frame: object) -> None:
     for one in _SIGNALS:
         signal.signal(one, _end)
+    sys.unraisablehook = _unraisable
     raise KeyboardInterrupt
+
+
+def _unraisable(error: "sys.UnraisableHookArgs") -> None:
+    """After an interruption: silence of what was half made and is taken down; but the interruption itself is never swallowed."""
+    if issubclass(error.exc_type, KeyboardInterrupt):
+        _end(0, None)
 
 
 def _end(number: int, frame: object) -> None:
