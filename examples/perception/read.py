@@ -62,15 +62,25 @@ class Reader(nn.Module):
     def strands(self, pictures: Tensor, features: Tensor, cells: tuple[Tensor, Tensor, Tensor]) -> tuple[Tensor, Tensor]:
         """For the over and the under strand at k cells (picture, row, column), how much each pixel of the window counts, float32
         (k, 2, WINDOW ** 2); and the pixels' waves, sine and cosine, (k, WINDOW ** 2, 2), as long as a pixel is bright. The mean of these is
-        the strand's place."""
+        the strand's place. For the under strand, what has the over strand's colour doesn't count."""
         picture, row, column = cells
-        weight = self.look(features[picture, :, row, column]).reshape(len(row), 2, WINDOW**2).softmax(dim=2)
+        look = self.look(features[picture, :, row, column]).reshape(len(row), 2, WINDOW**2)
         margin = (WINDOW - CELL) // 2
         padded = functional.pad(pictures, (margin, margin, margin, margin))
         across = torch.arange(WINDOW)
         rows, columns = (CELL * row[:, None] + across)[:, :, None], (CELL * column[:, None] + across)[:, None]
         seen = padded[picture[:, None, None], :, rows, columns].flatten(1, 2)
-        return weight, 2 * seen @ torch.linalg.inv(BASIS).T[:, 1:]
+        seen = 2 * seen @ torch.linalg.inv(BASIS).T[:, 1:]
+        bright = seen.norm(dim=2)
+        over = (look[:, 0] + torch.log(bright + 1e-3)).softmax(dim=1)
+        other = 1 - alike((over.detach()[:, None] @ seen), seen)[:, 0]
+        under = (look[:, 1] + torch.log(bright * other + 1e-3)).softmax(dim=1)
+        return torch.stack([over, under], dim=1), seen
+
+
+def alike(waves: Tensor, others: Tensor) -> Tensor:
+    """How alike the colours of waves (k, n, 2) and others (k, m, 2) are, (k, n, m): 1 for the same."""
+    return torch.exp(SHARP * (functional.normalize(waves, dim=2) @ functional.normalize(others, dim=2).transpose(1, 2) - 1))
 
 
 def waves(places: Tensor) -> Tensor:
@@ -154,9 +164,7 @@ def loss(net: Reader, pieces: Tensor, crossings: Tensor, there: Tensor) -> Tenso
     kept = (column >= EDGE) & (column < last) & (row >= EDGE) & (row < last)
     weight, seen = net.strands(pieces, features, (crossings[kept, 0].long(), row[kept], column[kept]))
     wave = waves(crossings[kept, 3:] - 0.5)  # the colour of bead 2 is that of places from 2 to 3, 2.5 in the mean
-    bright = seen.norm(dim=2)[:, None]
-    like = bright * torch.exp(SHARP * (wave @ functional.normalize(seen, dim=2).transpose(1, 2) - 1))
-    pointed = -torch.log((weight * like).sum(dim=2) + 1e-3).sum()
+    pointed = -torch.log((weight * alike(wave, seen)).sum(dim=2) + 1e-3).sum()
     error = ((functional.normalize(weight @ seen, dim=2, eps=1e-3) - wave) ** 2).sum()
     return (found + pointed + 3 * error) / max(1, int(kept.sum()))
 
