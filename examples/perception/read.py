@@ -33,6 +33,7 @@ CELL = 2  # pixels of a side
 CROP = 32  # pixels of a side
 EDGE = 2  # cells along the edge of a crop that nothing is learned from, for the rope is cut there
 WINDOW = 10  # pixels of a side, around a cell, in which the colours of its strands are looked for
+SHARP = 60.0  # a pixel whose colour is 3 beads off counts a third
 SPLITS = ("test", "test-code", "test-nx")
 
 # A published colour is a grey part, which black and white add to, and a wave of the place: RGB = BASIS (grey, sine, cosine).
@@ -58,17 +59,28 @@ class Reader(nn.Module):
         features = self.body(pictures)
         return self.there(features)[:, 0], features
 
-    def strands(self, pictures: Tensor, features: Tensor, cells: tuple[Tensor, Tensor, Tensor]) -> Tensor:
-        """The over and the under strand's place at k cells (picture, row, column): unit vectors float32 (k, 2, 2), sine and cosine."""
+    def strands(self, pictures: Tensor, features: Tensor, cells: tuple[Tensor, Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+        """For the over and the under strand at k cells (picture, row, column), how much each pixel of the window counts, float32
+        (k, 2, WINDOW ** 2); and the pixels' waves, sine and cosine, (k, WINDOW ** 2, 2), as long as a pixel is bright. The mean of these is
+        the strand's place. For the under strand, what has the over strand's colour doesn't count."""
         picture, row, column = cells
-        weight = self.look(features[picture, :, row, column]).reshape(len(row), 2, WINDOW, WINDOW).flatten(2).softmax(dim=2)
+        look = self.look(features[picture, :, row, column]).reshape(len(row), 2, WINDOW**2)
         margin = (WINDOW - CELL) // 2
         padded = functional.pad(pictures, (margin, margin, margin, margin))
         across = torch.arange(WINDOW)
         rows, columns = (CELL * row[:, None] + across)[:, :, None], (CELL * column[:, None] + across)[:, None]
-        seen = padded[picture[:, None, None], :, rows, columns].flatten(1, 2)  # (k, WINDOW ** 2, 3)
-        wave = weight @ seen @ torch.linalg.inv(BASIS).T[:, 1:]
-        return functional.normalize(wave, dim=2, eps=1e-4)
+        seen = padded[picture[:, None, None], :, rows, columns].flatten(1, 2)
+        seen = 2 * seen @ torch.linalg.inv(BASIS).T[:, 1:]
+        bright = seen.norm(dim=2)
+        over = (look[:, 0] + torch.log(bright + 1e-3)).softmax(dim=1)
+        other = 1 - alike((over.detach()[:, None] @ seen), seen)[:, 0]
+        under = (look[:, 1] + torch.log(bright * other + 1e-3)).softmax(dim=1)
+        return torch.stack([over, under], dim=1), seen
+
+
+def alike(waves: Tensor, others: Tensor) -> Tensor:
+    """How alike the colours of waves (k, n, 2) and others (k, m, 2) are, (k, n, m): 1 for the same."""
+    return torch.exp(SHARP * (functional.normalize(waves, dim=2) @ functional.normalize(others, dim=2).transpose(1, 2) - 1))
 
 
 def waves(places: Tensor) -> Tensor:
@@ -82,7 +94,8 @@ def read(net: Reader, pictures: Tensor) -> list[GaussCode]:
     pictures = pictures.float() / 255
     logit, features = net(pictures)
     cells = torch.nonzero((logit == functional.max_pool2d(logit, 3, 1, 1)) & (logit > 0), as_tuple=True)
-    wave = net.strands(pictures, features, cells)
+    weight, seen = net.strands(pictures, features, cells)
+    wave = weight @ seen
     places = (torch.atan2(wave[..., 0], wave[..., 1]) / (2 * torch.pi) % 1.0).tolist()
     visits: list[list[tuple[float, int]]] = [[] for _ in pictures]
     for label, (picture, (over, under)) in enumerate(zip(cells[0].tolist(), places, strict=True), 1):
@@ -140,7 +153,8 @@ class Crops:
 
 
 def loss(net: Reader, pieces: Tensor, crossings: Tensor, there: Tensor) -> Tensor:
-    """Cross entropy of where crossings are, cells beside one let off with a tenth; and squared error of the places where they are."""
+    """Cross entropy of where crossings are, cells beside one let off with a tenth; of the pixels that
+    are pointed at where they are, those with about the strand's colour being right; and squared error of the places these give."""
     logit, features = net(pieces)
     inner = slice(EDGE, -EDGE)
     weight = torch.where(there == 0.5, 0.1, 1.0)
@@ -148,9 +162,11 @@ def loss(net: Reader, pieces: Tensor, crossings: Tensor, there: Tensor) -> Tenso
     last = CROP // CELL - EDGE
     column, row = ((crossings[:, k] / CELL).long() for k in (1, 2))
     kept = (column >= EDGE) & (column < last) & (row >= EDGE) & (row < last)
-    wave = net.strands(pieces, features, (crossings[kept, 0].long(), row[kept], column[kept]))
-    error = ((wave - waves(crossings[kept, 3:] - 0.5)) ** 2).sum()  # the colour of bead 2 is that of places from 2 to 3, 2.5 in the mean
-    return (found + 3 * error) / max(1, int(kept.sum()))
+    weight, seen = net.strands(pieces, features, (crossings[kept, 0].long(), row[kept], column[kept]))
+    wave = waves(crossings[kept, 3:] - 0.5)  # the colour of bead 2 is that of places from 2 to 3, 2.5 in the mean
+    pointed = -torch.log((weight * alike(wave, seen)).sum(dim=2) + 1e-3).sum()
+    error = ((functional.normalize(weight @ seen, dim=2, eps=1e-3) - wave) ** 2).sum()
+    return (found + pointed + 3 * error) / max(1, int(kept.sum()))
 
 
 def train(folder: Path, steps: int, batch: int, seed: int) -> Reader:
