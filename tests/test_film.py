@@ -110,6 +110,12 @@ def test_the_gallery_command_draws_the_gallery_again(curated: Path, tmp_path: Pa
     assert (tmp_path / "a.png").read_bytes() == (curated / "gallery.png").read_bytes()
 
 
+def test_the_gallery_command_leaves_a_file_that_is_there_alone(curated: Path, tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_text("mine")
+    assert knotgym("dataset", "gallery", curated, "--out", tmp_path / "a.png") == 2
+    assert (tmp_path / "a.png").read_text() == "mine"
+
+
 # Show.
 
 

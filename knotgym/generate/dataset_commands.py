@@ -30,8 +30,9 @@ def gallery(
     """Draw a contact sheet of curated states with their codes."""
     from knotgym.datasets.gallery import write_gallery
     from knotgym.datasets.states import read_states
-    from knotgym.generate.look import states_path
+    from knotgym.generate.look import refuse_existing, states_path
 
+    refuse_existing(out)
     write_gallery(out, read_states(states_path(path)), columns)
 
 
