@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.errors import KnotgymError
+from knotgym.kinematics import backward, forward
 
 Array = NDArray[np.float64]
 
@@ -146,7 +147,7 @@ class Rope:
         q = np.ascontiguousarray(qpos, dtype=np.float64)
         rows = q.reshape(-1, self.nq)
         points, gaps = np.empty((len(rows), self.config.beads, 3)), np.empty(len(rows))
-        _forward(rows, self._order, self._parent, self._qpos_at, self._rest, self.config.bead_length, points, gaps)
+        forward(rows, self._order, self._parent, self._qpos_at, self._rest, self.config.bead_length, points, gaps)
         return points.reshape(*q.shape[:-1], self.config.beads, 3), gaps.reshape(q.shape[:-1])
 
     def qpos(self, points: ArrayLike) -> Array:
@@ -162,7 +163,7 @@ class Rope:
         along = np.roll(p, -1, axis=0) - p
         along /= np.linalg.norm(along, axis=1, keepdims=True)
         out = np.empty(self.nq)
-        _backward(p, along, self._order, self._parent, self._qpos_at, self._rest, out)
+        backward(p, along, self._order, self._parent, self._qpos_at, self._rest, out)
         return out
 
     def loop(self) -> Array:
@@ -326,82 +327,6 @@ def sub_chains(config: RopeConfig) -> list[tuple[int, int]]:
     """First and last bead of each sub-chain, as equal in size as they can be."""
     cuts = [round(k * config.beads / config.sub_chains) for k in range(config.sub_chains + 1)]
     return [(first, after - 1) for first, after in zip(cuts[:-1], cuts[1:], strict=True)]
-
-
-@numba.njit(cache=True, nogil=True)
-def _forward(qpos: Array, order: Array, parent: Array, at: Array, rest: Array, length: float, out: Array, gaps: Array) -> None:
-    beads = len(order)
-    world = np.empty((beads, 4))
-    axis = np.empty((beads, 3))
-    for row in range(len(qpos)):
-        q = qpos[row]
-        for k in range(beads):
-            bead = order[k]
-            up, a = parent[bead], at[bead]
-            if up < 0:
-                world[bead] = _unit(q[a + 3 : a + 7])
-                out[row, bead] = q[a : a + 3]
-            else:
-                world[bead] = _multiply(_multiply(world[up], rest[bead]), _unit(q[a : a + 4]))
-            w, x, y, z = world[bead]
-            axis[bead, 0] = length * (1 - 2 * (y * y + z * z))
-            axis[bead, 1] = length * 2 * (x * y + w * z)
-            axis[bead, 2] = length * 2 * (x * z - w * y)
-            if up == bead - 1 and up >= 0:
-                out[row, bead] = out[row, up] + axis[up]
-            elif up >= 0:
-                out[row, bead] = out[row, up] - axis[bead]
-        gaps[row] = 0.0
-        for bead in range(beads):
-            apart = out[row, (bead + 1) % beads] - out[row, bead] - axis[bead]
-            gaps[row] = max(gaps[row], np.sqrt((apart * apart).sum()))
-
-
-@numba.njit(cache=True, nogil=True)
-def _backward(points: Array, along: Array, order: Array, parent: Array, at: Array, rest: Array, out: Array) -> None:
-    world = np.empty((len(order), 4))
-    for k in range(len(order)):
-        bead = order[k]
-        up, a = parent[bead], at[bead]
-        if up < 0:
-            world[bead] = _shortest_arc(np.array([1.0, 0.0, 0.0]), along[bead])
-            out[a : a + 3] = points[bead]
-            out[a + 3 : a + 7] = world[bead]
-        else:
-            world[bead] = _multiply(_shortest_arc(along[up], along[bead]), world[up])
-            back = _multiply(world[up], rest[bead])
-            back[1:] *= -1.0
-            out[a : a + 4] = _multiply(back, world[bead])
-
-
-@numba.njit(cache=True, nogil=True)
-def _unit(q: Array) -> Array:
-    return q / np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
-
-
-@numba.njit(cache=True, nogil=True)
-def _multiply(a: Array, b: Array) -> Array:
-    """Hamilton product of two quaternions, (w, x, y, z)."""
-    out = np.empty(4)
-    out[0] = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3]
-    out[1] = a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2]
-    out[2] = a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1]
-    out[3] = a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0]
-    return out
-
-
-@numba.njit(cache=True, nogil=True)
-def _shortest_arc(a: Array, b: Array) -> Array:
-    """Quaternion of the smallest rotation that takes unit vector a to unit vector b."""
-    out = np.empty(4)
-    out[0] = 1 + a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-    if out[0] < 1e-12:  # opposite: half a turn about any perpendicular axis
-        out[0] = 0.0
-        other = np.array([0.0, 0.0, 1.0]) if abs(a[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
-        out[1:] = np.cross(a, other)
-    else:
-        out[1:] = np.cross(a, b)
-    return _unit(out)
 
 
 def _rotate(vectors: Array, by: Array) -> Array:

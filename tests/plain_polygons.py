@@ -1,33 +1,19 @@
-"""The polygons of a picture by whole-array arithmetic: what the compiled `knotgym.picture._polygons` must equal bit for bit."""
+"""The polygons of a picture by whole-array arithmetic: what the compiled `knotgym.outline.polygons` must equal bit for bit."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.picture import _EDGE, _FAR, _PIECE_SPAN, _SHIFT, _STEEP, PictureConfig, _pixels_per_metre, project
+from knotgym.outline import _FAR, _PIECE_SPAN, _STEEP, SHIFT
 
 _ROUND = np.array([-1.0, -2 / 3, -1 / 3, 0.0, 1 / 3, 2 / 3, 1.0])
 _ARC = np.array([0.0, 0.25, 0.5, 0.75, 1.0, np.nan, np.nan])
 _INNER = np.isnan(_ARC)
 
 
-def polygons(points: NDArray[np.float64], config: PictureConfig) -> tuple[NDArray[np.int32], NDArray[np.intp]]:
-    """The pieces of the beads as convex polygons, in the order in which to paint them.
-
-    Each bead is cut across into as many equal pieces as its span of heights asks for. Where two beads meet, each ends at the bisector of the
-    joint, as the capsules themselves do, so that neighbours neither overlap nor gape and the order of painting them does not matter.
-
-    Returns:
-        int32, shape (pieces, 14, 2): vertices in 1/2**_SHIFT pixels of the supersampled canvas, OpenCV's convention (centres at whole numbers);
-        and for each the bead it belongs to, shape (pieces,).
-    """
-    offset = points - points.mean(axis=0)
-    pixels = config.supersampling * project(points, config) - 0.5
-    if config.camera == "orthographic":
-        height = offset[:, 2]
-    else:
-        height = -np.linalg.norm(offset - np.array([0.0, 0.0, config.camera_height]), axis=1)
-    radius = np.maximum(config.supersampling * config.drawn_radius * _pixels_per_metre(offset, config) - _EDGE, _EDGE)
-
+def polygons(
+    pixels: NDArray[np.float64], height: NDArray[np.float64], radius: NDArray[np.float64], side: int
+) -> tuple[NDArray[np.int32], NDArray[np.intp]]:
+    """As `knotgym.outline.polygons`."""
     along = np.roll(pixels, -1, axis=0) - pixels
     length = np.hypot(along[:, 0], along[:, 1])
     along = np.where(length[:, None] > 1e-9, along / np.maximum(length, 1e-9)[:, None], np.array([1.0, 0.0]))
@@ -36,10 +22,10 @@ def polygons(points: NDArray[np.float64], config: PictureConfig) -> tuple[NDArra
 
     climb = np.roll(height, -1) - height
     pieces = np.maximum(np.ceil(np.abs(climb) / _PIECE_SPAN), 1.0).astype(np.intp)
-    bead = np.repeat(np.arange(len(points)), pieces)
+    bead = np.repeat(np.arange(len(pixels)), pieces)
     nth = np.arange(len(bead)) - np.repeat(np.cumsum(pieces) - pieces, pieces)
     start, stop = nth / pieces[bead], (nth + 1) / pieces[bead]
-    after = (bead + 1) % len(points)
+    after = (bead + 1) % len(pixels)
 
     # A piece's start is the end of the same piece walked backwards: the direction and the turn change sign.
     head = _end(along[bead], radius[after], np.where(nth + 1 == pieces[bead], turn[after], 0.0), length[bead] / pieces[bead])
@@ -49,10 +35,9 @@ def polygons(points: NDArray[np.float64], config: PictureConfig) -> tuple[NDArra
     tail += (pixels[bead] + start[:, None] * step)[:, None]
     corners = np.concatenate([head, tail], axis=1)
 
-    side = config.size * config.supersampling
     seen = np.all((corners.max(axis=1) >= -1.0) & (corners.min(axis=1) <= side), axis=1)  # false for NaN
     order = np.flatnonzero(seen)[np.argsort((height[bead] + 0.5 * (start + stop) * climb[bead])[seen], kind="stable")]
-    return np.rint(np.clip(corners[order], -_FAR, _FAR) * 2**_SHIFT).astype(np.int32), bead[order]
+    return np.rint(np.clip(corners[order], -_FAR, _FAR) * 2**SHIFT).astype(np.int32), bead[order]
 
 
 def _end(along: NDArray[np.float64], radius: NDArray[np.float64], turn: NDArray[np.float64], length: NDArray[np.float64]) -> NDArray[np.float64]:

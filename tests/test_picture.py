@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 
 from knotgym.crossings import find_crossings
 from knotgym.errors import KnotgymError
+from knotgym.outline import polygons
 from knotgym.picture import (
     PictureConfig,
     PictureError,
-    _polygons,
+    _placed,
     bead_colours,
     crossing_pixels,
     draw,
@@ -30,7 +31,7 @@ from knotgym.picture import (
     shown_strands,
 )
 
-from .plain_polygons import polygons
+from . import plain_polygons
 
 Points = NDArray[np.float64]
 
@@ -51,7 +52,8 @@ def test_compiled_polygons_are_those_of_plain_arithmetic_bit_for_bit(config: Pic
         waves = rng.normal(size=(3, 5)) / np.arange(1, 6)
         at = 2 * np.pi * np.arange(100)[:, None] / 100 * np.arange(1, 6)
         rope = 0.1 * (np.cos(at + rng.uniform(0, 6, 5)) @ waves.T) * [rng.choice([1.0, 0.01]), 1.0, rng.choice([0.2, 2.0])]
-        for ours, plain in zip(_polygons(rope, config), polygons(rope, config), strict=True):
+        placed, side = _placed(rope, config), config.size * config.supersampling
+        for ours, plain in zip(polygons(*placed, side), plain_polygons.polygons(*placed, side), strict=True):
             assert ours.dtype == plain.dtype and np.array_equal(ours, plain)
 
 

@@ -1,5 +1,7 @@
 """Symmetries take ropes to ropes and codes to codes, both in step."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -57,6 +59,18 @@ def test_variants_are_the_mirrorings_of_the_walk_either_way(code: GaussCode) -> 
 def test_classes_part_the_codes() -> None:
     by_class = {one: {shown for shown, _ in variants(one)} for one in map(class_of, CODES)}
     assert sum(map(len, by_class.values())) == len(set(CODES)) == len(set.union(*by_class.values()))
+
+
+@given(symmetries)
+def test_a_plain_loop_can_be_laid_down_as_it_was(symmetry: Symmetry) -> None:
+    loop = Rope().loop()
+    assert np.allclose(symmetry.back_to_loop(BEADS).configuration(symmetry.configuration(loop)), loop, atol=1e-12)
+
+
+@given(symmetries, rows)
+def test_what_renumbers_nothing_can_be_taken_back(configurations: NDArray[np.float64], symmetry: Symmetry, row: int) -> None:
+    exact, points = replace(symmetry, reverse=False, roll=0), configurations[row]
+    assert np.allclose(exact.undone().configuration(exact.configuration(points)), points, atol=1e-12)
 
 
 def test_variants_are_the_eight_ways_to_look() -> None:

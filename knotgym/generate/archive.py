@@ -28,7 +28,7 @@ from knotgym.rope import Array
 
 FORMAT = "knotgym-archive"
 FORMAT_VERSION = 2
-FAIR = 50
+FAIR = 50  # actions that 1 of badness is worth
 KEPT = 2  # elites kept for their short way, and as many for their looks
 
 

@@ -20,7 +20,7 @@ from knotgym.generate.archive import Elite
 from knotgym.generate.manoeuvres import NO_WAY, Way, pull
 from knotgym.generate.opening import OpeningConfig, open_up
 from knotgym.generate.quality import Limits, Quality, measure, noise_survival
-from knotgym.generate.search import JITTER, readings
+from knotgym.generate.search import JITTER, readings, simulation_of
 from knotgym.generate.symmetry import Symmetry, mirrorings
 from knotgym.oracle import pyknotid_code
 from knotgym.rope import Array, Rope, RopeConfig, noised
@@ -100,7 +100,7 @@ class Instance:
 
 def make(order: Order) -> Instance:
     """Make an instance; the same order gives the same bytes."""
-    simulation = _simulations(order.config.rope, order.config.opening.tries)
+    simulation = simulation_of(order.config.opening.tries, order.config.rope)
     before = simulation.pulled
     instance = _made(order, simulation)
     return replace(instance, pulls=simulation.pulled - before)
@@ -187,18 +187,15 @@ def _opening(simulation: Simulation, order: Order, rng: np.random.Generator, at_
 def _home(simulation: Simulation, order: Order, symmetry: Symmetry, way: Way) -> tuple[Elite, ...]:
     """Follow an instance's way once more from where the archive's ways begin; what the rope shows there.
 
-    A loop that was mirrored or walked the other way is turned over into the plain loop by an exact symmetry, whatever else was
-    done to it; another start only undoes an exact symmetry.
+    The plain loop is had back exactly whatever was done to it; another start only if it wasn't renumbered.
     """
     rope = simulation.rope
     if np.array_equal(order.start, rope.loop()):
-        over = symmetry.reflect != symmetry.reverse
-        first = symmetry.configuration(order.start)[0]
-        back = Symmetry(reflect=over, turn=-float(np.arctan2(first[1], -first[0] if over else first[0])))
+        back = symmetry.back_to_loop(rope.config.beads)
     elif symmetry.reverse or symmetry.roll:
         return ()
     else:
-        back = Symmetry(reflect=symmetry.reflect, switch=symmetry.switch, turn=symmetry.turn if symmetry.reflect else -symmetry.turn)
+        back = symmetry.undone()
     home = Way(way.beads, back.vectors(way.forces.astype(np.float64)).astype(np.float32))
     simulation.lay(rope.qpos(order.start)[None], ONE)
     if _follow(simulation, home) is None:
@@ -232,13 +229,3 @@ def _symmetry(elite: Elite, code: GaussCode, rng: np.random.Generator) -> Symmet
 def _rejected(fault: str, order: Order, rope: Rope) -> Instance:
     nothing = np.zeros((0, 6), dtype=np.float32)
     return Instance(order.code, (fault,), order.seed, np.zeros(rope.nq), nothing, order.start[None], np.zeros(rope.nq), measure(order.start))
-
-
-_ropes: dict[tuple[RopeConfig, int], Simulation] = {}
-
-
-def _simulations(config: RopeConfig, count: int) -> Simulation:
-    """This process's simulation, made once; whoever asks lays or restores every rope before use."""
-    if (config, count) not in _ropes:
-        _ropes[config, count] = Simulation(count, Rope(config))
-    return _ropes[config, count]

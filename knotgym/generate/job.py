@@ -31,7 +31,7 @@ from knotgym.knots import knot_type
 from knotgym.rope import Array, Rope
 
 MOST_NX = 6
-MORE_ROUNDS = 4
+MORE_ROUNDS = 4  # of search in a cycle while none of what lacks is known
 
 
 class InvalidJob(KnotgymError, ValueError):

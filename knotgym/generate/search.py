@@ -141,7 +141,7 @@ def advance(archive: Archive, config: SearchConfig, pool: Pool, chunk: int = 16)
 
 def confirm(trial: Trial) -> list[Find]:
     """Follow each way from the plain loop; what it shows at its end, `Find.slot` counting the ways."""
-    simulation = _simulation(len(trial.ways), trial.config.rope)
+    simulation = simulation_of(len(trial.ways), trial.config.rope)
     rope = simulation.rope
     simulation.lay(np.repeat(rope.qpos(rope.loop())[None], len(trial.ways), axis=0))
     alive = np.ones(len(trial.ways), dtype=bool)
@@ -166,7 +166,7 @@ def play(shift: Shift) -> tuple[list[Find], NDArray[np.int16], NDArray[np.float3
         how many pulls each slot made before its rope broke, int (slots,); and what the manoeuvres did to codes.
     """
     config, slots = shift.config, len(shift.slots)
-    simulation = _simulation(slots, config.rope)
+    simulation = simulation_of(slots, config.rope)
     simulation.restore(shift.states)
     rngs = [np.random.default_rng([config.seed, shift.round, slot]) for slot in shift.slots]
     hand, limits = Hand(slots), Limits()
@@ -224,8 +224,7 @@ def _unconfirmed(archive: Archive, config: SearchConfig, number: int) -> list[Wa
 
     Codes of which no chirality is shown so come first.
 
-    The plain loop, renumbered by `roll` and turned back by as much, is the plain loop again; so it is, walked the other way
-    in a mirror.
+    The plain loop, renumbered, is the plain loop again once it is turned back, or seen in a mirror where it is walked the other way.
     """
     if archive.settings["start"] != "loop":
         return []
@@ -237,13 +236,10 @@ def _unconfirmed(archive: Archive, config: SearchConfig, number: int) -> list[Wa
     for niche in sorted(drawn, key=lambda one: one.plain in sure)[: config.slots // 2]:
         elites = archive.niches[niche]
         elite = elites[rng.integers(len(elites))]
-        turn = 2 * np.pi * elite.roll / config.rope.beads
-        if elite.reverse:
-            symmetry = Symmetry(reflect=True, turn=turn - np.pi, reverse=True, roll=-elite.roll)
-        else:
-            symmetry = Symmetry(turn=-turn, roll=elite.roll)
-        beads = symmetry.beads(elite.way.beads, config.rope.beads).astype(np.int16)
-        way = Way(beads, symmetry.vectors(elite.way.forces.astype(np.float64)).astype(np.float32))
+        renumbered = Symmetry(reverse=elite.reverse, roll=-elite.roll if elite.reverse else elite.roll)
+        beads = renumbered.beads(elite.way.beads, config.rope.beads).astype(np.int16)
+        back = renumbered.back_to_loop(config.rope.beads)
+        way = Way(beads, back.vectors(elite.way.forces.astype(np.float64)).astype(np.float32))
         ways.append(way.jittered(rng.uniform(0, JITTER), rng))
     return ways
 
@@ -264,7 +260,7 @@ def _parents(archive: Archive, config: SearchConfig, number: int) -> list[Elite]
 _simulations: dict[tuple[int, RopeConfig], Simulation] = {}
 
 
-def _simulation(count: int, config: RopeConfig) -> Simulation:
+def simulation_of(count: int, config: RopeConfig) -> Simulation:
     """This process's simulation of this size, made once; whoever asks lays or restores every rope before use."""
     key = count, config
     if key not in _simulations:

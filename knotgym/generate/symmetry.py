@@ -55,6 +55,21 @@ class Symmetry:
         return ((-old - 1 if self.reverse else old) - self.roll) % count
 
 
+    def back_to_loop(self, count: int) -> Symmetry:
+        """The exact symmetry that lays a plain loop of `count` beads, moved by this one, down as it was, numbers included.
+
+        A loop lies as it did after a turn; one that was mirrored, or walked the other way, after a reflection and a turn.
+        """
+        rolled, half = 2 * np.pi * self.roll / count, np.pi if self.reverse else 0.0
+        if self.reflect != self.reverse:
+            return Symmetry(reflect=True, turn=self.turn - rolled - half)
+        return Symmetry(turn=-(half + rolled + self.turn))
+
+    def undone(self) -> Symmetry:
+        """The symmetry that takes back this one, which renumbers nothing."""
+        return Symmetry(reflect=self.reflect, switch=self.switch, turn=self.turn if self.reflect else -self.turn)
+
+
 def mirrorings(code: GaussCode) -> Iterator[tuple[GaussCode, Symmetry]]:
     """The codes that a rope showing `code`, with chirality, shows after reflection and switch, each with its symmetry; four, some twice."""
     for switch in (False, True):
