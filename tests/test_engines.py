@@ -98,6 +98,21 @@ def test_processes_take_work_that_never_ends() -> None:
     assert len(taken) <= 5 + 2 * AHEAD
 
 
+def _interruptible(_: int) -> bool:
+    """Whether a Ctrl-C would reach this process."""
+    return signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+
+
+def _print_interruptible() -> None:
+    with engine(2) as pool:
+        print([*pool.map(_interruptible, range(2)), _interruptible(0)])
+
+
+def test_processes_leave_an_interruption_to_their_parent_from_their_first_moment_on() -> None:
+    words = [sys.executable, "-c", f"from {__name__} import _print_interruptible as told; told()"]
+    assert subprocess.run(words, capture_output=True, text=True, timeout=SECONDS).stdout == "[False, False, True]\n"
+
+
 @pytest.mark.parametrize(
     ("options", "problem"),
     [

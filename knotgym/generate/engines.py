@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from itertools import islice
+from multiprocessing import forkserver, resource_tracker
 from typing import Any, Protocol
 
 from knotgym.errors import KnotgymError
@@ -114,9 +115,7 @@ def engine(workers: int, scheduler: str = "") -> Iterator[Pool]:
     if count == 1:
         yield InProcess()
         return
-    # forkserver: no copies of this process's threads and simulations; workers leave Ctrl-C to their parent, and end when it is killed
-    context = multiprocessing.get_context("forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn")
-    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_serve)
+    pool = ProcessPoolExecutor(count, mp_context=_context(), initializer=_serve)
     try:
         yield Processes(pool, count)
         pool.shutdown()
@@ -125,6 +124,22 @@ def engine(workers: int, scheduler: str = "") -> Iterator[Pool]:
             process.terminate()
         pool.shutdown(wait=False, cancel_futures=True)
         raise
+
+
+def _context() -> multiprocessing.context.BaseContext:
+    """How processes begin: from a server that holds no copies of this process's threads and simulations.
+
+    They leave Ctrl-C to their parent. The server, and all it starts, inherit that it is blocked, so none is interrupted before it can say so.
+    """
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
+    resource_tracker.ensure_running()  # else the server starts it, which unblocks the signals here
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+    return multiprocessing.get_context("forkserver")
 
 
 def _serve() -> None:
