@@ -7,6 +7,8 @@ Rows are drawn from the state file, laid with noise that keeps their Gauss code,
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -170,13 +172,19 @@ def _side(config: TaskConfig, nx: int, rope: Rope) -> States:
     """The states that a side of the task draws from: the file asked for, or for want of rows the one that ships."""
     paths = [shipped()] if config.states is None else [states_file(config.states), shipped()]
     for path in paths:
-        states = read_states(path, images=False)
+        states = _read(path, path.stat().st_mtime_ns if path.exists() else 0)
         made_for = states.attributes.get("rope")
         if made_for != rope.config.fingerprint:
             raise InvalidSetting(f"{path} was made for rope model {made_for}, this version has {rope.config.fingerprint}")
         if len(states.rows(nx, config.split)):
             return states
     raise InvalidSetting(f"no states with nx = {nx} in split {config.split!r} of {paths[0]}; make some: knotgym-generate --nx {nx}")
+
+
+@lru_cache(maxsize=4)
+def _read(path: Path, written: int) -> States:
+    """States without pictures, read once for all the episodes of a process; again when the file was `written` anew."""
+    return read_states(path, images=False)
 
 
 def _few(rows: Sequence[int] | NDArray[np.int64]) -> str:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 _PIECE_SPAN = 0.0067
 
 SHIFT = 6  # OpenCV takes coordinates in 1/2**SHIFT pixels
-_FAR = 2.0**24  # pixels; coordinates are held inside this, so that they fit OpenCV's int32 after the shift
+_FAR = 2.0**23  # pixels; coordinates are held inside this, so that they and their differences fit OpenCV's int32 after the shift
 EDGE = 0.48  # pixels by which OpenCV's convex polygons, which own their outline, come out wider than the polygon
 _STEEP = 1.0  # pieces seen so nearly end-on that they appear shorter than this many radii get round ends
 # The vertices of one end of a piece: a mitred end, where the rope turns left, is cut along the bisector of the joint, with a short arc on the

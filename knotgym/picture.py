@@ -194,7 +194,7 @@ def draw_many(points: ArrayLike, config: PictureConfig = DEFAULT, *, colours: ND
 
 
 def average(canvas: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
-    """Average the samples of each pixel: uint8, shape (side, side, 3), to (side / factor, side / factor, 3)."""
+    """Average the samples of each pixel: uint8, shape (rows, columns, 3), to (rows / factor, columns / factor, 3)."""
     while factor % 2 == 0:  # halving twice is three times as fast as quartering
         canvas = _shrink(canvas, 2)
         factor //= 2
@@ -265,8 +265,8 @@ def shown_strands(
 
 
 def _shrink(canvas: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
-    side = len(canvas) // factor
-    return np.asarray(cv2.resize(canvas, (side, side), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    rows, columns = canvas.shape[0] // factor, canvas.shape[1] // factor
+    return np.asarray(cv2.resize(canvas, (columns, rows), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def _checked(points: ArrayLike, axes: int) -> NDArray[np.float64]:
@@ -312,15 +312,32 @@ def _draw_all(points: NDArray[np.float64], config: PictureConfig, colours: NDArr
             image[:] = picture_mujoco.draw(rope, shades, config)
         return images
     paint = _paint(beads, config) if colours is None else _as_scalars(colours)
-    side = config.size * config.supersampling
-    canvas = np.empty((side, side, 3), dtype=np.uint8)
+    finer = config.supersampling
+    canvas = np.empty((finer * config.size, finer * config.size, 3), dtype=np.uint8)
     for image, rope in zip(images, points, strict=True):
-        cv2.rectangle(canvas, (0, 0), (side, side), config.background, cv2.FILLED)
-        outlines, owners = polygons(*_placed(rope, config), side)
+        _fill(image, config.background)
+        outlines, owners = polygons(*_placed(rope, config), len(canvas))
+        if not len(outlines):
+            continue
+        columns, rows = _touched(outlines, config)
+        touched = canvas[finer * rows.start : finer * rows.stop, finer * columns.start : finer * columns.stop]
+        _fill(touched, config.background)
         for outline, bead in zip(outlines, owners.tolist(), strict=True):
             cv2.fillConvexPoly(canvas, outline, paint[bead], cv2.LINE_8, SHIFT)
-        image[:] = average(canvas, config.supersampling)
+        image[rows, columns] = average(touched, finer)
     return images
+
+
+def _touched(outlines: NDArray[np.int32], config: PictureConfig) -> tuple[slice, slice]:
+    """The columns and the rows of pixels that polygons on the canvas touch, and one more on each side."""
+    x, y, width, height = cv2.boundingRect(outlines.reshape(-1, 2))
+    spans = [(low >> SHIFT) // config.supersampling for low in (x, y)], [(high >> SHIFT) // config.supersampling for high in (x + width, y + height)]
+    columns, rows = (slice(max(low - 1, 0), min(high + 2, config.size)) for low, high in zip(*spans, strict=True))
+    return columns, rows
+
+
+def _fill(picture: NDArray[np.uint8], colour: RGB) -> None:
+    cv2.rectangle(picture, (0, 0), picture.shape[1::-1], colour, cv2.FILLED)  # a tenth of the time that NumPy takes
 
 
 def _placed(points: NDArray[np.float64], config: PictureConfig) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:

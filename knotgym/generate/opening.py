@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from knotgym.crossings import find_crossings, label
 from knotgym.gauss import GaussCode
 from knotgym.generate.manoeuvres import NO_WAY, Way, pull
-from knotgym.generate.quality import Limits, crampedness, measure, tightest_spot
+from knotgym.generate.quality import Limits, measure, spots_of, tightest_spot
 from knotgym.rope import Array
 from knotgym.simulation import Simulation
 
@@ -75,8 +75,9 @@ def _score(points: Array, code: GaussCode, limits: Limits) -> tuple[float, float
     crossings = find_crossings(points)
     if crossings.code != code:
         return np.inf, np.inf
-    badness = limits.badness(measure(points, crossings, quick=True), code.nx)
-    return badness, badness + crampedness(points, crossings, limits)
+    spots = spots_of(points, crossings)
+    badness = limits.badness(measure(points, crossings, spots=spots, quick=True), code.nx)
+    return badness, badness + spots.crampedness(limits)
 
 
 def _proposals(points: Array, tries: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], NDArray[np.float32]]:

@@ -136,13 +136,49 @@ class Limits:
         return total
 
 
-def measure(points: ArrayLike, crossings: Crossings | None = None, config: PictureConfig = DEFAULT, *, quick: bool = False) -> Quality:
+@dataclass(frozen=True, eq=False)
+class Spots:
+    """All the places of a picture that may be tight.
+
+    Attributes:
+        angles: of the crossings, degrees (nx,).
+        apart: distances of all pairs of crossings, pixels.
+        faces: areas, the outer one's among them, square pixels (nx + 2,).
+    """
+
+    angles: Array
+    apart: Array
+    faces: Array
+
+    def crampedness(self, limits: Limits) -> float:
+        """How far all of them together are from comfortable, where `Limits.badness` asks the worst.
+
+        A rope with several tight spots gets better as any of them opens. Same scale as `Limits.badness`; 0 for a roomy picture.
+        """
+        if not len(self.angles):
+            return 0.0
+        shares = (self.faces / FACE, self.apart / limits.crossing_spacing, self.angles / limits.crossing_angle)
+        return float(sum((np.maximum(0.0, 2 - share) ** 2).sum() for share in shares))
+
+
+def spots_of(points: Array, crossings: Crossings, config: PictureConfig = DEFAULT) -> Spots:
+    """The spots of a configuration, float64 (beads, 3), metres."""
+    at = crossings.position * config.pixels_per_metre
+    apart = np.linalg.norm(at[:, None] - at[None, :], axis=2)[np.triu_indices(crossings.nx, 1)]
+    angles = np.array([_angle(points, over, under) for over, under in zip(crossings.over_place, crossings.under_place, strict=True)])
+    return Spots(angles, apart, _faces(project(points, config), crossings))
+
+
+def measure(
+    points: ArrayLike, crossings: Crossings | None = None, config: PictureConfig = DEFAULT, *, spots: Spots | None = None, quick: bool = False
+) -> Quality:
     """Measure a configuration, float64 (beads, 3), metres.
 
     Args:
         points: left alone.
         crossings: of these points, if they are known already.
         config: of the picture it is measured in.
+        spots: of all that, if they are known already.
         quick: leave out excess_crossing_number, half of the time.
 
     Returns:
@@ -160,42 +196,21 @@ def measure(points: ArrayLike, crossings: Crossings | None = None, config: Pictu
     curvature = np.arccos(np.clip((unit * np.roll(unit, -1, axis=0)).sum(axis=1), -1, 1)).sum() / (2 * np.pi)
     radius = config.rope_radius * scale
     regions = _regions(pixels, 2 * radius)[0]
-    spacing, angle = size, 90.0
-    clearance = float("inf")
-    if found.nx:
-        angle = min(_angle(p, over, under) for over, under in zip(found.over_place, found.under_place, strict=True))
-        at = found.position * scale
-        apart = np.linalg.norm(at[:, None] - at[None, :], axis=2)
-        spacing = min(size, float(apart[np.triu_indices(found.nx, 1)].min(initial=size)))
-        clearance = 1000 * float((found.over_z - found.under_z).min())
+    spots = spots_of(p, found, config) if spots is None else spots
+    clearance = 1000 * float((found.over_z - found.under_z).min(initial=np.inf))
     return Quality(
-        crossing_angle=angle,
-        crossing_spacing=spacing,
+        crossing_angle=float(spots.angles.min(initial=90.0)),
+        crossing_spacing=float(spots.apart.min(initial=size)),
         base_spacing=base_spacing(p, found, 0, config),
         strand_spacing=min(size, _strand_spacing(pixels, found.over_place, found.under_place, WALK)),
         smallest_region=float(regions.min()) if len(regions) == found.nx + 2 else 0.0,
-        smallest_face=float(_faces(pixels, found).min()),
+        smallest_face=float(spots.faces.min()),
         margin=float(min(seen.min(), size - seen.max()) - radius),
         clearance=min(clearance, 1000.0 * config.rope_radius * 4),
         excess_crossing_number=float("nan") if quick else _average_crossing_number(p) - found.nx,
         total_curvature=float(curvature),
         writhe=float(found.sign.sum()),
     )
-
-
-def crampedness(points: ArrayLike, crossings: Crossings, limits: Limits, config: PictureConfig = DEFAULT) -> float:
-    """How far all faces, pairs of crossings and crossing angles together are from comfortable, where `Limits.badness` asks the worst.
-
-    A rope with several tight spots gets better as any of them opens. Same scale as `Limits.badness`; 0 for a roomy picture.
-    """
-    p = np.asarray(points, dtype=np.float64)
-    if not crossings.nx:
-        return 0.0
-    at = crossings.position * config.pixels_per_metre
-    apart = np.linalg.norm(at[:, None] - at[None, :], axis=2)[np.triu_indices(crossings.nx, 1)]
-    angles = np.array([_angle(p, over, under) for over, under in zip(crossings.over_place, crossings.under_place, strict=True)])
-    shares = (_faces(project(p, config), crossings) / FACE, apart / limits.crossing_spacing, angles / limits.crossing_angle)
-    return float(sum((np.maximum(0.0, 2 - share) ** 2).sum() for share in shares))
 
 
 def base_spacing(points: Array, crossings: Crossings, base: int = 0, config: PictureConfig = DEFAULT) -> float:
