@@ -42,8 +42,9 @@ class RopeConfig:
         medium_density: of what the rope floats in, kg/m^3; its drag is what stops the rope.
         joint_damping: of the ball joints, N m s / rad.
         sub_chains: open chains the loop is cut into.
-        rooted: which bead of a sub-chain carries the free joint, "middle" or "start"; the rope is the same, the tree
-            is half as deep from the middle.
+        rooted: which bead of a sub-chain carries the free joint, "middle" or "start" (published); the rope is the same, the
+            tree is half as deep from the middle. MuJoCo integrates joint angles, which are others then: beads end millimetres
+            apart after an action (`benchmarks/physics.py`).
         closure_solref, closure_solimp: MuJoCo's parameters of the equalities that join the sub-chains.
         timestep: of the integrator, seconds.
         frame_skip: integrator steps in one action.
