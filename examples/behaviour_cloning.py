@@ -16,7 +16,6 @@ import argparse
 import csv
 import functools
 import os
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -235,8 +234,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("dataset", help="Minari id or folder of expert episodes with states")
     parser.add_argument("--epochs", type=int, default=60)
-    parser.add_argument("--episodes", type=int, default=128, help="of each policy in the evaluation")
-    parser.add_argument("--expert-episodes", type=int, default=32, help="of the expert, which plans for seconds an episode")
+    parser.add_argument("--episodes", type=int, default=128, help="of random and clone each, in both splits; 0 for none")
+    parser.add_argument("--expert-episodes", type=int, default=32, help="of the expert, which plans for seconds an episode; 0 for none")
     parser.add_argument("--nx", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=0)
@@ -256,16 +255,14 @@ def main() -> None:
         writer.writerows(curve)
     draw(curve, args.out / "curve.png")
     os.environ[WEIGHTS] = str((args.out / "policy.npz").resolve())
-    cheap = EvaluateConfig(
-        policies=(PolicyConfig(policy="random"), PolicyConfig(policy="behaviour_cloning:act")),
-        nx=(args.nx,),
-        splits=("train", "test"),
-        episodes=args.episodes,
-        seed=args.seed,
-    )
-    dear = replace(cheap, policies=(PolicyConfig(policy="expert", planner=PlannerConfig()),), splits=("test",), episodes=args.expert_episodes)
-    for name, config in (("success", cheap), ("success_expert", dear)):
-        if config.episodes:
+    cheap = (PolicyConfig(policy="random"), PolicyConfig(policy="behaviour_cloning:act"))
+    expert = (PolicyConfig(policy="expert", planner=PlannerConfig()),)
+    for name, policies, splits, episodes in (
+        ("success", cheap, ("train", "test"), args.episodes),
+        ("success_expert", expert, ("test",), args.expert_episodes),
+    ):
+        if episodes:
+            config = EvaluateConfig(policies=policies, nx=(args.nx,), splits=splits, episodes=episodes, seed=args.seed)
             run(config, workers=args.workers, out=args.out / f"{name}.json", video=None, quiet=False, console=console)
 
 
