@@ -101,7 +101,8 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
             "",
             "## Rejected",
             "",
-            f"{report['attempts']} instances were made, in {report['actions']} environment steps with the search. One can be rejected for several reasons.",
+            f"{report['attempts']} instances were made, in {report['actions']} environment steps with the search. One can be rejected for "
+            "several reasons.",
             "",
             "| nx | reason | instances |",
             "| --- | --- | --- |",

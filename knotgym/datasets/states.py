@@ -185,9 +185,7 @@ def merge_states(parts: Sequence[States]) -> States:
         split=joined([part.split for part in parts]),
         quality={name: joined([part.quality[name] for part in parts]) for name in first.quality},
         units=dict(first.units),
-        source={
-            name: joined([padded(part.source[name]) if name == "actions" else part.source[name] for part in parts]) for name in first.source
-        },
+        source={name: joined([padded(part.source[name]) if name == "actions" else part.source[name] for part in parts]) for name in first.source},
         attributes={**first.attributes, "config": json.dumps(configs if len(configs) > 1 else configs[0])},
     )
 

@@ -177,7 +177,7 @@ def _interrupt(number: int, frame: object) -> None:
     raise KeyboardInterrupt
 
 
-def _unraisable(error: "sys.UnraisableHookArgs") -> None:
+def _unraisable(error: sys.UnraisableHookArgs) -> None:
     """After an interruption: silence of what was half made and is taken down; but the interruption itself is never swallowed."""
     if issubclass(error.exc_type, KeyboardInterrupt):
         _end(0, None)

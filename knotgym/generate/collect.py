@@ -224,8 +224,9 @@ def _play_all(shards: Sequence[_Shard], workers: int, scheduler: str, quiet: boo
             if not quiet and (seconds - told > 10 or number == len(todo)):
                 told = seconds
                 left = seconds * (len(todo) - number) / number
+                all_episodes = sum(len(shard.numbers) for shard in shards)
                 console.print(
-                    f"{seconds:5.0f} s  {total.played} of {sum(len(shard.numbers) for shard in shards)} episodes, {total.succeeded} reached the goal; about {left:.0f} s left",
+                    f"{seconds:5.0f} s  {total.played} of {all_episodes} episodes, {total.succeeded} reached the goal; about {left:.0f} s left",
                     soft_wrap=True,
                     highlight=False,
                 )

@@ -53,7 +53,12 @@ def verify(path: PathOrId, quiet: Annotated[bool, typer.Option("--quiet", help="
 
 @dataset_app.command()
 def merge(
-    sources: Annotated[list[str], typer.Argument(metavar="PATH-OR-ID...", help="All the shards of one run; or state files or their folders; or trajectory datasets of one task.")],
+    sources: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="PATH-OR-ID...", help="All the shards of one run; or state files or their folders; or trajectory datasets of one task."
+        ),
+    ],
     out: Annotated[
         Path,
         typer.Option(

@@ -58,7 +58,11 @@ class Processes:
         self._executor, self._count = executor, count
 
     def map(self, function: Callable[[Any], Any], work: Iterable[Any], /) -> Iterable[Any]:
-        return ordered(lambda piece: self._executor.submit(function, piece), work, AHEAD * self._count)
+        def submit(piece: Any) -> Promise:
+            with uninterrupted():  # a process may have to begin for it
+                return self._executor.submit(function, piece)
+
+        return ordered(submit, work, AHEAD * self._count)
 
 
 def ordered(submit: Callable[[Any], Promise], work: Iterable[Any], ahead: int) -> Iterator[Any]:
@@ -126,6 +130,23 @@ def engine(workers: int, scheduler: str = "") -> Iterator[Pool]:
         raise
 
 
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Hold Ctrl-C and SIGTERM back until the block ends: a process half begun would complain on its own."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[tuple[int, Any]] = []
+    handlers = {number: signal.signal(number, lambda *said: came.append(said)) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler or signal.SIG_DFL)
+        if came:
+            signal.raise_signal(came[0][0])
+
+
 def _context() -> multiprocessing.context.BaseContext:
     """How processes begin: from a server that holds no copies of this process's threads and simulations.
 
@@ -133,12 +154,13 @@ def _context() -> multiprocessing.context.BaseContext:
     """
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
-    resource_tracker.ensure_running()  # else the server starts it, which unblocks the signals here
-    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        forkserver.ensure_running()
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
+    with uninterrupted():
+        resource_tracker.ensure_running()  # else the server starts it, which unblocks the signals here
+        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            forkserver.ensure_running()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
     return multiprocessing.get_context("forkserver")
 
 

@@ -162,7 +162,9 @@ def _trips(folder: Path) -> tuple[list[_Trip], list[str]]:
         with h5py.File(folder / "walks.h5", "r") as file:
             found = file.attrs.get("format"), file.attrs.get("format_version"), file.attrs.get("rope")
             if found != (WALKS_FORMAT, WALKS_VERSION, RopeConfig().fingerprint):
-                return [], [f"walks.h5 has format, version and rope {found}; this version's are {(WALKS_FORMAT, WALKS_VERSION, RopeConfig().fingerprint)}"]
+                return [], [
+                    f"walks.h5 has format, version and rope {found}; this version's are {(WALKS_FORMAT, WALKS_VERSION, RopeConfig().fingerprint)}"
+                ]
             states, beads, forces = file["state"][()][file["start"][()]], file["beads"][()], file["forces"][()]
             place = {number: row for row, number in enumerate(file["number"][()].tolist())}
     except (OSError, KeyError) as error:

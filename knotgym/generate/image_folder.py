@@ -49,7 +49,9 @@ def close(folder: Path, shards: Sequence[Path], asked: Mapping[str, Any], report
         "rope": RopeConfig().fingerprint,
         "report": report,
         "summary": facts,
-        "files": {str(path.relative_to(folder)): sha256(path) for path in sorted(folder.rglob("*")) if path.is_file() and path.name != "manifest.json"},
+        "files": {
+            str(path.relative_to(folder)): sha256(path) for path in sorted(folder.rglob("*")) if path.is_file() and path.name != "manifest.json"
+        },
     }
     with whole(folder / "manifest.json") as part:
         part.write_text(json.dumps(manifest, indent=1, sort_keys=True), encoding="utf-8")
@@ -135,22 +137,22 @@ def card(facts: Mapping[str, Any], config: Mapping[str, Any], report: Mapping[st
             "",
             "## What a row holds",
             "",
-            "`image`: PNG, lossless. `gauss_code`, `gauss_code_chiral`: \"1+,1-,2+,2-\", \"1+a,1-a,2+c,2-c\", the walk from the white base bead towards "
-            "red. `nx`: crossings. `knot`: type. `points`: 300 float64, bead by bead, metres. `crossings`: pixel x (right), y (down) of each, the places "
-            "of the over and the under strand along the rope (beads, 2.25 is a quarter from bead 2 to bead 3), its sign; in order of first visit. "
-            "`quality`: the measures of the configuration in the published 128 x 128 picture, whatever the row's own. `accepted`: it keeps to all "
-            "limits of curated states. `grade`: how hard it is to read, by its worst measure in units of the limit for accepted states: easy from 1.5, "
-            "medium from 1, hard from 0.5, extreme below. `appearance`: how it was drawn. `source`: the walk in `walks.h5`, pulls made, rounds of opening "
-            "up, and the symmetry applied then.",
+            '`image`: PNG, lossless. `gauss_code`, `gauss_code_chiral`: "1+,1-,2+,2-", "1+a,1-a,2+c,2-c", the walk from the white base bead towards '
+            "red. `nx`: crossings. `knot`: type. `points`: 300 float64, bead by bead, metres. `crossings`: pixel x (right), y (down) of each, the "
+            "places of the over and the under strand along the rope (beads, 2.25 is a quarter from bead 2 to bead 3), its sign; in order of first "
+            "visit. `quality`: the measures of the configuration in the published 128 x 128 picture, whatever the row's own. `accepted`: it keeps to "
+            "all limits of curated states. `grade`: how hard it is to read, by its worst measure in units of the limit for accepted states: easy "
+            "from 1.5, medium from 1, hard from 0.5, extreme below. `appearance`: how it was drawn. `source`: the walk in `walks.h5`, pulls made, "
+            "rounds of opening up, and the symmetry applied then.",
             "",
-            "With colours \"single\" a picture shows the base bead and not the direction of the walk: the code of the reversed walk fits it too.",
+            'With colours "single" a picture shows the base bead and not the direction of the walk: the code of the reversed walk fits it too.',
             "",
             "## Splits",
             "",
             "train and test differ in configuration: everything made from one state, its near-duplicates and their mirror images, reversals and "
             "renumberings stays in one split (walks from the plain loop are each on their own), and no two rows anywhere are near-duplicates. "
-            f"test-code shows codes that no other split but test-nx shows, a share of {config['code_share']:g} of the codes with at least 2 crossings. "
-            f"test-nx shows more crossings than training, {', '.join(map(str, config['test_nx'])) or 'none'}.",
+            f"test-code shows codes that no other split but test-nx shows, a share of {config['code_share']:g} of the codes with at least 2 "
+            f"crossings. test-nx shows more crossings than training, {', '.join(map(str, config['test_nx'])) or 'none'}.",
             "",
             _row("nx", *head),
             _row(*["---"] * (len(head) + 1)),

@@ -114,7 +114,9 @@ def _made(order: Order, simulation: Simulation) -> Instance:
     symmetry = _symmetry(elite, order.code, rng)
     start_qpos = rope.qpos(symmetry.configuration(noised(order.start, config.start_noise, rng)))
     simulation.lay(start_qpos[None], ONE)
-    way = Way(symmetry.beads(elite.way.beads, config.rope.beads).astype(np.int16), symmetry.vectors(elite.way.forces.astype(np.float64)).astype(np.float32))
+    way = Way(
+        symmetry.beads(elite.way.beads, config.rope.beads).astype(np.int16), symmetry.vectors(elite.way.forces.astype(np.float64)).astype(np.float32)
+    )
     if not elite.exact:
         way = way.jittered(rng.uniform(0, JITTER), rng)
     if _follow(simulation, way) is None:

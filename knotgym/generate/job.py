@@ -1,8 +1,8 @@
 """The main job: search, make, judge, choose, write.
 
-It goes in cycles: a round of the search, then a wave of instances of the codes still wanted. Everything it does depends on
-the configuration and the seed alone. After each cycle its state can be saved, and a job resumed from there goes on as if
-nothing had happened.
+It goes in cycles: a round of the search, aims at what it doesn't meet, then a wave of instances of the codes still wanted.
+Everything it does depends on the configuration and the seed alone. After each cycle its state can be saved, and a job resumed
+from there goes on as if nothing had happened.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy as np
 from knotgym.crossings import label
 from knotgym.errors import KnotgymError
 from knotgym.gauss import GaussCode
+from knotgym.generate.aim import Target, reach
 from knotgym.generate.archive import Archive
 from knotgym.generate.curate import codes_of, is_near_duplicate
 from knotgym.generate.curves import knot_curve
@@ -32,6 +33,7 @@ from knotgym.rope import Array, Rope
 
 MOST_NX = 6
 MORE_ROUNDS = 4  # of search in a cycle while none of what lacks is known
+AIMS = 8  # codes aimed at in a cycle whose search found fewer new classes than that
 
 
 class InvalidJob(KnotgymError, ValueError):
@@ -108,8 +110,9 @@ class Job:
         accepted: nx -> instances, in the order of acceptance.
         rejected: nx -> reason -> how many.
         tried: nx -> code -> orders given.
+        aimed: code -> how often the planner was sent there.
         cycle: cycles done.
-        actions: environment steps made for instances (the search's are in the archive).
+        actions: environment steps made for aims and instances (the search's are in the archive).
         growth: one row a cycle: steps of search and instances together by then, and nx -> codes known, states accepted.
         seconds: spent so far, over all sittings.
     """
@@ -122,6 +125,7 @@ class Job:
     accepted: dict[int, list[Instance]] = field(default_factory=dict)
     rejected: dict[int, Counter[str]] = field(default_factory=dict)
     tried: dict[int, Counter[GaussCode]] = field(default_factory=dict)
+    aimed: Counter[GaussCode] = field(default_factory=Counter)
     cycle: int = 0
     actions: int = 0
     growth: list[dict[str, Any]] = field(default_factory=list)
@@ -178,8 +182,11 @@ def run(job: Job, pool: Pool, each_cycle: Callable[[Job], None]) -> None:
     search = search_config(config)
     while not job.done():
         began = time.perf_counter()
-        for _ in range(_rounds(job)):
-            advance(job.archive, search, pool)
+        if sum(advance(job.archive, search, pool) for _ in range(_rounds(job))) < AIMS:
+            for shot in pool.map(reach, _targets(job, search)):
+                job.actions += shot.spent
+                for elite in shot.elites:
+                    job.archive.offer(elite)
         orders = _orders(job)
         for (nx, _), instance in zip(orders, pool.map(make, [order for _, order in orders]), strict=True):
             job.actions += instance.pulls
@@ -205,6 +212,20 @@ def _rounds(job: Job) -> int:
         unknown = job.wanted_codes(nx) - len(job.archive.codes(nx))
         missing.append(min(1.0, max(0, unknown) / max(1, lacking)))
     return 1 + round(MORE_ROUNDS * max(missing)) if max(job.config.nx) else 0
+
+
+def _targets(job: Job, search: SearchConfig) -> list[Target]:
+    """Codes that lack states and that no way is sure to lead to: those aimed at least first, of these those not known at all."""
+    start, lacking = start_of(job.config), []
+    for nx, shares in job.shares.items():
+        have = Counter(instance.code.plain for instance in job.accepted[nx])
+        for index, code in enumerate(shares):
+            known = job.archive.handed(code)
+            if nx and len(job.accepted[nx]) < job.wanted(nx) and have[code] < shares[code] and not any(map(job.archive.sure, known)):
+                lacking.append(((job.aimed[code], bool(known), index), Target(search, start, code, (search.seed, 5, nx, index, job.aimed[code]))))
+    chosen = [target for _, target in sorted(lacking, key=lambda one: one[0])[:AIMS]]
+    job.aimed.update(target.goal for target in chosen)
+    return chosen
 
 
 def search_config(config: GenerateConfig) -> SearchConfig:

@@ -23,8 +23,8 @@ from knotgym.datasets.states import merge_states, read_states, write_states
 from knotgym.datasets.verify import folder_faults, state_faults
 from knotgym.errors import KnotgymError
 from knotgym.generate.film import FRAMES_PER_SECOND, captioned, write_film
-from knotgym.generate.merge import merge_shards, shard_of
 from knotgym.generate.image_checks import image_faults, show_images
+from knotgym.generate.merge import merge_shards, shard_of
 from knotgym.picture import draw
 from knotgym.rope import Array
 from knotgym.simulation import Simulation

@@ -25,7 +25,7 @@ from knotgym.errors import KnotgymError
 from knotgym.gauss import GaussCode
 from knotgym.generate import image_folder, output
 from knotgym.generate.archive import Archive
-from knotgym.generate.collect import REPORT, CollectConfig, Tally, settings_of, write_whole
+from knotgym.generate.collect import REPORT, CollectConfig, Tally, write_whole
 from knotgym.generate.curate import split
 from knotgym.generate.partial import Occupied, held
 from knotgym.generate.parts import Part
@@ -135,8 +135,7 @@ def _states(ordered: Sequence[Shard], folder: Path) -> Path:
     for nx in sorted(set(merged.nx.tolist())):
         mine = np.flatnonzero(merged.nx == nx)
         ways = [
-            Chosen(output.ways_folder(shard.folder / "minari", nx), trajectories[mine[number[mine] == k]].tolist())
-            for k, shard in enumerate(ordered)
+            Chosen(output.ways_folder(shard.folder / "minari", nx), trajectories[mine[number[mine] == k]].tolist()) for k, shard in enumerate(ordered)
         ]
         output.publish_ways(nx, [one for one in ways if one.episode_indices], len(mine), folder / "minari", folder / "states.h5")
     _archive([Archive.load(shard.folder / "archive.h5") for shard in ordered]).save(folder / "archive.h5")

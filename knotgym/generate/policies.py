@@ -1,13 +1,13 @@
 """Policies: who pulls. One interface for a batch of ropes, every draw from a generator handed in.
 
-    random          uniform in [-1, 1]^6
-    scripted        one manoeuvre after the other, without a goal
-    expert          plans in the simulator from the state the rope is in, see `expert`
-    noisy-expert    an expert; each pull is a random one instead with probability `noise`, and the expert plans anew
-    mixed           each episode is one of the four
-    module:function a function (observation, info, generator) -> action (6,), of the user's own; its module may lie in the current folder
-    FILE            a model that takes observations: .zip (Stable-Baselines3; FILE.zip:SAC for another algorithm than PPO),
-                    .onnx, or .pt (TorchScript)
+random          uniform in [-1, 1]^6
+scripted        one manoeuvre after the other, without a goal
+expert          plans in the simulator from the state the rope is in, see `expert`
+noisy-expert    an expert; each pull is a random one instead with probability `noise`, and the expert plans anew
+mixed           each episode is one of the four
+module:function a function (observation, info, generator) -> action (6,), of the user's own; its module may lie in the current folder
+FILE            a model that takes observations: .zip (Stable-Baselines3; FILE.zip:SAC for another algorithm than PPO),
+                .onnx, or .pt (TorchScript)
 """
 
 from __future__ import annotations

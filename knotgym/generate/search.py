@@ -24,7 +24,6 @@ from knotgym.generate.transitions import Transitions, Watch
 from knotgym.rope import Array, Rope, RopeConfig
 from knotgym.simulation import Simulation
 
-
 JITTER = 0.04  # of ways that hold nearly: the same way would miss again
 
 

@@ -54,7 +54,6 @@ class Symmetry:
         old = np.asarray(beads, dtype=np.int64)
         return ((-old - 1 if self.reverse else old) - self.roll) % count
 
-
     def back_to_loop(self, count: int) -> Symmetry:
         """The exact symmetry that lays a plain loop of `count` beads, moved by this one, down as it was, numbers included.
 

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episodes import goal_steps
 
-
 _KEPT = 256  # segments whose codes are kept
 
 
