@@ -20,10 +20,12 @@ from knotgym.generate import cli, job, main_job
 from knotgym.generate.instances import InstanceConfig
 from knotgym.generate.job import GenerateConfig
 from knotgym.generate.opening import OpeningConfig
+from knotgym.generate.planner import PlannerConfig
 from knotgym.generate.search import SearchConfig
 
 INSTANCE = InstanceConfig(opening=OpeningConfig(pulls=6, tries=4), stir_loop=4)
 WAVE = 8
+AIM = PlannerConfig(budget=400)
 
 _search_config, _generate = job.search_config, main_job.generate
 
@@ -38,7 +40,7 @@ def small() -> Iterator[None]:
     """Let every job begun in here be small."""
 
     def generate(config: GenerateConfig, *arguments: Any, **keywords: Any) -> None:
-        _generate(replace(config, wave=WAVE, instance=INSTANCE), *arguments, **keywords)
+        _generate(replace(config, wave=WAVE, instance=INSTANCE, planner=AIM), *arguments, **keywords)
 
     with mock.patch.object(job, "search_config", small_search), mock.patch.object(main_job, "generate", generate):
         yield

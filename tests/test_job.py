@@ -12,21 +12,25 @@ import pytest
 
 from knotgym.gauss import GaussCode
 from knotgym.generate import job as jobs
+from knotgym.generate.aim import reach
 from knotgym.generate.archive import Archive
 from knotgym.generate.engines import InProcess
 from knotgym.generate.instances import Instance, Order, make
 from knotgym.generate.job import GenerateConfig, InvalidJob, Job, NotEnough, run, search_config, start_of
+from knotgym.generate.manoeuvres import pull
 from knotgym.generate.natural import frequencies
+from knotgym.generate.planner import PlannerConfig
 from knotgym.generate.quality import Limits
 from knotgym.generate.search import new_archive
 from knotgym.rope import Rope, RopeConfig
+from knotgym.simulation import Simulation
 
 from .conftest import curled, trefoil
-from .small_job import INSTANCE, WAVE, small
+from .small_job import AIM, INSTANCE, WAVE, small
 
 
 def config(**changes: Any) -> GenerateConfig:
-    return replace(GenerateConfig(nx=(0, 1), count=4, wave=WAVE, instance=INSTANCE), **changes)
+    return replace(GenerateConfig(nx=(0, 1), count=4, wave=WAVE, instance=INSTANCE, planner=AIM), **changes)
 
 
 def done(job: Job) -> Job:
@@ -214,6 +218,36 @@ def test_cycles_that_accept_nothing_end_with_a_line_that_says_so() -> None:
 def test_more_is_searched_while_wanted_codes_are_unknown(finished: Job) -> None:
     assert jobs._rounds(Job.begin(config(nx=(3,), every_code=1))) == 1 + jobs.MORE_ROUNDS
     assert jobs._rounds(finished) == 1 and jobs._rounds(Job.begin(config(nx=(0,)))) == 0
+
+
+def test_codes_not_surely_known_are_aimed_at_those_aimed_at_least_first() -> None:
+    job = Job.begin(config(nx=(2,), every_code=1))
+    search = search_config(job.config)
+    first, second = jobs._targets(job, search), jobs._targets(job, search)
+    assert [one.goal for one in first] == [one.goal for one in second] == list(job.shares[2])[: jobs.AIMS]
+    assert len({one.seed for one in first + second}) == 2 * len(first) and set(job.aimed.values()) == {2}
+    for elite in reach(first[0]).elites:
+        job.archive.offer(elite)
+    assert job.archive.sure(next(iter(job.archive.handed(first[0].goal))))
+    assert first[0].goal not in [one.goal for one in jobs._targets(job, search)]
+
+
+def test_an_aim_is_a_way_that_can_be_gone_again(rope: Rope) -> None:
+    target = jobs._targets(Job.begin(config(nx=(2,), every_code=1)), search_config(config(nx=(2,))))[0]
+    shot, again = reach(target), reach(target)
+    assert shot.spent == again.spent > len(shot.elites[0].way) > 0
+    simulation = Simulation(1, rope)
+    for elite in shot.elites:
+        simulation.lay(rope.qpos(target.start)[None])
+        for bead, force in zip(elite.way.beads, elite.way.forces, strict=True):
+            pull(simulation, np.array([bead]), force[None])
+        assert np.array_equal(simulation.states()[0], elite.state)
+    assert next(one for one in shot.elites if one.exact).code.matches(target.goal)
+
+
+def test_an_aim_that_fails_says_what_it_spent() -> None:
+    target = jobs._targets(Job.begin(config(nx=(4,), every_code=1)), search_config(config(nx=(4,))))[0]
+    assert reach(target._replace(planner=PlannerConfig(budget=16))) == ((), 16)
 
 
 def test_a_random_policy_meets_the_loop_at_once() -> None:

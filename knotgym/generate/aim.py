@@ -15,13 +15,12 @@ from knotgym.generate.quality import Limits
 from knotgym.generate.search import SearchConfig, readings, simulation_of
 from knotgym.rope import Array
 
-BUDGET = 3000  # simulated actions for one target
-
 
 class Target(NamedTuple):
     """A code to reach from a configuration (beads, 3) at rest; `seed` decides what is tried."""
 
     search: SearchConfig
+    planner: PlannerConfig
     start: Array
     goal: GaussCode
     seed: tuple[int, ...]
@@ -36,7 +35,7 @@ class Shot(NamedTuple):
 
 def reach(target: Target) -> Shot:
     """Plan a way to a target that the search could have gone, and act it out."""
-    search, planner = target.search, PlannerConfig(budget=BUDGET)
+    search, planner = target.search, target.planner
     simulation = simulation_of(planner.slots, search.rope)
     rope = simulation.rope
     simulation.lay(rope.qpos(target.start)[None], [0])

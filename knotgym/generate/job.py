@@ -27,6 +27,7 @@ from knotgym.generate.engines import Pool
 from knotgym.generate.instances import Instance, InstanceConfig, Order, make
 from knotgym.generate.natural import natural_shares
 from knotgym.generate.parts import Part
+from knotgym.generate.planner import PlannerConfig
 from knotgym.generate.search import SearchConfig, advance, new_archive
 from knotgym.knots import knot_type
 from knotgym.rope import Array, Rope
@@ -61,6 +62,7 @@ class GenerateConfig:
         cycles: of search and a wave of instances, after which what there is is enough; 0 to go on until all wanted is there.
         wave: instances made in a cycle.
         instance: how they are made and judged.
+        planner: what is spent on a code aimed at.
         part: of the run, which curates its share of the states and of the codes.
     """
 
@@ -76,6 +78,7 @@ class GenerateConfig:
     cycles: int = 0
     wave: int = 48
     instance: InstanceConfig = InstanceConfig()
+    planner: PlannerConfig = PlannerConfig(budget=3000)
     part: Part = Part()
 
     def __post_init__(self) -> None:
@@ -216,13 +219,14 @@ def _rounds(job: Job) -> int:
 
 def _targets(job: Job, search: SearchConfig) -> list[Target]:
     """Codes that lack states and that no way is sure to lead to: those aimed at least first, of these those not known at all."""
-    start, lacking = start_of(job.config), []
+    config, start, lacking = job.config, start_of(job.config), []
     for nx, shares in job.shares.items():
         have = Counter(instance.code.plain for instance in job.accepted[nx])
         for index, code in enumerate(shares):
-            known = job.archive.handed(code)
+            known, aimed = job.archive.handed(code), job.aimed[code]
             if nx and len(job.accepted[nx]) < job.wanted(nx) and have[code] < shares[code] and not any(map(job.archive.sure, known)):
-                lacking.append(((job.aimed[code], bool(known), index), Target(search, start, code, (search.seed, 5, nx, index, job.aimed[code]))))
+                target = Target(search, config.planner, start, code, (search.seed, 5, nx, index, aimed))
+                lacking.append(((aimed, bool(known), index), target))
     chosen = [target for _, target in sorted(lacking, key=lambda one: one[0])[:AIMS]]
     job.aimed.update(target.goal for target in chosen)
     return chosen
