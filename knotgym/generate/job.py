@@ -222,11 +222,14 @@ def _targets(job: Job, search: SearchConfig) -> list[Target]:
     config, start, lacking = job.config, start_of(job.config), []
     for nx, shares in job.shares.items():
         have = Counter(instance.code.plain for instance in job.accepted[nx])
+        sure = {code for code in shares if any(map(job.archive.sure, job.archive.handed(code)))}
+        if not nx or len(job.accepted[nx]) >= job.wanted(nx) or len(sure) >= job.wanted_codes(nx):
+            continue
         for index, code in enumerate(shares):
-            known, aimed = job.archive.handed(code), job.aimed[code]
-            if nx and len(job.accepted[nx]) < job.wanted(nx) and have[code] < shares[code] and not any(map(job.archive.sure, known)):
+            aimed = job.aimed[code]
+            if have[code] < shares[code] and code not in sure:
                 target = Target(search, config.planner, start, code, (search.seed, 5, nx, index, aimed))
-                lacking.append(((aimed, bool(known), index), target))
+                lacking.append(((aimed, bool(job.archive.handed(code)), index), target))
     chosen = [target for _, target in sorted(lacking, key=lambda one: one[0])[:AIMS]]
     job.aimed.update(target.goal for target in chosen)
     return chosen
