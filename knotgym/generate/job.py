@@ -116,7 +116,7 @@ class Job:
         aimed: code -> how often the planner was sent there.
         cycle: cycles done.
         actions: environment steps made for aims and instances (the search's are in the archive).
-        growth: one row a cycle: steps of search and instances together by then, and nx -> codes known, states accepted.
+        growth: one row a cycle: steps of search, aims and instances together by then, and nx -> codes known, states accepted.
         seconds: spent so far, over all sittings.
     """
 
@@ -166,7 +166,7 @@ class Job:
         return len(self.shares[nx]) if self.config.every_code else min(len(self.shares[nx]), max(1, int(1.25 * self.wanted(nx))))
 
     def steps(self) -> int:
-        """Environment steps made so far, by the search and for instances."""
+        """Environment steps made so far, by the search, for aims and for instances."""
         return self.actions + (self.archive.growth[-1]["actions"] if self.archive.growth else 0)
 
     def done(self) -> bool:
