@@ -17,7 +17,7 @@ from knotgym.generate.archive import Archive
 from knotgym.generate.engines import InProcess
 from knotgym.generate.instances import Instance, Order, make
 from knotgym.generate.job import GenerateConfig, InvalidJob, Job, NotEnough, run, search_config, start_of
-from knotgym.generate.manoeuvres import pull
+from knotgym.generate.manoeuvres import Way, pull
 from knotgym.generate.natural import frequencies
 from knotgym.generate.planner import PlannerConfig
 from knotgym.generate.quality import Limits
@@ -230,6 +230,17 @@ def test_codes_not_surely_known_are_aimed_at_those_aimed_at_least_first() -> Non
         job.archive.offer(elite)
     assert job.archive.sure(next(iter(job.archive.handed(first[0].goal))))
     assert first[0].goal not in [one.goal for one in jobs._targets(job, search)]
+
+
+def test_a_code_that_only_a_long_way_leads_to_is_aimed_at_after_those_that_lack_states(finished: Job) -> None:
+    job = Job.begin(config(nx=(2,), every_code=1))
+    search, code = search_config(job.config), next(iter(job.shares[2]))
+    elite = next(one for one in reach(jobs._targets(job, search)[0]).elites if one.exact)
+    rests = Way(np.zeros(search.longest, dtype=np.int16), np.zeros((search.longest, 3), dtype=np.float32))
+    job.archive.offer(replace(elite, way=elite.way + rests))
+    job.accepted[2].append(replace(finished.accepted[1][0], code=elite.code))
+    assert any(map(job.archive.sure, job.archive.handed(code)))
+    assert [one.goal for one in jobs._targets(job, search)][-1] == code
 
 
 def test_an_aim_is_a_way_that_can_be_gone_again(rope: Rope) -> None:

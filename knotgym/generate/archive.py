@@ -104,9 +104,9 @@ class Archive:
         """The codes with chirality that show the visits of `code` and are known."""
         return [one for letters in chiralities(code) if mirror_images(one := GaussCode(code.visits, letters))[0] in self.niches]
 
-    def sure(self, code: GaussCode) -> bool:
-        """Whether an elite shows a mirror image of `code`, which has its chirality, as the rope is numbered."""
-        return any(one.exact for one in self.leading_to(code))
+    def sure(self, code: GaussCode, longest: float = float("inf")) -> bool:
+        """Whether an elite with a way of at most `longest` shows a mirror image of `code`, which has its chirality, as the rope is numbered."""
+        return any(one.exact and len(one.way) <= longest for one in self.leading_to(code))
 
     def leading_to(self, code: GaussCode) -> list[Elite]:
         """Elites whose mirror images show `code`, which has its chirality."""

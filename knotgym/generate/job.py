@@ -218,18 +218,18 @@ def _rounds(job: Job) -> int:
 
 
 def _targets(job: Job, search: SearchConfig) -> list[Target]:
-    """Codes that lack states and that no way is sure to lead to: those aimed at least first, of these those not known at all."""
+    """Codes that no way short enough to go on with is sure to lead to: those that lack states first, then those aimed at least, then the unknown."""
     config, start, lacking = job.config, start_of(job.config), []
     for nx, shares in job.shares.items():
         have = Counter(instance.code.plain for instance in job.accepted[nx])
-        sure = {code for code in shares if any(map(job.archive.sure, job.archive.handed(code)))}
+        sure = {code for code in shares if any(job.archive.sure(one, search.longest) for one in job.archive.handed(code))}
         if not nx or len(job.accepted[nx]) >= job.wanted(nx) or len(sure) >= job.wanted_codes(nx):
             continue
         for index, code in enumerate(shares):
-            aimed = job.aimed[code]
-            if have[code] < shares[code] and code not in sure:
+            if code not in sure:
+                aimed = job.aimed[code]
                 target = Target(search, config.planner, start, code, (search.seed, 5, nx, index, aimed))
-                lacking.append(((aimed, bool(job.archive.handed(code)), index), target))
+                lacking.append(((have[code] >= shares[code], aimed, bool(job.archive.handed(code)), index), target))
     chosen = [target for _, target in sorted(lacking, key=lambda one: one[0])[:AIMS]]
     job.aimed.update(target.goal for target in chosen)
     return chosen
