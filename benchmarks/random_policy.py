@@ -1,6 +1,6 @@
 """What a random policy does to the rope: NaN, gaps, knot type, over many steps.
 
-    python benchmarks/random_policy.py --steps 100000
+    python benchmarks/random_policy.py --steps 100000 [--integrator-steps 24]
 
 Every step is certified: the rope's diagram is reduced by Reidemeister moves to the empty one, or told by its Alexander or
 Jones polynomial (knotgym.knots.is_unknot); a rope that starts as a plain loop has to stay an unknot. Episodes start over
@@ -18,6 +18,7 @@ import numpy as np
 from knotgym.crossings import label_many
 from knotgym.diagrams import NotPlanar
 from knotgym.knots import is_unknot
+from knotgym.rope import Rope, RopeConfig
 from knotgym.simulation import Simulation
 
 
@@ -27,10 +28,12 @@ def main() -> None:
     parser.add_argument("--ropes", type=int, default=32)
     parser.add_argument("--horizon", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--integrator-steps", type=int, default=24, help="in an action; environments take 20 and more")
     parser.add_argument("--out", type=Path, default=Path("random_policy.json"))
     args = parser.parse_args()
     rng = np.random.default_rng(args.seed)
-    simulation = Simulation(args.ropes, threads=0)
+    config = RopeConfig(frame_skip=args.integrator_steps, timestep=24 * 0.008 / args.integrator_steps)
+    simulation = Simulation(args.ropes, Rope(config), threads=0)
     loop = simulation.rope.qpos(simulation.rope.loop())
     crossings: Counter[int] = Counter()
     nan = failed = knotted = undrawable = 0

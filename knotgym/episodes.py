@@ -19,7 +19,7 @@ from knotgym.datasets.states import States, read_states, shipped, states_file
 from knotgym.gauss import GaussCode
 from knotgym.observations import picture_config, pixels, state
 from knotgym.picture import draw
-from knotgym.rope import Array, Rope, clearance, noised
+from knotgym.rope import Array, Rope, RopeConfig, clearance, noised
 from knotgym.simulation import Simulation
 from knotgym.tasks import InvalidSetting, TaskConfig
 
@@ -42,10 +42,10 @@ class Episodes:
     def __init__(self, config: TaskConfig, count: int = 1, threads: int = 1) -> None:
         self.config = config
         self.count = count
-        self.simulation = Simulation(count, Rope(), threads)
+        self.simulation = Simulation(count, Rope(config.rope), threads)
         self._picture = picture_config(config)
-        self._starts = _side(config, config.start_nx, self.simulation.rope)
-        self._goals = _side(config, config.goal_nx, self.simulation.rope)
+        self._starts = _side(config, config.start_nx)
+        self._goals = _side(config, config.goal_nx)
         self._goal_images: dict[int, NDArray[np.uint8]] = {}
         self.codes = [GaussCode(())] * count
         self.goals = [GaussCode(())] * count
@@ -168,14 +168,14 @@ def start_qpos(rope: Rope, states: States, row: int, code: GaussCode, scale: flo
     return states.qpos[row].copy()
 
 
-def _side(config: TaskConfig, nx: int, rope: Rope) -> States:
+def _side(config: TaskConfig, nx: int) -> States:
     """The states that a side of the task draws from: the file asked for, or for want of rows the one that ships."""
     paths = [shipped()] if config.states is None else [states_file(config.states), shipped()]
     for path in paths:
         states = _read(path, path.stat().st_mtime_ns if path.exists() else 0)
         made_for = states.attributes.get("rope")
-        if made_for != rope.config.fingerprint:
-            raise InvalidSetting(f"{path} was made for rope model {made_for}, this version has {rope.config.fingerprint}")
+        if made_for != RopeConfig().fingerprint:  # however finely an action is integrated: a configuration at rest fits
+            raise InvalidSetting(f"{path} was made for rope model {made_for}, this version has {RopeConfig().fingerprint}")
         if len(states.rows(nx, config.split)):
             return states
     raise InvalidSetting(f"no states with nx = {nx} in split {config.split!r} of {paths[0]}; make some: knotgym-generate --nx {nx}")

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import gymnasium as gym
@@ -51,6 +52,21 @@ def test_the_dataset_takes_its_id_and_holds_every_episode(states_path: str, tmp_
 def test_every_episode_can_be_acted_out_again(states_path: str, tmp_path: Path) -> None:
     folder = collect(config(states_path), tmp_path, **QUIET)
     assert verify_episodes(folder, act_out=True) == []
+
+
+def test_episodes_of_a_rope_integrated_otherwise_say_so_and_can_be_acted_out_again(states_path: str, tmp_path: Path) -> None:
+    usual, coarse = config(states_path), config(states_path, task=replace(config(states_path).task, integrator_steps=20))
+    folders = [collect(one, tmp_path / str(one.task.integrator_steps), **QUIET) for one in (usual, coarse)]
+    assert verify_episodes(folders[1], act_out=True) == []
+    one, other = map(EpisodeReader, folders)
+    assert (one.rope, other.rope) == (usual.task.rope.fingerprint, coarse.task.rope.fingerprint) and one.rope != other.rope
+    apart = np.linalg.norm(one.episode(0).points[1] - other.episode(0).points[1], axis=1).max()
+    assert 0 < apart < 0.002 and np.array_equal(one.episode(0).actions[0], other.episode(0).actions[0])
+    with pytest.raises(SystemExit) as stopped:
+        main(["dataset", "replay", str(folders[1]), "--out", str(tmp_path / "film.gif")])
+    assert stopped.value.code == 0
+    metadata = [json.loads((folder / "data" / "metadata.json").read_text()) for folder in folders]
+    assert json.loads(metadata[1]["env_spec"])["kwargs"]["integrator_steps"] == 20
 
 
 def test_the_environment_s_reset_with_the_stored_seed_begins_the_same_episode(states_path: str, tmp_path: Path) -> None:

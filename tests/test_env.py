@@ -370,6 +370,7 @@ def test_a_row_of_the_other_split_is_refused(make: Make, states: States) -> None
         ({"horizon": 0}, "horizon must be a whole number of at least 1, got 0"),
         ({"hold": 0}, "hold must be a whole number of at least 1, got 0"),
         ({"image_size": 4}, "image_size must be a whole number from 16 to 2048, got 4"),
+        ({"integrator_steps": 12}, "integrator_steps must be a whole number from 20 to 96, got 12"),
         ({"reset_noise": -0.1}, r"reset_noise must be in \[0, 1\), got -0.1"),
         ({"reset_noise": float("nan")}, r"reset_noise must be in \[0, 1\), got nan"),
         ({"noise": 0.1}, "no keyword 'noise'; there is nx, split, states, observation"),

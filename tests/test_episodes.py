@@ -141,14 +141,14 @@ def test_a_digest_changes_with_any_bit(episodes: list[Episode]) -> None:
     assert replace(episodes[0], points=points).digest() != episodes[0].digest() == replace(episodes[0]).digest()
 
 
-def test_replay_is_exact(episodes: list[Episode]) -> None:
-    assert replay(episodes) == [None] * len(episodes)
+def test_replay_is_exact(episodes: list[Episode], task: TaskConfig) -> None:
+    assert replay(episodes, task) == [None] * len(episodes)
 
 
-def test_replay_says_where_the_rope_lies_elsewhere(episodes: list[Episode]) -> None:
+def test_replay_says_where_the_rope_lies_elsewhere(episodes: list[Episode], task: TaskConfig) -> None:
     points = episodes[1].points.copy()
     points[5:] += 1e-16 + 1e-12
-    assert replay([episodes[0], replace(episodes[1], points=points)]) == [None, 5]
+    assert replay([episodes[0], replace(episodes[1], points=points)], task) == [None, 5]
 
 
 def test_hindsight_cuts_where_a_code_is_reached_first(recorded: list[tuple[Episode, list[Any]]]) -> None:

@@ -25,11 +25,12 @@ from knotgym.tasks import TaskConfig
 _BATCH = 64  # episodes replayed side by side
 
 
-def replay(episodes: Sequence[Episode], threads: int = 1) -> list[int | None]:
+def replay(episodes: Sequence[Episode], task: TaskConfig, threads: int = 1) -> list[int | None]:
     """Act every episode out again from its start.
 
     Args:
-        episodes: side by side in one simulation.
+        episodes: of one task; side by side in one simulation.
+        task: whose rope they pull.
         threads: of the simulation, 0 for every core.
 
     Returns:
@@ -37,7 +38,7 @@ def replay(episodes: Sequence[Episode], threads: int = 1) -> list[int | None]:
     """
     if not episodes:
         return []
-    simulation = Simulation(len(episodes), Rope(), threads)
+    simulation = Simulation(len(episodes), Rope(task.rope), threads)
     simulation.lay(np.array([one.start_qpos for one in episodes]))
     lengths = np.array([len(one) for one in episodes])
     different: list[int | None] = [None] * len(episodes)
@@ -68,7 +69,7 @@ def verify_episodes(source: Any, *, frames: int | None = 4, pyknotid: bool = Tru
         reader = EpisodeReader(source)
     except InvalidEpisodeFile as error:
         return [str(error)]
-    rope = Rope()
+    rope = Rope(reader.task.rope)
     faults = _file_faults(reader, rope)
     right: list[int] = []
     for index, row in enumerate(reader.rows):
@@ -90,7 +91,7 @@ def verify_episodes(source: Any, *, frames: int | None = 4, pyknotid: bool = Tru
             right.append(index)
     for start in range(0, len(right) if act_out else 0, _BATCH):
         batch = right[start : start + _BATCH]
-        for index, step in zip(batch, replay([reader.episode(index) for index in batch], threads), strict=True):
+        for index, step in zip(batch, replay([reader.episode(index) for index in batch], reader.task, threads), strict=True):
             if step is not None:
                 faults.append(f"{reader.path}, episode {reader.rows[index]}: step {step}: acted out again, the rope lies elsewhere")
     reader.close()

@@ -144,13 +144,11 @@ def merge(
 
 
 def _attributes(task: TaskConfig, stored: str) -> dict[str, Any]:
-    from knotgym.rope import RopeConfig
-
     return {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
         "task": json.dumps(asdict(task), sort_keys=True),
-        "rope": RopeConfig().fingerprint,
+        "rope": task.rope.fingerprint,
         "stored": stored,
         "versions": json.dumps({"knotgym": knotgym.__version__, "mujoco": _mujoco()}),
     }

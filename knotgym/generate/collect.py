@@ -29,6 +29,7 @@ from knotgym.generate.partial import Occupied, held, partial_of
 from knotgym.generate.parts import Part
 from knotgym.generate.policies import PolicyConfig, make_policy
 from knotgym.generate.rollouts import roll
+from knotgym.rope import RopeConfig
 from knotgym.tasks import TaskConfig
 
 SHARD = 4  # episodes; part of the format of a run under way, not of a dataset
@@ -278,7 +279,7 @@ def settings_of(folder: Path) -> Any:
 def _metadata(config: CollectConfig, tally: Tally) -> MinariMetadata:
     """Minari's metadata, with what is known of random and expert policies on this setup as reference scores."""
     task, policy = config.task, config.policy
-    scores = _references().get(f"{task.task}-nx{task.nx}", {})
+    scores = _references().get(f"{task.task}-nx{task.nx}", {}) if task.rope == RopeConfig() else {}
     noise = f", each pull a random one with probability {policy.noise}" if policy.policy in ("noisy-expert", "mixed") else ""
     planning = (
         f" Planning took {tally.planned_actions / tally.played:.0f} simulated actions an episode, of {policy.planner.budget} allowed."

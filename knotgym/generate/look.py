@@ -26,7 +26,7 @@ from knotgym.generate.film import FRAMES_PER_SECOND, captioned, write_film
 from knotgym.generate.image_checks import image_faults, show_images
 from knotgym.generate.merge import merge_shards, shard_of
 from knotgym.picture import draw
-from knotgym.rope import Array
+from knotgym.rope import Array, Rope
 from knotgym.simulation import Simulation
 
 
@@ -165,15 +165,16 @@ def film(path: str, row: int, out: Path) -> None:
         _in_range(row, len(states))
         if not {"start_qpos", "actions", "steps"} <= states.source.keys():
             raise UnknownDataset(f"{path} doesn't say how its states were made, so they can't be acted out")
-        start, goal = states.source["start_qpos"][row], states.points[row]
+        rope, start, goal = Rope(), states.source["start_qpos"][row], states.points[row]
         actions, last = states.source["actions"][row, : states.source["steps"][row]], states.points[row]
     else:
         reader = EpisodeReader(path)
         _in_range(row, len(reader))
         episode = reader.episode(row)
         reader.close()
+        rope = Rope(reader.task.rope)
         start, goal, actions, last = episode.start_qpos, episode.goal_points, episode.actions, episode.points[-1]
-    simulation = Simulation()
+    simulation = Simulation(1, rope)
     simulation.lay(start[None])
     frames = [_frame(simulation.points[0], goal, 0)]
     for step, action in enumerate(actions, 1):
