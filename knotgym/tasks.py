@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from knotgym.errors import KnotgymError
-from knotgym.rope import RopeConfig
+
+if TYPE_CHECKING:
+    from knotgym.rope import RopeConfig
 
 MAX_NX = 6  # codes above are not enumerated, nor ever met in numbers
 
@@ -87,6 +90,8 @@ class TaskConfig:
     @property
     def rope(self) -> RopeConfig:
         """What is pulled: the usual rope, an action's time cut into `integrator_steps`."""
+        from knotgym.rope import RopeConfig  # here, so that loaders need no simulator
+
         usual = RopeConfig()
         return replace(usual, frame_skip=self.integrator_steps, timestep=usual.timestep * usual.frame_skip / self.integrator_steps)
 
