@@ -154,7 +154,7 @@ def test_a_copy_is_rejected_as_a_near_duplicate(finished: Job) -> None:
 
 def test_what_an_instance_brings_home_goes_into_the_archive(searched: Archive) -> None:
     job = Job.begin(config(nx=(1,), wave=8), deepcopy(searched))
-    better = next(one for one in map(make, (order for _, order in jobs._orders(job))) if one.elites)
+    better = next(one for one in map(make, (order for _, order in jobs._orders(job, {}))) if one.elites)
     jobs._judge(job, 1, better)
     assert any(one is better.elites[0] for one in job.archive.leading_to(better.code))
     assert all(not one.elites for one in job.accepted[1])
@@ -184,7 +184,7 @@ def test_a_code_that_has_its_share_gets_no_more(finished: Job) -> None:
 
 def test_orders_are_for_codes_that_lack_states(searched: Archive) -> None:
     job = Job.begin(config(nx=(1, 2), wave=20), searched)
-    orders: list[tuple[int, Order]] = jobs._orders(job)
+    orders: list[tuple[int, Order]] = jobs._orders(job, {})
     assert len(orders) == 20 and Counter(nx for nx, _ in orders) == {1: 10, 2: 10}
     assert all(order.code.nx == nx and order.elites for nx, order in orders)
     assert len({order.seed for _, order in orders}) == 20
@@ -192,7 +192,7 @@ def test_orders_are_for_codes_that_lack_states(searched: Archive) -> None:
 
 def test_codes_are_ordered_with_each_chirality_in_turn(searched: Archive) -> None:
     job = Job.begin(config(nx=(1,), wave=8), searched)
-    assert Counter(order.code.chiral for _, order in jobs._orders(job)) == {text: 2 for text in ("1+a,1-a", "1+c,1-c", "1-a,1+a", "1-c,1+c")}
+    assert Counter(order.code.chiral for _, order in jobs._orders(job, {})) == {text: 2 for text in ("1+a,1-a", "1+c,1-c", "1-a,1+a", "1-c,1+c")}
 
 
 def test_what_cannot_be_accepted_ends_with_a_line_that_says_so() -> None:
@@ -241,6 +241,23 @@ def test_a_code_that_only_a_long_way_leads_to_is_aimed_at_after_those_that_lack_
     job.accepted[2].append(replace(finished.accepted[1][0], code=elite.code))
     assert any(map(job.archive.sure, job.archive.handed(code)))
     assert [one.goal for one in jobs._targets(job, search)][-1] == code
+
+
+def test_a_code_whose_instances_all_fail_is_aimed_at_again_and_they_set_out_from_there() -> None:
+    job = Job.begin(config(nx=(2,), every_code=1))
+    search, code = search_config(job.config), next(iter(job.shares[2]))
+    shot = reach(jobs._targets(job, search)[0])
+    for elite in shot.elites:
+        job.archive.offer(elite)
+    assert code not in [one.goal for one in jobs._targets(job, search)]
+    job.tried[2][code] = 2 * jobs.STUCK
+    assert code in [one.goal for one in jobs._targets(job, search)]
+    assert code not in [one.goal for one in jobs._targets(job, search)]
+    exact = next(one for one in shot.elites if one.exact)
+    fresh = replace(exact, badness=exact.badness + 1)
+    job.tried[2][code] = 0
+    orders = [order for _, order in jobs._orders(job, {code: fresh}) if order.code.plain == code]
+    assert orders and all(order.code == fresh.code and order.elites == (fresh,) for order in orders)
 
 
 def test_an_aim_is_a_way_that_can_be_gone_again(rope: Rope) -> None:

@@ -20,7 +20,7 @@ from knotgym.crossings import label
 from knotgym.errors import KnotgymError
 from knotgym.gauss import GaussCode
 from knotgym.generate.aim import Target, reach
-from knotgym.generate.archive import Archive
+from knotgym.generate.archive import Archive, Elite
 from knotgym.generate.curate import codes_of, is_near_duplicate
 from knotgym.generate.curves import knot_curve
 from knotgym.generate.engines import Pool
@@ -35,6 +35,7 @@ from knotgym.rope import Array, Rope
 MOST_NX = 6
 MORE_ROUNDS = 4  # of search in a cycle while none of what lacks is known
 AIMS = 8  # codes aimed at in a cycle whose search found fewer new classes than that
+STUCK = 48  # instances of a code, none of them accepted, after which it is aimed at again, to set out from elsewhere
 
 
 class InvalidJob(KnotgymError, ValueError):
@@ -185,12 +186,16 @@ def run(job: Job, pool: Pool, each_cycle: Callable[[Job], None]) -> None:
     search = search_config(config)
     while not job.done():
         began = time.perf_counter()
+        fresh: dict[GaussCode, Elite] = {}
         if sum(advance(job.archive, search, pool) for _ in range(_rounds(job))) < AIMS:
-            for shot in pool.map(reach, _targets(job, search)):
+            targets = _targets(job, search)
+            for target, shot in zip(targets, pool.map(reach, targets), strict=True):
                 job.actions += shot.spent
                 for elite in shot.elites:
                     job.archive.offer(elite)
-        orders = _orders(job)
+                    if elite.exact:
+                        fresh[target.goal] = elite
+        orders = _orders(job, fresh)
         for (nx, _), instance in zip(orders, pool.map(make, [order for _, order in orders]), strict=True):
             job.actions += instance.pulls
             _judge(job, nx, instance)
@@ -218,11 +223,15 @@ def _rounds(job: Job) -> int:
 
 
 def _targets(job: Job, search: SearchConfig) -> list[Target]:
-    """Codes that no way short enough to go on with is sure to lead to: those that lack states first, then those aimed at least, then the unknown."""
+    """Codes that no way short enough to go on with is sure to lead to, or whose instances are stuck.
+
+    Those that lack states come first, then those aimed at least, then the unknown.
+    """
     config, start, lacking = job.config, start_of(job.config), []
     for nx, shares in job.shares.items():
         have = Counter(instance.code.plain for instance in job.accepted[nx])
-        sure = {code for code in shares if any(job.archive.sure(one, search.longest) for one in job.archive.handed(code))}
+        stuck = {code for code in shares if have[code] < shares[code] and job.tried[nx][code] >= STUCK * (1 + job.aimed[code])}
+        sure = {code for code in shares if any(job.archive.sure(one, search.longest) for one in job.archive.handed(code))} - stuck
         if not nx or len(job.accepted[nx]) >= job.wanted(nx) or len(sure) >= job.wanted_codes(nx):
             continue
         for index, code in enumerate(shares):
@@ -277,8 +286,8 @@ def _dealt(config: GenerateConfig, nx: int, shares: dict[GaussCode, int]) -> dic
     return {code: mine[code] for code in shares if mine[code]}
 
 
-def _orders(job: Job) -> list[tuple[int, Order]]:
-    """A wave: codes that lack states, those tried least first, in an order that the seed decides."""
+def _orders(job: Job, fresh: dict[GaussCode, Elite]) -> list[tuple[int, Order]]:
+    """A wave: codes that lack states, those tried least first, in an order that the seed decides; those just aimed at set out from there."""
     config = job.config
     start = start_of(config)
     out: list[tuple[int, Order]] = []
@@ -298,9 +307,10 @@ def _orders(job: Job) -> list[tuple[int, Order]]:
                 known = [one for one in known if job.archive.sure(one)] or known
             job.tried[nx][code] += 1
             first = int(np.random.default_rng([config.seed, nx, 6, index]).integers(2**nx))  # not all begin with the same handedness
-            target = known[(number + first) % len(known)]
+            target = fresh[code].code if code in fresh else known[(number + first) % len(known)]
+            elites = (fresh[code],) if code in fresh else tuple(job.archive.leading_to(target))
             seed = (config.seed, 2, nx, index, config.part.first + number)
-            out.append((nx, Order(config.instance, target, tuple(job.archive.leading_to(target)), start, seed)))
+            out.append((nx, Order(config.instance, target, elites, start, seed)))
     return out
 
 
