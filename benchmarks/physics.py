@@ -3,10 +3,10 @@
     python benchmarks/physics.py [--out physics.json] [--starts 40] [--repeats 5]
 
 Every row is the rope with one setting changed. All of them take the same random pulls from the same curated states, in turn, on one
-pinned core; milliseconds are medians over the repeats of the CPU time of `mujoco.mj_step` with 24 steps, "times" is against the published
+pinned core; milliseconds are medians over the repeats of the CPU time of an action's `mujoco.mj_step`, "times" is against the published
 model of the same repeat. The distances are medians over the starts of the bead that ended furthest from where it ends under "ours", after
 one action and after ten. What is rounding shows as 1e-12 or nothing; the root is not: MuJoCo integrates joint angles, and counted from
-another bead the same motion is cut into other steps. `integrator_steps` is a keyword of the environments; the rest isn't to be had.
+another bead the same motion is cut into other steps. `integrator_steps` is a keyword of the environments.
 """
 
 import argparse
