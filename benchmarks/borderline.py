@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 from rope_states import tangled
 
-from knotgym.crossings import find_crossings
 from knotgym.datasets.gallery import contact_sheet, write_png
-from knotgym.generate.quality import UNITS, Limits, measure, noise_survival
-from knotgym.picture import draw
+from knotgym.quality import UNITS, Limits, measure, noise_survival
+from knotgym.rendering.picture import draw
+from knotgym.topology.crossings import find_crossings
 
 EACH = 6  # pictures on either side of a limit
 SHORT = {"degrees": "deg", "pixels": "px", "square pixels": "px2", "millimetres": "mm", "crossings": "crossings", "turns": "turns", "share": ""}

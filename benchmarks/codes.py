@@ -20,8 +20,8 @@ from rich.console import Console
 from rich.table import Table
 from rope_states import tangled
 
-from knotgym.crossings import find_crossings, label, label_many, visit_spacing
-from knotgym.oracle import pyknotid_code
+from knotgym.topology.crossings import find_crossings, label, label_many, visit_spacing
+from knotgym.topology.reference_labeller import pyknotid_code
 
 BEADS = 100
 LENGTH = 1.33  # metres

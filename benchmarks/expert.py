@@ -19,11 +19,11 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from knotgym.datasets.files import whole
-from knotgym.generate.engines import engine
-from knotgym.generate.evaluate import EvaluateConfig, Result, evaluate
-from knotgym.generate.planner import PlannerConfig
-from knotgym.generate.policies import PolicyConfig
+from knotgym.atomic_files import whole
+from knotgym.control.planner import PlannerConfig
+from knotgym.control.policies import PolicyConfig
+from knotgym.generate.episodes.evaluate import EvaluateConfig, Result, evaluate
+from knotgym.runs.executors import engine
 from knotgym.tasks import TaskConfig
 
 

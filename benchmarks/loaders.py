@@ -24,8 +24,8 @@ from rich.console import Console
 from rich.table import Table
 
 import knotgym
-from knotgym.datasets.episode_files import EpisodeWriter, merge
 from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.episode_writer import EpisodeWriter, merge
 from knotgym.loaders import torch_dataset
 from knotgym.tasks import TaskConfig
 

@@ -22,7 +22,7 @@ from pulled import EPISODES, STEPS, pulled_about
 from rich.console import Console
 from rich.table import Table
 
-from knotgym.datasets.episode_files import EpisodeWriter, merge
+from knotgym.datasets.episode_writer import EpisodeWriter, merge
 from knotgym.loaders import Transitions
 from knotgym.tasks import TaskConfig
 

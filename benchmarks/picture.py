@@ -23,7 +23,7 @@ from rich.console import Console
 from rich.table import Table
 
 from knotgym.errors import KnotgymError
-from knotgym.picture import PictureConfig, draw, draw_many
+from knotgym.rendering.picture import PictureConfig, draw, draw_many
 
 SIZES = (64, 128, 256, 512)
 CAMERAS: tuple[Literal["orthographic", "perspective"], ...] = ("orthographic", "perspective")

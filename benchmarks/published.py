@@ -29,10 +29,10 @@ from rich.console import Console
 from rich.table import Table
 
 import knotgym
-from knotgym.crossings import label
 from knotgym.datasets.states import read_states, shipped
-from knotgym.gauss import GaussCode
 from knotgym.rope import Rope, RopeConfig
+from knotgym.topology.crossings import label
+from knotgym.topology.gauss import GaussCode
 
 BARS = {"state": 1.5, "pixels": 15.0}
 SIZE = 128

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from knotgym.crossings import label_many
-from knotgym.datasets.episodes import Episode
+from knotgym.datasets.trajectory import Episode
 from knotgym.simulation import Simulation
+from knotgym.topology.crossings import label_many
 
 EPISODES, STEPS = 50, 50
 

@@ -3,7 +3,7 @@
     python benchmarks/random_policy.py --steps 100000 [--integrator-steps 24]
 
 Every step is certified: the rope's diagram is reduced by Reidemeister moves to the empty one, or told by its Alexander or
-Jones polynomial (knotgym.knots.is_unknot); a rope that starts as a plain loop has to stay an unknot. Episodes start over
+Jones polynomial (knotgym.topology.knots.is_unknot); a rope that starts as a plain loop has to stay an unknot. Episodes start over
 every --horizon steps; half of them are long (20 x horizon), so that tangled ropes are pulled too. Writes JSON to --out.
 """
 
@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
-from knotgym.crossings import label_many
-from knotgym.diagrams import NotPlanar
-from knotgym.knots import is_unknot
 from knotgym.rope import Rope, RopeConfig
 from knotgym.simulation import Simulation
+from knotgym.topology.crossings import label_many
+from knotgym.topology.diagrams import NotPlanar
+from knotgym.topology.knots import is_unknot
 
 
 def main() -> None:

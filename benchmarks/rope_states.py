@@ -4,10 +4,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from knotgym.crossings import count_crossings
-from knotgym.generate.manoeuvres import Hand, propose, pull
+from knotgym.control.macro_actions import Hand, propose, pull
 from knotgym.rope import Array
 from knotgym.simulation import Simulation
+from knotgym.topology.crossings import count_crossings
 
 ROPES = 32
 LONGEST = 60  # pulls before a rope starts over

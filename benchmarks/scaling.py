@@ -18,11 +18,11 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from knotgym.datasets.files import sha256
-from knotgym.generate.collect import CollectConfig, collect
-from knotgym.generate.job import GenerateConfig
-from knotgym.generate.main_job import generate
-from knotgym.generate.policies import PolicyConfig
+from knotgym.atomic_files import sha256
+from knotgym.control.policies import PolicyConfig
+from knotgym.generate.episodes.collect import CollectConfig, collect
+from knotgym.generate.states.job import GenerateConfig
+from knotgym.generate.states.recipe import generate
 from knotgym.tasks import TaskConfig
 
 JOBS = ("state", "pixels", "main")

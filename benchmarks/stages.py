@@ -66,10 +66,10 @@ class Stopwatch:
 
     def attach(self) -> None:
         """Put the stopwatch on every function watched, under every name it was imported by."""
-        import knotgym.generate.cli
-        import knotgym.generate.collect
-        import knotgym.generate.images
-        import knotgym.generate.main_job
+        import knotgym.cli.main
+        import knotgym.generate.episodes.collect
+        import knotgym.generate.images.recipe
+        import knotgym.generate.states.recipe
         import knotgym.simulation
 
         class Batch(mujoco.batch.Batch):  # type: ignore[misc]
@@ -93,12 +93,12 @@ class Stopwatch:
 
 def job(name: str, number: int, of: int, size: int, folder: Path) -> None:
     """Shard `number` of `of` of a job that gives every shard `size` states, episodes or pictures."""
-    from knotgym.generate.collect import CollectConfig, collect
-    from knotgym.generate.images import ImagesConfig, make
-    from knotgym.generate.job import GenerateConfig
-    from knotgym.generate.main_job import generate
-    from knotgym.generate.parts import Part
-    from knotgym.generate.policies import PolicyConfig
+    from knotgym.control.policies import PolicyConfig
+    from knotgym.generate.episodes.collect import CollectConfig, collect
+    from knotgym.generate.images.recipe import ImagesConfig, make
+    from knotgym.generate.states.job import GenerateConfig
+    from knotgym.generate.states.recipe import generate
+    from knotgym.runs.shards import Part
     from knotgym.tasks import TaskConfig
 
     part, how = Part(number, of), {"workers": 1, "resume": False, "quiet": True, "console": Console()}

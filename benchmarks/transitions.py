@@ -11,10 +11,10 @@ from pathlib import Path
 
 from rich.console import Console
 
-from knotgym.generate.archive import Archive
-from knotgym.generate.engines import engine
-from knotgym.generate.search import SearchConfig, advance, new_archive
-from knotgym.generate.transitions import Transitions
+from knotgym.control.transition_counts import Transitions
+from knotgym.generate.states.archive import Archive
+from knotgym.generate.states.search import SearchConfig, advance, new_archive
+from knotgym.runs.executors import engine
 
 
 def main() -> None:

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 from rope_states import tangled
 
-from knotgym.crossings import find_crossings
 from knotgym.errors import KnotgymError
-from knotgym.picture import PictureConfig, draw, shown_strands
+from knotgym.rendering.picture import PictureConfig, draw, shown_strands
+from knotgym.topology.crossings import find_crossings
 
 
 def main() -> None:

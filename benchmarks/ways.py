@@ -16,13 +16,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from knotgym.crossings import label
-from knotgym.gauss import GaussCode
-from knotgym.generate.archive import Archive, Elite
-from knotgym.generate.curate import codes_of
-from knotgym.generate.manoeuvres import pull
-from knotgym.generate.symmetry import mirrorings
+from knotgym.control.macro_actions import pull
+from knotgym.generate.states.archive import Archive, Elite
+from knotgym.generate.states.curation import codes_of
 from knotgym.simulation import Simulation
+from knotgym.topology.crossings import label
+from knotgym.topology.gauss import GaussCode
+from knotgym.topology.symmetry import mirrorings
 
 
 def leads(simulation: Simulation, elite: Elite, code: GaussCode) -> int | None:

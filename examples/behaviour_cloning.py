@@ -24,13 +24,13 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from knotgym.crossings import find_crossings
-from knotgym.gauss import GaussCode
-from knotgym.generate.evaluate import EvaluateConfig, run
-from knotgym.generate.planner import PlannerConfig
-from knotgym.generate.policies import PolicyConfig
+from knotgym.control.planner import PlannerConfig
+from knotgym.control.policies import PolicyConfig
+from knotgym.generate.episodes.evaluate import EvaluateConfig, run
 from knotgym.loaders import arrays
 from knotgym.rope import RopeConfig
+from knotgym.topology.crossings import find_crossings
+from knotgym.topology.gauss import GaussCode
 
 Array = NDArray[np.float32]
 ROPE = RopeConfig()

@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 import gymnasium
 
 from knotgym.errors import KnotgymError
-from knotgym.gauss import GaussCode
+from knotgym.topology.gauss import GaussCode
 
 try:
     __version__ = version("knotgym")

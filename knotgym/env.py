@@ -13,7 +13,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from knotgym.episodes import Episodes
+from knotgym.episode_batch import Episodes
 from knotgym.simulation import InvalidAction
 from knotgym.tasks import InvalidSetting, TaskConfig
 

@@ -7,14 +7,14 @@ import pytest
 from hypothesis import settings
 from numpy.typing import NDArray
 
-from knotgym.crossings import label
 from knotgym.datasets.states import States, write_states
-from knotgym.generate.archive import Archive
-from knotgym.generate.engines import InProcess
-from knotgym.generate.search import SearchConfig, advance, new_archive
-from knotgym.picture import draw
+from knotgym.generate.states.archive import Archive
+from knotgym.generate.states.search import SearchConfig, advance, new_archive
+from knotgym.rendering.picture import draw
 from knotgym.rope import Rope
+from knotgym.runs.executors import InProcess
 from knotgym.simulation import Simulation
+from knotgym.topology.crossings import label
 
 from .small_job import knotgym
 

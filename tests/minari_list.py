@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from knotgym.datasets.episode_checks import verify_episodes
 from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.episode_verification import verify_episodes
 
 
 def check_minari(root: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,9 +1,9 @@
-"""The polygons of a picture by whole-array arithmetic: what the compiled `knotgym.outline.polygons` must equal bit for bit."""
+"""The polygons of a picture by whole-array arithmetic: what the compiled `knotgym.rendering.rasterizer.polygons` must equal bit for bit."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.outline import _FAR, _PIECE_SPAN, _STEEP, SHIFT
+from knotgym.rendering.rasterizer import _FAR, _PIECE_SPAN, _STEEP, SHIFT
 
 _ROUND = np.array([-1.0, -2 / 3, -1 / 3, 0.0, 1 / 3, 2 / 3, 1.0])
 _ARC = np.array([0.0, 0.25, 0.5, 0.75, 1.0, np.nan, np.nan])
@@ -13,7 +13,7 @@ _INNER = np.isnan(_ARC)
 def polygons(
     pixels: NDArray[np.float64], height: NDArray[np.float64], radius: NDArray[np.float64], side: int
 ) -> tuple[NDArray[np.int32], NDArray[np.intp]]:
-    """As `knotgym.outline.polygons`."""
+    """As `knotgym.rendering.rasterizer.polygons`."""
     along = np.roll(pixels, -1, axis=0) - pixels
     length = np.hypot(along[:, 0], along[:, 1])
     along = np.where(length[:, None] > 1e-9, along / np.maximum(length, 1e-9)[:, None], np.array([1.0, 0.0]))

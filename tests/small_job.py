@@ -16,12 +16,14 @@ from unittest import mock
 
 import pytest
 
-from knotgym.generate import cli, job, main_job
-from knotgym.generate.instances import InstanceConfig
-from knotgym.generate.job import GenerateConfig
-from knotgym.generate.opening import OpeningConfig
-from knotgym.generate.planner import PlannerConfig
-from knotgym.generate.search import SearchConfig
+from knotgym.cli import main as cli
+from knotgym.control.planner import PlannerConfig
+from knotgym.generate.states import job
+from knotgym.generate.states import recipe as main_job
+from knotgym.generate.states.candidates import InstanceConfig
+from knotgym.generate.states.hill_climb import OpeningConfig
+from knotgym.generate.states.job import GenerateConfig
+from knotgym.generate.states.search import SearchConfig
 
 INSTANCE = InstanceConfig(opening=OpeningConfig(pulls=6, tries=4), stir_loop=4)
 WAVE = 8

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from knotgym.crossings import find_crossings, label
-from knotgym.generate.appearance import SIZES, VARIED, Appearance, AppearanceConfig, InvalidAppearance, appearance, render
-from knotgym.picture import crossing_pixels, draw, shown_strands
+from knotgym.rendering.appearance import SIZES, VARIED, Appearance, AppearanceConfig, InvalidAppearance, appearance, render
+from knotgym.rendering.picture import crossing_pixels, draw, shown_strands
 from knotgym.rope import Array, Rope
+from knotgym.topology.crossings import find_crossings, label
 
 from .conftest import curled
 

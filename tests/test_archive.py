@@ -7,11 +7,11 @@ import h5py
 import numpy as np
 import pytest
 
-from knotgym.diagrams import planar_codes
-from knotgym.gauss import GaussCode
-from knotgym.generate.archive import KEPT, Archive, Elite, InvalidArchive
-from knotgym.generate.manoeuvres import Way
-from knotgym.generate.symmetry import mirror_images
+from knotgym.control.macro_actions import Way
+from knotgym.generate.states.archive import KEPT, Archive, Elite, InvalidArchive
+from knotgym.topology.diagrams import planar_codes
+from knotgym.topology.gauss import GaussCode
+from knotgym.topology.symmetry import mirror_images
 
 KINK = GaussCode.parse("1+a,1-a")
 

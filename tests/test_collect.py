@@ -13,23 +13,23 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from knotgym.datasets.episode_checks import verify_episodes
-from knotgym.datasets.episode_files import EpisodeWriter
+from knotgym.cli.main import main
+from knotgym.control.planner import PlannerConfig
+from knotgym.control.policies import PolicyConfig
+from knotgym.control.rollouts import episode_seed
 from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.datasets.episodes import relabel_all
-from knotgym.datasets.minari_files import MinariMetadata, publish
-from knotgym.generate.cli import main
-from knotgym.generate.collect import CollectConfig, InvalidCollection, collect
-from knotgym.generate.partial import Occupied
-from knotgym.generate.planner import PlannerConfig
-from knotgym.generate.policies import PolicyConfig
-from knotgym.generate.rollouts import episode_seed
+from knotgym.datasets.episode_verification import verify_episodes
+from knotgym.datasets.episode_writer import EpisodeWriter
+from knotgym.datasets.minari_dataset import MinariMetadata, publish
+from knotgym.datasets.trajectory import relabel_all
+from knotgym.generate.episodes.collect import CollectConfig, InvalidCollection, collect
+from knotgym.runs.staging import Occupied
 from knotgym.tasks import TaskConfig
 
 from .minari_list import check_minari
 
 FORK = multiprocessing.get_context("forkserver")
-FORK.set_forkserver_preload(["knotgym.generate.cli", "knotgym.generate.collect"])
+FORK.set_forkserver_preload(["knotgym.cli.main", "knotgym.generate.episodes.collect"])
 QUIET = {"workers": 1, "resume": False, "quiet": True, "console": Console()}
 
 
@@ -140,7 +140,7 @@ def test_a_finished_dataset_is_not_written_over(states_path: str, tmp_path: Path
 def test_a_killed_run_leaves_nothing_under_its_name_and_resumes_to_the_same_bytes(states_path: str, tmp_path: Path) -> None:
     arguments = ["collect", "--task", "unknot", "--nx", "1", "--policy", "scripted", "--states", states_path, "--horizon", "8", "--episodes", "24"]
     arguments += ["--observation", "state", "--workers", "1", "--quiet", "--out"]
-    program = "import sys; from knotgym.generate.cli import main; main(sys.argv[1:])"
+    program = "import sys; from knotgym.cli.main import main; main(sys.argv[1:])"
     broken = subprocess.Popen([sys.executable, "-c", program, *arguments, str(tmp_path / "broken")])
     partial = tmp_path / "broken/knotgym/unknot-nx1/.scripted-v0.partial"
     while broken.poll() is None and len(list(partial.glob("shard-*.json"))) < 2:

@@ -8,10 +8,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from knotgym.crossings import Crossings, InvalidPoints, VisitSpacing, count_crossings, find_crossings, label, label_many, visit_spacing
-from knotgym.diagrams import is_planar
-from knotgym.gauss import GaussCode
-from knotgym.orientation import side
+from knotgym.topology.crossings import Crossings, InvalidPoints, VisitSpacing, count_crossings, find_crossings, label, label_many, visit_spacing
+from knotgym.topology.diagrams import is_planar
+from knotgym.topology.gauss import GaussCode
+from knotgym.topology.orientation import side
 
 # An eight whose strands meet at (0, 0); the one from the lower left is over.
 EIGHT = np.array([[-1.0, -1.0, 1.0], [1.0, 1.0, 1.0], [2.0, 0.0, 0.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-2.0, 0.0, 0.0]])

@@ -8,12 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from knotgym.datasets.near import NEAR, distances
+from knotgym.datasets.near_duplicates import NEAR, distances
 from knotgym.datasets.states import States
-from knotgym.gauss import GaussCode
-from knotgym.generate.curate import codes_of, is_near_duplicate, split
-from knotgym.knots import knot_type
+from knotgym.generate.states.curation import codes_of, is_near_duplicate, split
 from knotgym.rope import noised
+from knotgym.topology.gauss import GaussCode
+from knotgym.topology.knots import knot_type
 
 EIGHT = list(codes_of("0_1", 2))
 

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from knotgym.crossings import label
-from knotgym.generate.curves import KNOTS, InvalidCurveFile, knot_curve, knot_of
-from knotgym.knots import knot_type
+from knotgym.generate.states.curves import KNOTS, InvalidCurveFile, knot_curve, knot_of
 from knotgym.rope import InvalidCurve, Rope
+from knotgym.topology.crossings import label
+from knotgym.topology.knots import knot_type
 
 from .conftest import curled, trefoil
 

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from knotgym.diagrams import NotPlanar, chiralities, drawn, faces, is_planar, parts, planar_codes, summands
-from knotgym.gauss import GaussCode, UnknownChirality
+from knotgym.topology.diagrams import NotPlanar, chiralities, drawn, faces, is_planar, parts, planar_codes, summands
+from knotgym.topology.gauss import GaussCode, UnknownChirality
 
 CODES = Path(__file__).parent / "codes"
 TREFOIL = GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c")

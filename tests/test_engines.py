@@ -15,10 +15,10 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from knotgym.generate.collect import CollectConfig, collect
-from knotgym.generate.engines import AHEAD, InvalidEngine, engine, ordered, scheduler_of
-from knotgym.generate.images import ImagesConfig, make
-from knotgym.generate.policies import PolicyConfig
+from knotgym.control.policies import PolicyConfig
+from knotgym.generate.episodes.collect import CollectConfig, collect
+from knotgym.generate.images.recipe import ImagesConfig, make
+from knotgym.runs.executors import AHEAD, InvalidEngine, engine, ordered, scheduler_of
 from knotgym.tasks import TaskConfig
 
 from .small_job import knotgym, typed
@@ -145,7 +145,7 @@ def test_without_dask_one_line_names_the_extra(tmp_path: Path, monkeypatch: pyte
 def test_a_scheduler_that_does_not_answer_is_one_line(
     address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    from knotgym.generate import dask_engine
+    from knotgym.runs import dask_executor as dask_engine
 
     monkeypatch.setattr(dask_engine, "CONNECT", 1.0)
     assert knotgym("generate", "--nx", 0, "--count", 1, "--engine", "dask", "--scheduler", address, "--out", tmp_path / "a") == 2

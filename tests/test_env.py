@@ -16,13 +16,13 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from numpy.typing import NDArray
 
-from knotgym.crossings import label
 from knotgym.datasets.states import InvalidStates, States, write_states
 from knotgym.env import KnotEnv
-from knotgym.gauss import GaussCode
-from knotgym.picture import PictureConfig, draw
+from knotgym.rendering.picture import PictureConfig, draw
 from knotgym.simulation import InvalidAction
 from knotgym.tasks import InvalidSetting, TaskConfig
+from knotgym.topology.crossings import label
+from knotgym.topology.gauss import GaussCode
 
 TASKS = ("unknot", "tie", "convert")
 MODES = ("pixels", "state", "both")
@@ -386,7 +386,7 @@ def test_settings_that_cannot_be_had_are_refused_in_one_line(make: Make, setting
 def test_crossings_that_no_file_has_are_refused_with_the_command_that_makes_them(
     make: Make, states_path: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("knotgym.episodes.shipped", lambda: Path(states_path))
+    monkeypatch.setattr("knotgym.episode_batch.shipped", lambda: Path(states_path))
     with pytest.raises(InvalidSetting, match="no states with nx = 6 in split 'train' of .*knotgym-generate --nx 6"):
         make("tie", nx=6)
 
@@ -394,7 +394,7 @@ def test_crossings_that_no_file_has_are_refused_with_the_command_that_makes_them
 def test_a_side_that_the_file_lacks_comes_from_the_one_that_ships(
     make: Make, states: States, states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("knotgym.episodes.shipped", lambda: Path(states_path))
+    monkeypatch.setattr("knotgym.episode_batch.shipped", lambda: Path(states_path))
     only = states.nx == 3
     columns = {name: getattr(states, name)[only] for name in ("qpos", "points", "image", "gauss_code", "gauss_code_chiral", "knot", "nx", "split")}
     write_states(tmp_path / "nx3.h5", States(**columns, attributes=states.attributes))

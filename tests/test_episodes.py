@@ -20,11 +20,11 @@ import pytest
 from typer.testing import CliRunner
 
 import knotgym
-from knotgym.datasets.episode_checks import replay, show_episodes, verify_episodes
-from knotgym.datasets.episode_files import EpisodeWriter, merge
 from knotgym.datasets.episode_reader import EpisodeReader, InvalidEpisodeFile
-from knotgym.datasets.episodes import INFOS, Episode, InvalidEpisode, goals_reached, relabel_all, relabelled
-from knotgym.datasets.minari_files import MinariMetadata, compact, metadata_of, publish
+from knotgym.datasets.episode_verification import replay, show_episodes, verify_episodes
+from knotgym.datasets.episode_writer import EpisodeWriter, merge
+from knotgym.datasets.minari_dataset import MinariMetadata, compact, metadata_of, publish
+from knotgym.datasets.trajectory import INFOS, Episode, InvalidEpisode, goals_reached, relabel_all, relabelled
 from knotgym.loaders import arrays
 from knotgym.tasks import TaskConfig
 
@@ -212,7 +212,7 @@ def test_an_error_leaves_nothing_under_the_final_name(tmp_path: Path, task: Task
 
 def test_a_kill_leaves_nothing_under_the_final_name(tmp_path: Path) -> None:
     script = (
-        "import os\nfrom knotgym.datasets.episode_files import EpisodeWriter\nfrom knotgym.tasks import TaskConfig\n"
+        "import os\nfrom knotgym.datasets.episode_writer import EpisodeWriter\nfrom knotgym.tasks import TaskConfig\n"
         f"with EpisodeWriter({str(tmp_path / 'a.h5')!r}, TaskConfig(task='tie')):\n    os.kill(os.getpid(), 9)"
     )
     assert subprocess.run([sys.executable, "-c", script], cwd=Path(knotgym.__file__).parent.parent).returncode == -9

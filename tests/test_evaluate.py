@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from knotgym.generate.engines import InProcess
-from knotgym.generate.evaluate import EvaluateConfig, InvalidEvaluation, evaluate, report, run, wilson
-from knotgym.generate.planner import PlannerConfig
-from knotgym.generate.policies import PolicyConfig
+from knotgym.control.planner import PlannerConfig
+from knotgym.control.policies import PolicyConfig
+from knotgym.generate.episodes.evaluate import EvaluateConfig, InvalidEvaluation, evaluate, report, run, wilson
+from knotgym.runs.executors import InProcess
 from knotgym.tasks import TaskConfig
 
 
@@ -49,7 +49,7 @@ def test_the_file_holds_the_rate_the_interval_and_the_settings(states_path: str,
 
 
 def test_workers_do_not_change_the_result(states_path: str) -> None:
-    from knotgym.generate.engines import engine
+    from knotgym.runs.executors import engine
 
     with engine(2) as pool:
         assert evaluate(config(states_path), pool)[0] == evaluate(config(states_path), InProcess())[0]
@@ -72,7 +72,7 @@ def test_settings_that_make_no_sense_are_refused(settings: dict[str, object], st
 
 
 def test_the_command_prints_the_matrix(states_path: str, capsys: pytest.CaptureFixture[str]) -> None:
-    from knotgym.generate.cli import main
+    from knotgym.cli.main import main
 
     words = ["evaluate", "--task", "unknot", "--nx", "1,2", "--split", "train,test", "--episodes", "1", "--states", states_path]
     with pytest.raises(SystemExit) as left:
@@ -83,7 +83,7 @@ def test_the_command_prints_the_matrix(states_path: str, capsys: pytest.CaptureF
 
 @pytest.mark.parametrize("words", [["--nx", "9"], ["--policy", "x.onnx"], ["--video", "film.avi"], ["--episodes", "0"], ["--task", "tie,knit"]])
 def test_a_mistake_is_one_line_and_status_2(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    from knotgym.generate.cli import main
+    from knotgym.cli.main import main
 
     with pytest.raises(SystemExit) as left:
         main(["evaluate", *words])

@@ -5,17 +5,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from knotgym.crossings import find_crossings, label
-from knotgym.episodes import Episodes
-from knotgym.gauss import GaussCode
-from knotgym.generate.atlas import DOUBT, Atlas, shipped_atlas
-from knotgym.generate.curate import codes_of
-from knotgym.generate.expert import BLIND, Expert
-from knotgym.generate.planner import InvalidPlanner, PlannerConfig, plan, reason
-from knotgym.generate.transitions import Grip, InvalidTransitions, Places, Transitions, spun
+from knotgym.control.expert import BLIND, Expert
+from knotgym.control.planner import InvalidPlanner, PlannerConfig, plan, reason
+from knotgym.control.transition_counts import Grip, InvalidTransitions, Places, Transitions, spun
+from knotgym.control.transition_graph import DOUBT, Atlas, shipped_atlas
+from knotgym.episode_batch import Episodes
+from knotgym.generate.states.curation import codes_of
 from knotgym.rope import Rope
 from knotgym.simulation import Simulation
 from knotgym.tasks import TaskConfig
+from knotgym.topology.crossings import find_crossings, label
+from knotgym.topology.gauss import GaussCode
 
 KINK = GaussCode.parse("1+a,1-a")
 FLAT = GaussCode.parse("")

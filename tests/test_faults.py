@@ -194,7 +194,7 @@ def test_spoilt_shards_of_a_collection_are_made_anew(unbroken: dict[str, dict[st
 def test_spoilt_walks_and_shards_of_pictures_are_made_anew(
     unbroken: dict[str, dict[str, str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from knotgym.generate import images
+    from knotgym.generate.images import recipe as images
 
     def killed(*_: object) -> None:
         raise KeyboardInterrupt

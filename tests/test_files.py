@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from knotgym.datasets.files import sha256, whole
+from knotgym.atomic_files import sha256, whole
 
 
 class Interrupted(Exception):
@@ -77,7 +77,7 @@ def test_a_relative_path_is_written_where_it_points(tmp_path: Path, monkeypatch:
 def test_a_kill_leaves_nothing_under_the_final_name(tmp_path: Path) -> None:
     writer = f"""
 import time
-from knotgym.datasets.files import whole
+from knotgym.atomic_files import whole
 with whole({str(tmp_path / "a.txt")!r}) as part:
     part.write_text("half")
     print("written", flush=True)

@@ -13,13 +13,13 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from knotgym.datasets.card import growth, summary
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.gallery import contact_sheet, write_gallery
+from knotgym.datasets.state_card import growth, summary
+from knotgym.datasets.state_verification import state_faults
 from knotgym.datasets.states import States, read_states, write_states
-from knotgym.datasets.verify import state_faults
-from knotgym.generate.film import FRAMES_PER_SECOND, UnknownFilm, captioned, write_film
-from knotgym.picture import draw
+from knotgym.datasets.video import FRAMES_PER_SECOND, UnknownFilm, captioned, write_film
+from knotgym.rendering.picture import draw
 
 from .small_job import knotgym
 

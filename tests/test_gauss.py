@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from knotgym.errors import KnotgymError
-from knotgym.gauss import GaussCode, InvalidGaussCode, UnknownChirality
+from knotgym.topology.gauss import GaussCode, InvalidGaussCode, UnknownChirality
 
 
 @st.composite

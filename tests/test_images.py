@@ -14,27 +14,27 @@ import pytest
 from numpy.typing import NDArray
 from rich.console import Console
 
-from knotgym.crossings import find_crossings, label
-from knotgym.datasets import images as tables
-from knotgym.datasets.images import COLUMNS, SPLITS, InvalidImages, MissingArrow, decode, encode, read_rows, read_table, shards, write_rows
-from knotgym.datasets.near import NEAR, distances
-from knotgym.gauss import GaussCode
-from knotgym.generate import images as job
-from knotgym.generate.appearance import VARIED, AppearanceConfig
-from knotgym.generate.balance import _options
-from knotgym.generate.bases import NoBases, bases, families
-from knotgym.generate.cli import main
-from knotgym.generate.difficulty import grade
-from knotgym.generate.image_checks import image_faults, row_faults
-from knotgym.generate.image_shards import Row, record
-from knotgym.generate.images import ImagesConfig, InvalidImagesJob, make, quotas
-from knotgym.generate.partial import Occupied
-from knotgym.generate.quality import UNITS, Limits, measure
-from knotgym.generate.relax import relaxed
-from knotgym.generate.symmetry import Symmetry
+from knotgym.cli.main import main
+from knotgym.datasets import image_table as tables
+from knotgym.datasets.image_rows import Row, record
+from knotgym.datasets.image_table import COLUMNS, SPLITS, InvalidImages, MissingArrow, decode, encode, read_rows, read_table, shards, write_rows
+from knotgym.datasets.image_verification import image_faults, row_faults
+from knotgym.datasets.near_duplicates import NEAR, distances
+from knotgym.difficulty import grade
+from knotgym.generate.images import recipe as job
+from knotgym.generate.images.recipe import ImagesConfig, InvalidImagesJob, make, quotas
+from knotgym.generate.images.seed_states import NoBases, bases, families
+from knotgym.generate.images.selection import _options
 from knotgym.loaders import MissingExtra
 from knotgym.loaders import images as load
+from knotgym.quality import UNITS, Limits, measure
+from knotgym.relaxation import relaxed
+from knotgym.rendering.appearance import VARIED, AppearanceConfig
 from knotgym.rope import Array, Rope
+from knotgym.runs.staging import Occupied
+from knotgym.topology.crossings import find_crossings, label
+from knotgym.topology.gauss import GaussCode
+from knotgym.topology.symmetry import Symmetry
 
 from .conftest import curled
 

@@ -7,17 +7,17 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from knotgym.crossings import label
-from knotgym.gauss import GaussCode
-from knotgym.generate import instances
-from knotgym.generate.archive import Archive, Elite
-from knotgym.generate.instances import REST, Instance, InstanceConfig, Order, make
-from knotgym.generate.manoeuvres import NO_WAY, pull
-from knotgym.generate.quality import Limits, measure
-from knotgym.generate.symmetry import mirror_images
-from knotgym.oracle import pyknotid_code
+from knotgym.control.macro_actions import NO_WAY, pull
+from knotgym.generate.states import candidates as instances
+from knotgym.generate.states.archive import Archive, Elite
+from knotgym.generate.states.candidates import REST, Instance, InstanceConfig, Order, make
+from knotgym.quality import Limits, measure
 from knotgym.rope import Rope
 from knotgym.simulation import Simulation
+from knotgym.topology.crossings import label
+from knotgym.topology.gauss import GaussCode
+from knotgym.topology.reference_labeller import pyknotid_code
+from knotgym.topology.symmetry import mirror_images
 
 from .conftest import curled
 from .small_job import INSTANCE

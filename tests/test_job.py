@@ -10,20 +10,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.gauss import GaussCode
-from knotgym.generate import job as jobs
-from knotgym.generate.aim import reach
-from knotgym.generate.archive import Archive
-from knotgym.generate.engines import InProcess
-from knotgym.generate.instances import Instance, Order, make
-from knotgym.generate.job import GenerateConfig, InvalidJob, Job, NotEnough, run, search_config, start_of
-from knotgym.generate.manoeuvres import Way, pull
-from knotgym.generate.natural import frequencies
-from knotgym.generate.planner import PlannerConfig
-from knotgym.generate.quality import Limits
-from knotgym.generate.search import new_archive
+from knotgym.control.macro_actions import Way, pull
+from knotgym.control.planner import PlannerConfig
+from knotgym.generate.states import job as jobs
+from knotgym.generate.states.archive import Archive
+from knotgym.generate.states.candidates import Instance, Order, make
+from knotgym.generate.states.code_frequencies import frequencies
+from knotgym.generate.states.job import GenerateConfig, InvalidJob, Job, NotEnough, run, search_config, start_of
+from knotgym.generate.states.search import new_archive
+from knotgym.generate.states.targeted_search import reach
+from knotgym.quality import Limits
 from knotgym.rope import Rope, RopeConfig
+from knotgym.runs.executors import InProcess
 from knotgym.simulation import Simulation
+from knotgym.topology.gauss import GaussCode
 
 from .conftest import curled, trefoil
 from .small_job import AIM, INSTANCE, WAVE, small

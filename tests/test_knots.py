@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from knotgym.crossings import label
-from knotgym.diagrams import NotPlanar, chiralities, drawn, faces, is_planar, planar_codes
-from knotgym.gauss import GaussCode, UnknownChirality
-from knotgym.knots import UndecidedKnot, handedness, is_unknot, knot_type
-from knotgym.polynomials import alexander_polynomial, jones_polynomial, mirrored_jones
-from knotgym.reidemeister import simplify, without_bigons
+from knotgym.topology.crossings import label
+from knotgym.topology.diagrams import NotPlanar, chiralities, drawn, faces, is_planar, planar_codes
+from knotgym.topology.gauss import GaussCode, UnknownChirality
+from knotgym.topology.knots import UndecidedKnot, handedness, is_unknot, knot_type
+from knotgym.topology.polynomials import alexander_polynomial, jones_polynomial, mirrored_jones
+from knotgym.topology.reidemeister import simplify, without_bigons
 
 CODES = Path(__file__).parent / "codes"
 TREFOIL = GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c")

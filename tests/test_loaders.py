@@ -15,11 +15,11 @@ import pytest
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.datasets.episode_files import EpisodeWriter, merge
-from knotgym.datasets.episodes import Episode
+from knotgym.datasets.episode_writer import EpisodeWriter, merge
+from knotgym.datasets.trajectory import Episode
 from knotgym.loaders import MissingExtra, Transitions, arrays, to_d3rlpy, to_tensordict, torch_dataset
-from knotgym.observations import observe
-from knotgym.picture import PictureConfig
+from knotgym.rendering.observations import observe
+from knotgym.rendering.picture import PictureConfig
 from knotgym.tasks import TaskConfig
 
 clients = pytest.mark.clients

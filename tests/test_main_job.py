@@ -23,21 +23,22 @@ import numpy as np
 import pytest
 
 import knotgym as package
-from knotgym.crossings import label
-from knotgym.datasets.files import sha256
+from knotgym.atomic_files import sha256
+from knotgym.cli import main as cli
+from knotgym.datasets.state_verification import folder_faults
 from knotgym.datasets.states import States, read_states
-from knotgym.datasets.verify import folder_faults
-from knotgym.generate import cli, main_job
-from knotgym.generate.archive import Archive
-from knotgym.generate.curate import is_near_duplicate
-from knotgym.generate.engines import engine
-from knotgym.generate.job import NotEnough
-from knotgym.generate.search import new_archive
-from knotgym.knots import knot_type
-from knotgym.oracle import pyknotid_code
-from knotgym.picture import draw
+from knotgym.generate.states import recipe as main_job
+from knotgym.generate.states.archive import Archive
+from knotgym.generate.states.curation import is_near_duplicate
+from knotgym.generate.states.job import NotEnough
+from knotgym.generate.states.search import new_archive
+from knotgym.rendering.picture import draw
 from knotgym.rope import Rope
+from knotgym.runs.executors import engine
 from knotgym.simulation import Simulation
+from knotgym.topology.crossings import label
+from knotgym.topology.knots import knot_type
+from knotgym.topology.reference_labeller import pyknotid_code
 
 from .conftest import SEARCH, trefoil
 from .minari_list import check_minari

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from knotgym.generate.manoeuvres import ARRIVED, KINDS, LIFT, NO_WAY, Hand, Manoeuvre, Way, pass_strand, propose, pull
+from knotgym.control.macro_actions import ARRIVED, KINDS, LIFT, NO_WAY, Hand, Manoeuvre, Way, pass_strand, propose, pull
 from knotgym.rope import Rope
 from knotgym.simulation import Simulation
 

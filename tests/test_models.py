@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.episodes import Episodes
-from knotgym.generate.policies import InvalidPolicy, PolicyConfig, make_policy
+from knotgym.control.policies import InvalidPolicy, PolicyConfig, make_policy
+from knotgym.episode_batch import Episodes
 from knotgym.tasks import TaskConfig
 
 OBSERVATIONS = ("state", "pixels", "both")

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from knotgym.crossings import find_crossings, label, visit_spacing
-from knotgym.gauss import GaussCode
-from knotgym.oracle import UnreadableCurve, pyknotid_code
+from knotgym.topology.crossings import find_crossings, label, visit_spacing
+from knotgym.topology.gauss import GaussCode
+from knotgym.topology.reference_labeller import UnreadableCurve, pyknotid_code
 
 EIGHT = np.array([[-1.0, -1.0, 1.0], [1.0, 1.0, 1.0], [2.0, 0.0, 0.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-2.0, 0.0, 0.0]])
 

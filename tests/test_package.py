@@ -17,14 +17,14 @@ import numpy as np
 import pytest
 
 import knotgym
-from knotgym.crossings import label
-from knotgym.diagrams import drawn
 from knotgym.errors import KnotgymError
-from knotgym.gauss import GaussCode
-from knotgym.oracle import pyknotid_code
-from knotgym.picture import PictureConfig
+from knotgym.rendering.picture import PictureConfig
 from knotgym.rope import Rope
 from knotgym.tasks import TaskConfig
+from knotgym.topology.crossings import label
+from knotgym.topology.diagrams import drawn
+from knotgym.topology.gauss import GaussCode
+from knotgym.topology.reference_labeller import pyknotid_code
 
 ROOT = Path(__file__).parents[1]
 HEAVY = ("torch", "dask", "distributed", "minari", "pandas", "pyarrow", "pyknotid", "matplotlib", "mujoco", "numba", "cv2", "h5py")
@@ -67,12 +67,12 @@ def test_importing_a_room_pulls_in_neither_torch_nor_dask_nor_a_renderer(room: s
 
 
 def test_datasets_do_not_import_the_environment() -> None:
-    modules = imported("import knotgym.datasets.states, knotgym.datasets.files")
-    assert modules & {"knotgym.env", "knotgym.episodes", "knotgym.simulation", "mujoco"} == set()
+    modules = imported("import knotgym.datasets.states, knotgym.atomic_files")
+    assert modules & {"knotgym.env", "knotgym.episode_batch", "knotgym.simulation", "mujoco"} == set()
 
 
 def test_the_core_imports_neither_generate_nor_loaders() -> None:
-    modules = imported("import knotgym.env, knotgym.crossings, knotgym.knots, knotgym.oracle, knotgym.picture")
+    modules = imported("import knotgym.env, knotgym.topology.crossings, knotgym.topology.knots, knotgym.topology.reference_labeller, knotgym.rendering.picture")
     assert not [name for name in modules if name.startswith(("knotgym.generate", "knotgym.loaders"))]
 
 

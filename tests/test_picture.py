@@ -15,10 +15,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.crossings import find_crossings
 from knotgym.errors import KnotgymError
-from knotgym.outline import polygons
-from knotgym.picture import (
+from knotgym.rendering.picture import (
     PictureConfig,
     PictureError,
     _placed,
@@ -30,6 +28,8 @@ from knotgym.picture import (
     rope_colours,
     shown_strands,
 )
+from knotgym.rendering.rasterizer import polygons
+from knotgym.topology.crossings import find_crossings
 
 from . import plain_polygons
 
@@ -60,7 +60,7 @@ def test_compiled_polygons_are_those_of_plain_arithmetic_bit_for_bit(config: Pic
 @pytest.fixture(scope="session")
 def opengl() -> None:
     """Skip where MuJoCo's renderer cannot draw; tried in another process, so that a crash of a driver does not take the tests along."""
-    code = "import numpy as np; from knotgym.picture import PictureConfig, draw; draw(np.eye(3) * 0.1, PictureConfig(size=16, renderer='mujoco'))"
+    code = "import numpy as np; from knotgym.rendering.picture import PictureConfig, draw; draw(np.eye(3) * 0.1, PictureConfig(size=16, renderer='mujoco'))"
     if subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=120).returncode != 0:
         pytest.skip("no OpenGL context can be made here")
 
@@ -390,8 +390,8 @@ def test_a_config_survives_json_and_pickle() -> None:
 
 def test_the_picture_needs_neither_mujoco_nor_opengl() -> None:
     code = (
-        "import sys, numpy as np; from knotgym.picture import draw; draw(np.eye(3) * 0.1);"
-        "print('OpenGL' in sys.modules, 'knotgym.picture_mujoco' in sys.modules)"
+        "import sys, numpy as np; from knotgym.rendering.picture import draw; draw(np.eye(3) * 0.1);"
+        "print('OpenGL' in sys.modules, 'knotgym.rendering.mujoco_renderer' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["False", "False"]
@@ -399,7 +399,7 @@ def test_the_picture_needs_neither_mujoco_nor_opengl() -> None:
 
 def test_no_opengl_is_one_clear_line() -> None:
     code = (
-        "import numpy as np; from knotgym.errors import KnotgymError; from knotgym.picture import PictureConfig, draw\n"
+        "import numpy as np; from knotgym.errors import KnotgymError; from knotgym.rendering.picture import PictureConfig, draw\n"
         "try:\n    draw(np.eye(3) * 0.1, PictureConfig(renderer='mujoco'))\nexcept KnotgymError as error:\n    print(error)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ, "MUJOCO_GL": "off"})
@@ -444,7 +444,7 @@ def test_mujoco_draws_long_ropes() -> None:
 
 @gl
 def test_mujoco_draws_in_threads_and_again_after_closing() -> None:
-    from knotgym import picture_mujoco
+    from knotgym.rendering import mujoco_renderer as picture_mujoco
 
     config = PictureConfig(size=64, renderer="mujoco")
     first = draw(ring(), config)
@@ -466,7 +466,7 @@ def test_mujoco_draws_in_threads_and_again_after_closing() -> None:
 @gl
 def test_mujoco_leaves_the_process_without_a_word() -> None:
     code = (
-        "import os, threading, numpy as np; from knotgym.picture import PictureConfig, draw;"
+        "import os, threading, numpy as np; from knotgym.rendering.picture import PictureConfig, draw;"
         "config = PictureConfig(size=16, renderer='mujoco'); thread = threading.Thread(target=draw, args=(np.eye(3) * 0.1, config));"
         "thread.start(); thread.join(); draw(np.eye(3) * 0.1, config); print(os.environ.get('MUJOCO_GL'))"
     )
@@ -478,7 +478,7 @@ def test_mujoco_leaves_the_process_without_a_word() -> None:
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 def test_mujoco_refuses_to_draw_in_the_fork_of_a_process_that_drew() -> None:
     code = (
-        "import os, numpy as np; from knotgym.errors import KnotgymError; from knotgym.picture import PictureConfig, draw\n"
+        "import os, numpy as np; from knotgym.errors import KnotgymError; from knotgym.rendering.picture import PictureConfig, draw\n"
         "config = PictureConfig(size=16, renderer='mujoco'); draw(np.eye(3) * 0.1, config); child = os.fork()\n"
         "try:\n    draw(np.eye(3) * 0.1, config)\nexcept KnotgymError:\n    os._exit(3)\n"
         "print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))"

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.episodes import Episodes
-from knotgym.generate.cli import main
-from knotgym.generate.planner import PlannerConfig
-from knotgym.generate.policies import MIXED, InvalidPolicy, PolicyConfig, make_policy
+from knotgym.cli.main import main
+from knotgym.control.planner import PlannerConfig
+from knotgym.control.policies import MIXED, InvalidPolicy, PolicyConfig, make_policy
+from knotgym.episode_batch import Episodes
 from knotgym.tasks import TaskConfig
 
 QUICK = PlannerConfig(budget=16, slots=2)
@@ -103,7 +103,7 @@ def test_a_function_is_found_in_the_folder_where_the_command_is_typed(states_pat
 
 @pytest.mark.parametrize(
     ("policy", "says"),
-    [("genius", "there is random"), ("no_such_module:act", "no_such_module"), ("nowhere.onnx", "no policy file"), ("knotgym.gauss:absent", "absent")],
+    [("genius", "there is random"), ("no_such_module:act", "no_such_module"), ("nowhere.onnx", "no policy file"), ("knotgym.topology.gauss:absent", "absent")],
 )
 def test_a_policy_that_is_not_there_is_refused_in_one_line(policy: str, says: str) -> None:
     with pytest.raises(InvalidPolicy, match=says) as refused:

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.crossings import find_crossings
-from knotgym.generate.quality import UNITS, Limits, Quality, base_spacing, measure, noise_survival, tightest_spot
-from knotgym.picture import DEFAULT
+from knotgym.quality import UNITS, Limits, Quality, base_spacing, measure, noise_survival, tightest_spot
+from knotgym.rendering.picture import DEFAULT
 from knotgym.rope import Rope
+from knotgym.topology.crossings import find_crossings
 
 from .conftest import curled, trefoil
 

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from knotgym.crossings import label
 from knotgym.rope import InvalidCurve, Rope, RopeConfig, clearance, noised, sub_chains
+from knotgym.topology.crossings import label
 
 from .conftest import curled, trefoil
 

@@ -6,16 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from knotgym.crossings import find_crossings, label
-from knotgym.generate.archive import Archive, Elite
-from knotgym.generate.engines import InProcess, Pool, engine
-from knotgym.generate.manoeuvres import pull
-from knotgym.generate.quality import Limits, base_spacing, measure
-from knotgym.generate.search import SearchConfig, advance, new_archive
-from knotgym.generate.symmetry import rolled, rolls
-from knotgym.knots import is_unknot, knot_type
+from knotgym.control.macro_actions import pull
+from knotgym.generate.states.archive import Archive, Elite
+from knotgym.generate.states.search import SearchConfig, advance, new_archive
+from knotgym.quality import Limits, base_spacing, measure
 from knotgym.rope import Rope
+from knotgym.runs.executors import InProcess, Pool, engine
 from knotgym.simulation import Simulation
+from knotgym.topology.crossings import find_crossings, label
+from knotgym.topology.knots import is_unknot, knot_type
+from knotgym.topology.symmetry import rolled, rolls
 
 from .conftest import SEARCH, trefoil
 

@@ -13,11 +13,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from knotgym.datasets.images import points_of, read_rows, read_table
-from knotgym.datasets.near import NEAR, apart, distances
+from knotgym.datasets.image_table import points_of, read_rows, read_table
+from knotgym.datasets.near_duplicates import NEAR, apart, distances
 from knotgym.datasets.states import read_states
-from knotgym.generate.archive import Archive
-from knotgym.generate.parts import InvalidPart, Part
+from knotgym.generate.states.archive import Archive
+from knotgym.runs.shards import InvalidPart, Part
 
 from .small_job import knotgym, typed
 from .test_main_job import bytes_of, said

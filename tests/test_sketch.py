@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from knotgym.crossings import label
-from knotgym.generate.manoeuvres import ARRIVED, Manoeuvre, move_aside, pass_strand
-from knotgym.generate.sketch import sketched
-from knotgym.generate.symmetry import Symmetry
+from knotgym.control.macro_actions import ARRIVED, Manoeuvre, move_aside, pass_strand
+from knotgym.control.surrogate import sketched
 from knotgym.rope import Array, Rope
+from knotgym.topology.crossings import label
+from knotgym.topology.symmetry import Symmetry
 
 
 @pytest.fixture

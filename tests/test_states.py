@@ -8,11 +8,11 @@ import h5py
 import numpy as np
 import pytest
 
-from knotgym.crossings import label
 from knotgym.datasets.states import InvalidStates, States, read_states, shipped, write_states
-from knotgym.gauss import GaussCode
-from knotgym.picture import draw
+from knotgym.rendering.picture import draw
 from knotgym.rope import Rope
+from knotgym.topology.crossings import label
+from knotgym.topology.gauss import GaussCode
 
 COLUMNS = ("qpos", "points", "image", "gauss_code", "gauss_code_chiral", "knot", "nx", "split")
 

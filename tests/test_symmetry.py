@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from knotgym.crossings import find_crossings, label
-from knotgym.diagrams import chiralities, planar_codes
-from knotgym.gauss import GaussCode
-from knotgym.generate.symmetry import Symmetry, class_of, mirror_images, mirrorings, rolled, rolls, variants
 from knotgym.rope import Rope, RopeConfig
+from knotgym.topology.crossings import find_crossings, label
+from knotgym.topology.diagrams import chiralities, planar_codes
+from knotgym.topology.gauss import GaussCode
+from knotgym.topology.symmetry import Symmetry, class_of, mirror_images, mirrorings, rolled, rolls, variants
 
 BEADS = RopeConfig().beads
 CODES = [GaussCode(code.visits, letters) for nx in range(4) for code in planar_codes(nx) for letters in chiralities(code)]

@@ -11,9 +11,9 @@ import h5py
 import numpy as np
 import pytest
 
-from knotgym.datasets.files import sha256
+from knotgym.atomic_files import sha256
+from knotgym.datasets.state_verification import folder_faults, state_faults
 from knotgym.datasets.states import read_states, shipped
-from knotgym.datasets.verify import folder_faults, state_faults
 
 from .small_job import knotgym
 

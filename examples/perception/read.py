@@ -24,9 +24,9 @@ from misread import Misread, page
 from torch import Tensor, nn
 from torch.nn import functional
 
-from knotgym.datasets.images import GRADES
-from knotgym.gauss import GaussCode
+from knotgym.datasets.image_table import GRADES
 from knotgym.loaders import images
+from knotgym.topology.gauss import GaussCode
 
 BEADS = 100
 CELL = 2  # pixels of a side

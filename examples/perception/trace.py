@@ -20,10 +20,10 @@ import numpy as np
 from misread import Misread, page
 from numpy.typing import NDArray
 
-from knotgym.crossings import find_crossings
-from knotgym.datasets.images import decode, read_rows
-from knotgym.gauss import GaussCode
-from knotgym.picture import bead_colours
+from knotgym.datasets.image_table import decode, read_rows
+from knotgym.rendering.picture import bead_colours
+from knotgym.topology.crossings import find_crossings
+from knotgym.topology.gauss import GaussCode
 
 BEADS = 100
 FINE = 8  # colours between two beads that a pixel is compared with

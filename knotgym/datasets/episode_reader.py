@@ -22,7 +22,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.datasets.episodes import INFOS, Episode, InvalidEpisode
+from knotgym.datasets.trajectory import INFOS, Episode, InvalidEpisode
 from knotgym.errors import KnotgymError
 from knotgym.tasks import TaskConfig
 
@@ -147,7 +147,7 @@ class EpisodeReader:
             steps: which of its T + 1 states.
             goal_step: show this state of the episode as the goal instead.
             observation: "pixels", "state" or "both"; "" for the task's.
-            picture: a `knotgym.picture.PictureConfig` to draw with, instead of what the file holds.
+            picture: a `knotgym.rendering.picture.PictureConfig` to draw with, instead of what the file holds.
 
         Returns:
             uint8 (n, size, 2 size, 3), float32 (n, 6 beads), or a dict of both; drawn where the file holds none.
@@ -170,7 +170,7 @@ class EpisodeReader:
         return seen if wanted == "both" else seen[wanted]
 
     def _drawn(self, index: int, steps: slice, goal_step: int | None, wanted: str, picture: Any) -> Any:
-        from knotgym.observations import observe, picture_config
+        from knotgym.rendering.observations import observe, picture_config
 
         points = self.group(index)["rope/points"]
         goal = self.group(index)["rope/goal_points"][()] if goal_step is None else points[goal_step]

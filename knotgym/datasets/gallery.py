@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.datasets.files import whole
+from knotgym.atomic_files import whole
 from knotgym.datasets.states import States
 
 _EDGE, _TEXT = 6, 30  # pixels round a tile, and below its picture

@@ -19,7 +19,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.datasets.files import new_hdf5, whole
+from knotgym.atomic_files import new_hdf5, whole
 from knotgym.errors import KnotgymError
 
 FORMAT = "knotgym-states"

@@ -6,7 +6,7 @@ import importlib
 import os
 from typing import Any
 
-from knotgym.loaders.clients import MissingExtra
+from knotgym.loaders.adapters import MissingExtra
 
 KINDS = ("torch", "huggingface")
 
@@ -17,7 +17,7 @@ def images(path: str | os.PathLike[str], split: str | None = None, kind: str = "
     Args:
         path: the folder, or one shard.
         split: "train", "test", "test-code" or "test-nx"; None for all rows.
-        kind: "torch" for a `knotgym.loaders.pictures.PictureDataset`, which any number of DataLoader workers may share;
+        kind: "torch" for a `knotgym.loaders.picture_dataset.PictureDataset`, which any number of DataLoader workers may share;
             "huggingface" for a `datasets.Dataset`, a `DatasetDict` of the splits where split is None.
         max_nx: crossings that labels are padded to (torch); None for the table's largest.
 
@@ -30,10 +30,10 @@ def images(path: str | os.PathLike[str], split: str | None = None, kind: str = "
         raise ValueError(f"kind must be one of {', '.join(KINDS)}, got {kind!r}")
     if kind == "torch":
         _needed("torch", "Tensor", "torch")
-        from knotgym.loaders.pictures import PictureDataset
+        from knotgym.loaders.picture_dataset import PictureDataset
 
         return PictureDataset(path, split, max_nx)
-    from knotgym.datasets.images import shards
+    from knotgym.datasets.image_table import shards
 
     library = _needed("datasets", "load_dataset", "huggingface")
     files: dict[str, list[str]] = {}

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.datasets.episodes import goal_steps
+from knotgym.datasets.trajectory import goal_steps
 
 _KEPT = 256  # segments whose codes are kept
 
@@ -44,7 +44,7 @@ class Transitions:
         Args:
             dataset: a Minari dataset's id or folder or `minari.MinariDataset`, or an episode file, compact or not.
             observation: "pixels", "state" or "both"; None for the environment's.
-            picture: a `knotgym.picture.PictureConfig` to draw with; None for the environment's pictures.
+            picture: a `knotgym.rendering.picture.PictureConfig` to draw with; None for the environment's pictures.
             relabel: hindsight: None; "last": of each episode the part up to the last new code it reached, that code the goal;
                 "all": one such part for every code it reached. An episode that shows no code but its first gives none.
         """

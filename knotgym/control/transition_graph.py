@@ -1,0 +1,137 @@
+"""How far a code is from a goal, in manoeuvres: shortest ways over the counted changes of codes.
+
+A change that one manoeuvre in n makes costs n manoeuvres, and more where few were tried. The distances of all codes to a goal
+come from Dijkstra's algorithm, run backwards from the goal; a code that the counts don't reach is as far as the last one
+reached and farther by its crossings.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from dataclasses import dataclass, field
+from functools import lru_cache
+from importlib.resources import files
+from pathlib import Path
+from typing import NamedTuple
+
+from knotgym.control.transition_counts import Grip, Transitions, spins, spun
+from knotgym.topology.diagrams import chiralities
+from knotgym.topology.gauss import GaussCode
+from knotgym.topology.symmetry import class_of
+
+DOUBT = 30.0  # failures added to those counted, so that a change seen in two of three manoeuvres isn't taken at its word
+STRANGE = 30.0  # manoeuvres that a crossing too many or too few costs where nothing is known
+
+
+class Step(NamedTuple):
+    """A change of code that leads towards a goal.
+
+    Attributes:
+        after: the code it shows.
+        chance: that a random manoeuvre makes it.
+        gain: manoeuvres that it saves.
+        grips: examples.
+    """
+
+    after: GaussCode
+    chance: float
+    gain: float
+    grips: tuple[Grip, ...]
+
+
+@dataclass
+class Distances:
+    """Manoeuvres to one goal.
+
+    Attributes:
+        nx: its crossings.
+        goals: the codes with chirality that show it.
+        far: code -> expected manoeuvres, for the codes known.
+        hops: code -> changes of code on the way.
+        beyond: what codes not in `far` are at least away.
+    """
+
+    nx: int
+    goals: frozenset[GaussCode]
+    far: dict[GaussCode, float] = field(default_factory=dict)
+    hops: dict[GaussCode, int] = field(default_factory=dict)
+    beyond: float = 0.0
+
+    def __call__(self, code: GaussCode) -> float:
+        """Expected manoeuvres from a code with chirality."""
+        return self.far.get(code, self.beyond + STRANGE * max(1, abs(code.nx - self.nx)))
+
+
+class Atlas:
+    """The graph of codes that transitions make, every symmetry used."""
+
+    def __init__(self, transitions: Transitions) -> None:
+        self._transitions = transitions
+        self._after: dict[GaussCode, list[tuple[GaussCode, float]]] = {}  # class -> changes out of it, with their chances
+        self._before: dict[GaussCode, list[tuple[GaussCode, GaussCode, float]]] = {}  # class shown -> changes that lead to it
+        for (before, after), seen in transitions.seen.items():
+            chance = seen / (transitions.tried[before] + DOUBT)
+            self._after.setdefault(before, []).append((after, chance))
+            self._before.setdefault(class_of(after), []).append((before, after, chance))
+        self._known: dict[GaussCode, Distances] = {}
+        self._backwards: dict[GaussCode, list[tuple[GaussCode, float]]] = {}
+
+    def distances(self, goal: GaussCode) -> Distances:
+        """Distances of all codes to a goal, whose chirality is left open; kept, as they take about a third of a second."""
+        if goal.plain not in self._known:
+            self._known[goal.plain] = self._search(goal.plain)
+        return self._known[goal.plain]
+
+    def steps(self, code: GaussCode, distances: Distances) -> list[Step]:
+        """Changes out of a code that lead nearer to the goal, with chances and grips for a rope that shows this very code."""
+        out = []
+        base, here, arcs = class_of(code), distances(code), 2 * code.nx + 1
+        for spin in spins(code):
+            for shown, chance in self._after.get(base, []):
+                after = spun(shown, spin)
+                if distances(after) < here - 1e-9:
+                    grips = tuple(grip.spun(spin, arcs) for grip in self._transitions.grips[base, shown])
+                    out.append(Step(after, chance, here - distances(after), grips))
+        return out
+
+    def _search(self, goal: GaussCode) -> Distances:
+        goals = frozenset(GaussCode(goal.visits, letters) for letters in chiralities(goal))
+        out = Distances(goal.nx, goals)
+        ties = itertools.count()
+        queue: list[tuple[float, int, int, GaussCode]] = [(0.0, next(ties), 0, code) for code in sorted(goals, key=lambda one: one.chiral)]
+        while queue:
+            far, _, hops, code = heapq.heappop(queue)
+            if code in out.far:
+                continue
+            out.far[code], out.hops[code], out.beyond = far, hops, far
+            for before, chance in self._leading_to(code):
+                if before not in out.far:
+                    heapq.heappush(queue, (far + 1 / chance, next(ties), hops + 1, before))
+        return out
+
+    def _leading_to(self, code: GaussCode) -> list[tuple[GaussCode, float]]:
+        """Codes from which a change leads to this one, with its chance."""
+        if code in self._backwards:
+            return self._backwards[code]
+        best: dict[GaussCode, float] = {}
+        for before, after, chance in self._before.get(class_of(code), []):
+            for spin in _between(after, code):
+                origin = spun(before, spin)
+                best[origin] = max(best.get(origin, 0.0), chance)
+        self._backwards[code] = list(best.items())
+        return self._backwards[code]
+
+
+@lru_cache(maxsize=200_000)
+def _between(one: GaussCode, other: GaussCode) -> tuple[tuple[bool, bool, bool], ...]:
+    """The spins that take one code to another of its class."""
+    each = (False, True)
+    return tuple((a, b, c) for a in each for b in each for c in each if spun(one, (a, b, c)) == other)
+
+
+@lru_cache(maxsize=4)
+def shipped_atlas() -> Atlas:
+    """The atlas that comes with the package; an empty one if it was left out."""
+    path = Path(str(files("knotgym.control") / "data" / "transitions.h5"))
+    return Atlas(Transitions.load(path) if path.is_file() else Transitions())

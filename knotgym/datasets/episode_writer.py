@@ -1,0 +1,225 @@
+"""Writing episode files, one episode at a time, and merging them; the layout is in `episode_reader`.
+
+A picture is stored in strips, a few rows of eight frames at a time, so that gzip finds the goal that stands still: its fastest level then
+makes files as small as a slower one does of a frame a chunk, and a frame still reads in under 1 ms.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, replace
+from functools import cache
+from importlib.metadata import version
+from itertools import product
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+import knotgym
+from knotgym.atomic_files import new_hdf5, whole
+from knotgym.datasets.episode_reader import FORMAT, FORMAT_VERSION, STORED, EpisodeReader, InvalidEpisodeFile, place
+from knotgym.datasets.trajectory import Episode
+from knotgym.tasks import TaskConfig
+
+_STRIP_FRAMES = 8
+_STRIP_BYTES = 12288  # of one frame; the same rows of the frame before then lie inside gzip's window of 32 kB
+_GZIP = 1  # level
+_LONG = 64  # steps in a chunk of anything but pictures
+_INTERMEDIATE = h5py.h5p.create(h5py.h5p.LINK_CREATE)
+_INTERMEDIATE.set_create_intermediate_group(True)
+_SMALL = 4096  # bytes under which a chunk costs more than it saves
+
+
+class EpisodeWriter:
+    """Writes episodes one by one, each out of memory when the next comes; the file takes its name when the `with` block ends well."""
+
+    def __init__(self, path: str | os.PathLike[str], task: TaskConfig, *, compact: bool = False) -> None:
+        """Prepare a file of episodes of one task.
+
+        Args:
+            path: of the file, replaced if there is one.
+            task: the environment; `task.observation` says which observations are stored.
+            compact: store none; they are drawn when read.
+        """
+        self.path = Path(path)
+        self.task = task
+        self.stored = "none" if compact else task.observation
+        self._stack = ExitStack()
+        self._next = 0
+        self._index: list[tuple[int, int]] = []
+
+    def __enter__(self) -> Self:
+        with ExitStack() as stack:
+            self._file = stack.enter_context(_created(stack.enter_context(whole(self.path)), _attributes(self.task, self.stored)))
+            self._stack = stack.pop_all()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        with self._stack:
+            if error is not None:
+                raise error
+            _write_index(self._file, self._index)
+
+    def add(self, episode: Episode, number: int | None = None) -> None:
+        """Write an episode.
+
+        Args:
+            episode: of the writer's task.
+            number: its place among the episodes of all the files to be merged; by default one more than the last one's.
+        """
+        number = self._next if number is None else number
+        self._next = number + 1
+        self._index.append((number, len(episode)))
+        group = self._file.create_group(f"episode_{number}")
+        written = {"id": number, "number": number, "total_steps": len(episode), "digest": episode.digest(), **episode.labels()}
+        options = {f"options/{name}": row for name, row in written.pop("options").items()}
+        for name, value in {**written, **options}.items():
+            if value is not None:
+                group.attrs[name] = value
+        for name, array in episode.arrays().items():
+            _write(group, place(name), array)
+        _observe(group, self.task, self.stored, episode.points, episode.goal_points)
+
+
+def merge(
+    sources: Sequence[Any],
+    target: str | os.PathLike[str],
+    *,
+    store: str | None = None,
+    concatenate: bool = False,
+    attributes: Mapping[str, str] | None = None,
+) -> None:
+    """Put the episodes of several files into one, numbered from 0; what stays the same is copied, not encoded again.
+
+    The same episodes give the same bytes, whatever files they came in.
+
+    Args:
+        sources: what `EpisodeReader` takes; of one task and rope.
+        target: the file, replaced if there is one.
+        store: observations in the target, "pixels", "state", "both" or "none"; those that differ from the source's are drawn. None keeps them.
+        concatenate: the sources one after another; else, as for the shards of one run, by the episodes' numbers.
+        attributes: of the target, beside its own.
+
+    Raises:
+        InvalidEpisodeFile: the sources don't go together, or two episodes have one number.
+    """
+    readers = [EpisodeReader(source) for source in sources]
+    if not readers:
+        raise InvalidEpisodeFile("nothing to merge: name at least one file")
+    first = readers[0]
+    if store is not None and store not in STORED:
+        raise InvalidEpisodeFile(f"store must be one of {', '.join(STORED)}, got {store!r}")
+    for other in readers[1:]:
+        for name in ("task", "rope", "stored"):
+            if getattr(other, name) != getattr(first, name):
+                raise InvalidEpisodeFile(
+                    f"files of one {name} can be merged; {first.path} has {getattr(first, name)}, {other.path} has {getattr(other, name)}"
+                )
+    order = [(0 if concatenate else int(reader.group(i).attrs["number"]), reader, i) for reader in readers for i in range(len(reader))]
+    order.sort(key=lambda one: one[0])
+    numbers = [number for number, _, _ in order]
+    if not concatenate and len(set(numbers)) < len(numbers):
+        twice = next(number for number in numbers if numbers.count(number) > 1)
+        raise InvalidEpisodeFile(f"two episodes have number {twice}: shards of one run have none twice; other datasets are merged with concatenate")
+    store = store or first.stored
+    task = replace(first.task, observation=store) if store != "none" else first.task
+    versions = {name: ", ".join(sorted({reader.versions[name] for reader in readers})) for name in first.versions}
+    said = {**(attributes or {}), **_attributes(task, store), "rope": first.rope, "versions": json.dumps(versions)}
+    with whole(target) as part, _created(part, said) as file:
+        for number, (_, reader, i) in enumerate(order):
+            source, group = reader.group(i), file.create_group(f"episode_{number}")
+            _copy(source, group, number, keep=store == first.stored)
+            if store != first.stored:
+                _observe(group, task, store, source["rope/points"][()], source["rope/goal_points"][()])
+        _write_index(file, [(number, int(reader.lengths[i])) for number, (_, reader, i) in enumerate(order)])
+    for reader in readers:
+        reader.close()
+
+
+def _attributes(task: TaskConfig, stored: str) -> dict[str, Any]:
+    return {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        "task": json.dumps(asdict(task), sort_keys=True),
+        "rope": task.rope.fingerprint,
+        "stored": stored,
+        "versions": json.dumps({"knotgym": knotgym.__version__, "mujoco": _mujoco()}),
+    }
+
+
+@cache
+def _mujoco() -> str:
+    """MuJoCo's version, looked up once: it takes as long as ten pictures."""
+    return version("mujoco")
+
+
+def _write_index(file: h5py.File, index: list[tuple[int, int]]) -> None:
+    """Say which episodes there are and how long each is, so that a file of many opens without looking into every one."""
+    file.attrs["index"] = np.array(sorted(index), dtype=np.int32).reshape(-1, 2)
+
+
+@contextmanager
+def _created(path: Path, attributes: dict[str, Any]) -> Iterator[h5py.File]:
+    with new_hdf5(path, libver=("v110", "v110")) as file:
+        file.attrs.update(attributes)
+        yield file
+
+
+def _observe(group: h5py.Group, task: TaskConfig, stored: str, points: NDArray[np.float64], goal_points: NDArray[np.float64]) -> None:
+    """Draw the observations of an episode and write them."""
+    if stored == "none":
+        return
+    from knotgym.rendering.observations import observe, picture_config
+
+    seen = observe(points, goal_points, stored, picture_config(task))
+    for name, array in {f"observations/{kind}": seen[kind] for kind in seen}.items() if stored == "both" else [("observations", seen)]:
+        _write(group, name, array)
+
+
+def _write(group: h5py.Group, name: str, array: NDArray[Any]) -> None:
+    if array.dtype.kind == "U":
+        encoded = np.char.encode(array, "utf-8")
+        group.create_dataset(name, data=encoded.astype(h5py.string_dtype("utf-8", max(1, encoded.dtype.itemsize))))
+    elif array.nbytes < _SMALL:
+        group.create_dataset(name, data=array)
+    else:
+        chunks: tuple[int, ...] = (min(len(array), _LONG), *array.shape[1:])
+        if array.dtype == np.uint8:
+            rows = max(1, min(array.shape[1], _STRIP_BYTES // array[0, 0].nbytes))
+            chunks = (min(len(array), _STRIP_FRAMES), rows, *array.shape[2:])
+        group.create_dataset(name, data=array, chunks=chunks, compression="gzip", compression_opts=_GZIP, shuffle=True)
+
+
+def _copy(source: h5py.Group, target: h5py.Group, number: int, keep: bool) -> None:
+    """Copy an episode under a new number, its observations only if they are kept."""
+    for name, value in source.attrs.items():
+        target.attrs[name] = number if name in ("id", "number") else value
+    for name in _members(source):
+        if keep or not name.startswith("observations"):
+            _copy_dataset(source[name], target, name)
+
+
+def _copy_dataset(source: h5py.Dataset, target: h5py.Group, name: str) -> None:
+    """Copy an array, compressed chunks as they are; HDF5's own copy would leave bytes that depend on what else is in the source."""
+    like = source.id.get_create_plist()
+    copied = h5py.h5d.create(target.id, name.encode(), source.id.get_type(), source.id.get_space(), like, _INTERMEDIATE)
+    if source.chunks is None:
+        h5py.Dataset(copied)[()] = source[()]
+        return
+    for start in product(*(range(0, size, chunk) for size, chunk in zip(source.shape, source.chunks, strict=True))):
+        mask, stored = source.id.read_direct_chunk(start)
+        copied.write_direct_chunk(start, stored, mask)
+
+
+def _members(group: h5py.Group) -> list[str]:
+    """The paths of all the arrays of an episode, the observations last, as when they are drawn."""
+    found: list[str] = []
+    group.visititems(lambda name, item: found.append(name) if isinstance(item, h5py.Dataset) else None)
+    return sorted(found, key=lambda name: (name.startswith("observations"), name))

@@ -1,0 +1,256 @@
+"""Perception tables: pictures of ropes with everything that is known about them, one row a picture, as Parquet shards.
+
+A folder holds `data/SPLIT-00000-of-00012.parquet` (`test-code` is spelt `test_code` there, for Hugging Face's sake), the walks
+that led to the configurations (`walks.h5`), a card and a manifest. Pixel coordinates are `knotgym.rendering.picture`'s: continuous, x to
+the right and y down. Pictures are PNG, lossless, in the layout of Hugging Face's Image feature. pyarrow is imported when needed.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.atomic_files import whole
+from knotgym.errors import KnotgymError
+
+FORMAT = "knotgym-images"
+FORMAT_VERSION = 1
+SPLITS = ("train", "test", "test-code", "test-nx")
+GRADES = ("easy", "medium", "hard", "extreme")
+ROW_GROUP = 100  # rows that are read together at least
+
+_QUALITY = (
+    "crossing_angle",
+    "crossing_spacing",
+    "base_spacing",
+    "strand_spacing",
+    "smallest_region",
+    "smallest_face",
+    "margin",
+    "clearance",
+    "excess_crossing_number",
+    "total_curvature",
+    "writhe",
+    "noise_survival",
+)
+
+# A column's type: the name of a value's type, {name: type} for a struct, [type, length or None] for a list. Both schemas,
+# pyarrow's and Hugging Face's, are made from this one.
+COLUMNS: dict[str, Any] = {
+    "image": "image",
+    "gauss_code": "string",
+    "gauss_code_chiral": "string",
+    "nx": "int64",
+    "knot": "string",
+    "points": ["float64", 300],
+    "crossings": [{"x": "float64", "y": "float64", "over_place": "float64", "under_place": "float64", "sign": "int8"}, None],
+    "split": "string",
+    "accepted": "bool",
+    "grade": "string",
+    "quality": dict.fromkeys(_QUALITY, "float64"),
+    "appearance": {
+        "size": "int32",
+        "turn": "float64",
+        "zoom": "float64",
+        "width": "float64",
+        "colours": "string",
+        "first": ["uint8", 3],
+        "last": ["uint8", 3],
+        "background": ["uint8", 3],
+        "noise": "float64",
+        "blur": "float64",
+        "seed": "int64",
+    },
+    "source": {
+        "walk": "int64",
+        "pulls": "int64",
+        "rounds": "int64",
+        "reflect": "bool",
+        "switch": "bool",
+        "reverse": "bool",
+        "roll": "int64",
+        "family": "int64",
+        "seed": "int64",
+        "row": "int64",
+    },
+}
+
+
+class InvalidImages(KnotgymError, ValueError):
+    """A folder or file that holds no perception table this version can read."""
+
+
+class MissingArrow(KnotgymError, ImportError):
+    """Parquet was asked for and pyarrow isn't installed."""
+
+    def __init__(self) -> None:
+        super().__init__("perception tables need pyarrow, which isn't installed; install it: pip install 'knotgym[huggingface]'")
+
+
+def arrow(module: str = "pyarrow") -> Any:
+    """Import pyarrow, or one of its modules.
+
+    Raises:
+        MissingArrow: it isn't installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        raise MissingArrow from error
+
+
+def schema() -> Any:
+    """The pyarrow schema of a shard, with Hugging Face's features in its metadata."""
+    pa = arrow()
+    features = {name: _feature(kind) for name, kind in COLUMNS.items()}
+    metadata = {
+        "huggingface": json.dumps({"info": {"features": features}}, sort_keys=True),
+        "knotgym": json.dumps({"format": FORMAT, "format_version": FORMAT_VERSION}, sort_keys=True),
+    }
+    return pa.schema([(name, _arrow_type(pa, kind)) for name, kind in COLUMNS.items()], metadata=metadata)
+
+
+def write_rows(path: str | os.PathLike[str], rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write a shard; it appears under its name whole or not at all. The same rows give the same bytes.
+
+    Args:
+        path: of the shard.
+        rows: every column of COLUMNS by name, `image` as PNG bytes.
+    """
+    full = [{**row, "image": {"bytes": row["image"], "path": None}} for row in rows]
+    write_table(path, arrow().Table.from_pylist(full, schema=schema()))
+
+
+def write_table(path: str | os.PathLike[str], table: Any) -> None:
+    """As `write_rows`, of a pyarrow.Table that has the schema."""
+    with whole(path) as part:
+        arrow("pyarrow.parquet").write_table(table, part, row_group_size=ROW_GROUP, compression="zstd", write_page_index=True)
+
+
+def encode(image: NDArray[np.uint8]) -> bytes:
+    """A picture, uint8 (size, size, 3), RGB, as PNG."""
+    done, data = cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    if not done:
+        raise InvalidImages(f"a picture is uint8 (size, size, 3), got {image.dtype} {image.shape}")
+    return bytes(data)
+
+
+def decode(data: bytes) -> NDArray[np.uint8]:
+    """The picture of a PNG: uint8 (size, size, 3), RGB."""
+    image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
+    if image is None:
+        raise InvalidImages(f"{len(data)} bytes are no picture")
+    return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
+
+
+def shard_name(split: str, index: int, count: int) -> str:
+    """A shard's place in its folder, as Hugging Face's libraries find splits by it.
+
+    >>> shard_name("test-code", 0, 2)
+    'data/test_code-00000-of-00002.parquet'
+    """
+    return f"data/{split.replace('-', '_')}-{index:05d}-of-{count:05d}.parquet"
+
+
+def shards(path: str | os.PathLike[str], split: str | None = None) -> list[Path]:
+    """The shards of a folder, or the one file, in order.
+
+    Args:
+        path: a folder with shards in it or in its `data`, or a shard.
+        split: only this split's.
+
+    Raises:
+        FileNotFoundError: there is nothing.
+        InvalidImages: no shard is there, or none of that split.
+    """
+    given = Path(path)
+    if not given.exists():
+        raise FileNotFoundError(f"no perception table at {path}")
+    if split is not None and split not in SPLITS:
+        raise InvalidImages(f"no split {split!r}; there are {', '.join(SPLITS)}")
+    inside = given / "data" if (given / "data").is_dir() else given
+    found = [given] if given.is_file() else sorted(inside.glob("*.parquet"))
+    if split is not None and given.is_dir():
+        found = [one for one in found if one.name.startswith(split.replace("-", "_") + "-")]
+    if not found:
+        raise InvalidImages(f"no Parquet shard {'of split ' + split + ' ' if split else ''}at {path}; knotgym images writes them")
+    return found
+
+
+def is_images(path: str | os.PathLike[str]) -> bool:
+    """Whether a path means a perception table: a Parquet file, or a folder with some."""
+    given = Path(path)
+    return given.suffix == ".parquet" if given.is_file() else any(given.glob("*.parquet")) or any(given.glob("data/*.parquet"))
+
+
+def read_table(path: str | os.PathLike[str], split: str | None = None, columns: Sequence[str] | None = None) -> Any:
+    """Read a table, or some of its columns, as a pyarrow.Table.
+
+    Args:
+        path, split: as of `shards`.
+        columns: names; all if None.
+
+    Raises:
+        InvalidImages: a file is foreign, truncated, or of a format this version doesn't know.
+    """
+    pa = arrow()
+    wanted = None if columns is None else list(dict.fromkeys([*columns, *(["split"] if split else [])]))
+    table = pa.concat_tables([_read(path, wanted) for path in shards(path, split)])
+    if split is not None:
+        table = table.filter(arrow("pyarrow.compute").equal(table["split"], split))
+    return table
+
+
+def read_rows(path: str | os.PathLike[str], split: str | None = None, columns: Sequence[str] | None = None) -> Iterator[dict[str, Any]]:
+    """Read row by row, shard by shard: dicts of Python values, `image` as PNG bytes; arguments and errors as of `read_table`."""
+    for shard in shards(path, split):
+        for batch in read_table(shard, split, columns).to_batches():
+            for row in batch.to_pylist():
+                if "image" in row:
+                    row["image"] = row["image"]["bytes"]
+                yield row
+
+
+def points_of(table: Any) -> NDArray[np.float64]:
+    """Configurations float64 (n, beads, 3), metres, of a table's column `points`."""
+    flat = table["points"].combine_chunks().flatten().to_numpy(zero_copy_only=False)
+    return np.asarray(flat, dtype=np.float64).reshape(len(table), -1, 3)
+
+
+def _read(path: Path, columns: list[str] | None) -> Any:
+    pa, parquet = arrow(), arrow("pyarrow.parquet")
+    try:
+        file = parquet.ParquetFile(path)
+        found = json.loads((file.schema_arrow.metadata or {}).get(b"knotgym", b"{}"))
+        if (found.get("format"), found.get("format_version")) != (FORMAT, FORMAT_VERSION):
+            was = f"format {found.get('format', 'none')!r} version {found.get('format_version', 'none')}"
+            raise InvalidImages(f"{path} has {was}; this version reads {FORMAT!r} version {FORMAT_VERSION}")
+        return file.read(columns=columns)
+    except (OSError, KeyError, pa.ArrowException) as error:
+        raise InvalidImages(f"{path} isn't a whole Parquet shard: {' '.join(str(error).split())}") from error
+
+
+def _arrow_type(pa: Any, kind: Any) -> Any:
+    if isinstance(kind, dict):
+        return pa.struct([(name, _arrow_type(pa, one)) for name, one in kind.items()])
+    if isinstance(kind, list):
+        return pa.list_(_arrow_type(pa, kind[0]), -1 if kind[1] is None else kind[1])
+    if kind == "image":
+        return pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+    return {"string": pa.string(), "bool": pa.bool_()}.get(kind) or getattr(pa, kind)()
+
+
+def _feature(kind: Any) -> Any:
+    if isinstance(kind, dict):
+        return {name: _feature(one) for name, one in kind.items()}
+    if isinstance(kind, list):
+        return {"feature": _feature(kind[0]), "length": -1 if kind[1] is None else kind[1], "_type": "List"}
+    return {"_type": "Image"} if kind == "image" else {"dtype": kind, "_type": "Value"}

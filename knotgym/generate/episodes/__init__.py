@@ -1,0 +1,1 @@
+"""Episodes: collection and evaluation."""

@@ -1,0 +1,1 @@
+"""Labelled pictures: walks, selection, tables."""

@@ -1,0 +1,1 @@
+"""Curated states: search, candidates, curation."""

@@ -1,0 +1,68 @@
+"""Closed curves that begin a rope as a knot: a few by formula, any other from a file."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from knotgym.errors import KnotgymError
+from knotgym.rope import Array, Rope
+from knotgym.topology.crossings import label
+from knotgym.topology.knots import knot_type
+
+_SAMPLES = 600
+
+
+class InvalidCurveFile(KnotgymError, ValueError):
+    """A file that holds no closed curve, or a name that no formula is known for."""
+
+
+def torus_knot(p: int, q: int) -> Array:
+    """The (p, q) torus knot, p times round the axis: float64 (n, 3), closed by its first point."""
+    t = np.linspace(0, 2 * np.pi, _SAMPLES, endpoint=False)
+    radius = 2 + 0.9 * np.cos(q * t)
+    return np.stack([radius * np.cos(p * t), radius * np.sin(p * t), 0.9 * np.sin(q * t)], axis=1)
+
+
+def figure_eight_knot() -> Array:
+    """The figure-eight knot, 4_1: float64 (n, 3)."""
+    t = np.linspace(0, 2 * np.pi, _SAMPLES, endpoint=False)
+    radius = 2 + np.cos(2 * t)
+    return np.stack([radius * np.cos(3 * t), radius * np.sin(3 * t), np.sin(4 * t)], axis=1)
+
+
+KNOTS: dict[str, Callable[[], Array]] = {"3_1": lambda: torus_knot(2, 3), "4_1": figure_eight_knot, "5_1": lambda: torus_knot(2, 5)}
+
+
+def knot_curve(knot: str) -> Array:
+    """A closed curve (n, 3) of a knot type, named ("3_1") or from a file (.npy, or text with three numbers a line).
+
+    Raises:
+        InvalidCurveFile: neither.
+    """
+    if knot in KNOTS:
+        return KNOTS[knot]()
+    path = Path(knot)
+    if not path.is_file():
+        raise InvalidCurveFile(f"no knot {knot!r}; there is 0_1, {', '.join(KNOTS)}, or a file with a closed curve, three numbers a line or .npy")
+    try:
+        with warnings.catch_warnings(action="error"):  # NumPy only warns of a text without numbers
+            curve = np.load(path, allow_pickle=False) if path.suffix == ".npy" else np.loadtxt(path, delimiter="," if path.suffix == ".csv" else None)
+        if not isinstance(curve, np.ndarray) or curve.dtype.kind not in "fiu":
+            raise ValueError("it isn't one array of real numbers")
+    except (ValueError, OSError, EOFError, UserWarning) as error:
+        raise InvalidCurveFile(f"{path} holds no curve: {' '.join(str(error).split())}") from error
+    return np.asarray(curve, dtype=np.float64)
+
+
+def knot_of(knot: str | os.PathLike[str]) -> str:
+    """The certified type of a named knot or a file's curve, "unknown" if it isn't certified.
+
+    Raises:
+        InvalidCurveFile, InvalidCurve: it can't be a rope.
+    """
+    return knot_type(label(Rope().from_curve(knot_curve(os.fspath(knot)))))

@@ -1,0 +1,196 @@
+"""What a finished job leaves behind: states.h5, trajectories, gallery, card and manifest, in a folder that appears whole."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+import knotgym
+from knotgym.atomic_files import sha256
+from knotgym.datasets.episode_writer import EpisodeWriter
+from knotgym.datasets.gallery import write_gallery
+from knotgym.datasets.minari_dataset import MinariMetadata, publish
+from knotgym.datasets.state_card import card, summary
+from knotgym.datasets.states import States, write_states
+from knotgym.datasets.trajectory import Episode
+from knotgym.generate.states.candidates import Instance
+from knotgym.generate.states.curation import split
+from knotgym.generate.states.job import Job
+from knotgym.quality import UNITS, Quality
+from knotgym.rendering.picture import draw_many
+from knotgym.rope import RopeConfig
+from knotgym.tasks import TaskConfig
+from knotgym.topology.crossings import label_many
+from knotgym.topology.knots import knot_type
+
+HORIZON = 200  # actions, longer than any way
+POLICY = "ways"  # the archive's ways, carried over by a symmetry, stirred and opened up
+
+
+def states_of(job: Job) -> States:
+    """The accepted instances as rows, by nx and then in the order of acceptance."""
+    config = job.config
+    instances = [(nx, one) for nx in config.nx for one in job.accepted[nx]]
+    longest = max(len(one.actions) for _, one in instances)
+    splits: list[str] = []
+    for nx in config.nx:
+        rng = np.random.default_rng([config.seed, 5, nx])
+        splits += split([one.code for one in job.accepted[nx]], config.split_by, config.train_share, rng).tolist()
+    points = np.stack([one.points[-1] for _, one in instances])
+    return States(
+        qpos=np.stack([one.qpos for _, one in instances]),
+        points=points,
+        image=draw_many(points),
+        gauss_code=np.array([str(one.code) for _, one in instances]),
+        gauss_code_chiral=np.array([one.code.chiral for _, one in instances]),
+        knot=np.array([knot_type(one.code) for _, one in instances]),
+        nx=np.array([nx for nx, _ in instances], dtype=np.int64),
+        split=np.array(splits),
+        quality={field.name: np.array([getattr(one.quality, field.name) for _, one in instances]) for field in fields(Quality)},
+        units=dict(UNITS),
+        source={
+            "start_qpos": np.stack([one.start_qpos for _, one in instances]),
+            "actions": np.stack([_padded(one, longest) for _, one in instances]),
+            "steps": np.array([len(one.actions) for _, one in instances], dtype=np.int64),
+            "seed": np.array([one.seed for _, one in instances], dtype=np.int64),
+            "policy": np.array([POLICY] * len(instances)),
+            "trajectory": np.array([k for nx in config.nx for k in range(len(job.accepted[nx]))], dtype=np.int64),
+            "step": np.array([len(one.actions) for _, one in instances], dtype=np.int64),
+        },
+        attributes={
+            "knotgym": knotgym.__version__,
+            "mujoco": mujoco.__version__,
+            "rope": config.instance.rope.fingerprint,
+            "config": json.dumps(asdict(config), sort_keys=True),
+        },
+    )
+
+
+def report_of(job: Job) -> dict[str, Any]:
+    """What the job did, JSON-able and the same for the same configuration."""
+    attempts: Counter[int] = Counter({nx: sum(tried.values()) for nx, tried in job.tried.items()})
+    return {
+        "version": knotgym.__version__,
+        "mujoco": mujoco.__version__,
+        "knot": job.knot,
+        "existing_codes": {str(nx): count for nx, count in job.existing.items()},
+        "attempts": attempts.total(),
+        "actions": job.steps(),
+        "rejected": {str(nx): dict(sorted(reasons.items())) for nx, reasons in job.rejected.items()},
+        "growth": job.growth,
+    }
+
+
+def write(job: Job, folder: Path) -> dict[str, Any]:
+    """Write everything the contract lists into a new folder, the manifest last; return the manifest."""
+    folder.mkdir(parents=True)
+    states = states_of(job)
+    write_states(folder / "states.h5", states)
+    write_trajectories(job, folder / "minari", folder / "states.h5")
+    job.archive.save(folder / "archive.h5")
+    return finish(folder, states, report_of(job), asdict(job.config))
+
+
+def finish(folder: Path, states: States, report: dict[str, Any], config: dict[str, Any]) -> dict[str, Any]:
+    """Write gallery, card and manifest into a folder that has the states and the trajectories; return the manifest."""
+    write_gallery(folder / "gallery.png", states)
+    (folder / "README.md").write_text(card(states, report, config), encoding="utf-8")
+    manifest = {
+        "format": "knotgym-manifest",
+        "format_version": 1,
+        "config": config,
+        "report": report,
+        "summary": summary(states),
+        "splits": states.split.tolist(),
+        "files": {str(path.relative_to(folder)): sha256(path) for path in sorted(folder.rglob("*")) if path.is_file()},
+    }
+    (folder / "manifest.json").write_text(json.dumps(manifest, indent=1, sort_keys=True), encoding="utf-8")
+    return manifest
+
+
+def write_trajectories(job: Job, folder: Path, states: Path) -> None:
+    """One Minari dataset for each nx, knotgym/tie-nx3/ways-v0 below `folder`, pixels and states; an episode a state, in their order."""
+    for nx in [nx for nx in job.config.nx if job.accepted[nx]]:
+        shard = folder / f"nx{nx}.h5"
+        with EpisodeWriter(shard, ways_task(nx)) as writer:
+            for instance in job.accepted[nx]:
+                writer.add(episode_of(instance))
+        publish_ways(nx, [shard], len(job.accepted[nx]), folder, states)
+        shard.unlink()
+
+
+def ways_task(nx: int) -> TaskConfig:
+    """The task that the ways to states with nx crossings are episodes of."""
+    # a loop has nothing to tie: its episodes are those of an unknot task whose goal is shown from the start
+    return TaskConfig(task="tie" if nx else "unknot", nx=max(1, nx), observation="both", horizon=HORIZON, states=_ways_id(nx))
+
+
+def ways_folder(root: Path, nx: int) -> Path:
+    """Where the ways to states with nx crossings stand below `root`."""
+    return root / _ways_id(nx)
+
+
+def publish_ways(nx: int, sources: Sequence[Any], count: int, root: Path, states: Path) -> None:
+    """Write `count` ways from the episodes of `sources`, one source after another, below `root`.
+
+    The dataset carries `states`, so that the environment recovered from it resets from the very states that the ways lead to.
+    """
+    metadata = MinariMetadata(
+        dataset_id=_ways_id(nx),
+        algorithm_name=POLICY,
+        description=f"The ways to {count} curated rope states with {nx} crossings: searched, carried over by symmetry, opened up. "
+        "An episode goes on past the first time that its code is shown, until the rope lies open and at rest, and ends there.",
+    )
+    publish(sources, metadata, root, concatenate=True, states=states)
+
+
+def _ways_id(nx: int) -> str:
+    return f"knotgym/{'tie' if nx else 'unknot'}-nx{max(1, nx)}/{POLICY}-v0"
+
+
+def episode_of(instance: Instance) -> Episode:
+    """The way to a state as an episode; it goes on past the first time that the code is shown, until the rope lies open and at rest."""
+    steps, codes = len(instance.actions), label_many(instance.points)
+    shown = np.array([code.matches(instance.code) for code in codes])
+    end = np.arange(steps + 1) == steps
+    beads, forces = _pulled(instance)
+    return Episode(
+        start_qpos=instance.start_qpos,
+        points=instance.points,
+        goal_points=instance.points[-1],
+        actions=instance.actions,
+        rewards=np.where(end[1:], TaskConfig(task="tie").success_reward, 0.0),
+        terminations=end[1:],
+        truncations=np.zeros(steps, dtype=bool),
+        gauss_code=np.array([str(code) for code in codes]),
+        gauss_code_chiral=np.array([code.chiral for code in codes]),
+        crossings=np.array([code.nx for code in codes], dtype=np.int64),
+        bead=beads,
+        force=forces,
+        is_success=end,
+        simulation_failed=np.zeros(steps + 1, dtype=bool),
+        goal_gauss_code=str(instance.code),
+        policy=POLICY,
+        hold=int(np.argmin(shown[:0:-1])) if not shown[1:].all() else steps,
+    )
+
+
+def _pulled(instance: Instance) -> tuple[np.ndarray, np.ndarray]:
+    """Bead int64 (T + 1,) and force float64 (T + 1, 3), newtons, that led to each state."""
+    rope = RopeConfig()
+    places = rope.reach * instance.actions[:, None, :3].astype(np.float64)
+    beads = np.argmin(((instance.points[:-1] - places) ** 2).sum(axis=2), axis=1)
+    return np.concatenate([[-1], beads]), np.concatenate([np.zeros((1, 3)), rope.max_force * instance.actions[:, 3:].astype(np.float64)])
+
+
+def _padded(instance: Instance, longest: int) -> np.ndarray:
+    out = np.zeros((longest, 6), dtype=np.float32)
+    out[: len(instance.actions)] = instance.actions
+    return out

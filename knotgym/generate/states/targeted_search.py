@@ -1,0 +1,54 @@
+"""Aimed search: the planner leads a rope from the start to a code that the search has not met, or not as the rope is numbered."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from knotgym.control.macro_actions import Way, pull
+from knotgym.control.planner import PlannerConfig, plan
+from knotgym.control.transition_graph import shipped_atlas
+from knotgym.generate.states.archive import Elite
+from knotgym.generate.states.search import SearchConfig, readings, simulation_of
+from knotgym.quality import Limits
+from knotgym.rope import Array
+from knotgym.topology.gauss import GaussCode
+
+
+class Target(NamedTuple):
+    """A code to reach from a configuration (beads, 3) at rest; `seed` decides what is tried."""
+
+    search: SearchConfig
+    planner: PlannerConfig
+    start: Array
+    goal: GaussCode
+    seed: tuple[int, ...]
+
+
+class Shot(NamedTuple):
+    """What came of a target: states for the archive, none if the planner failed; and simulated actions spent."""
+
+    elites: tuple[Elite, ...]
+    spent: int
+
+
+def reach(target: Target) -> Shot:
+    """Plan a way to a target that the search could have gone, and act it out."""
+    search, planner = target.search, target.planner
+    simulation = simulation_of(planner.slots, search.rope)
+    rope = simulation.rope
+    simulation.lay(rope.qpos(target.start)[None], [0])
+    state = simulation.states([0])[0]
+    found = plan(simulation, state, target.goal, shipped_atlas(), planner, np.random.default_rng(target.seed), steps=search.longest)
+    if not found.solved:
+        return Shot((), found.spent)
+    simulation.restore(state[None], [0])
+    beads, forces = np.zeros(len(found.actions), dtype=np.int16), np.zeros((len(found.actions), 3), dtype=np.float32)
+    for step, action in enumerate(found.actions):
+        (beads[step],), force = simulation.read_actions(action[None], [0])
+        forces[step] = force[0] / rope.config.max_force
+        pull(simulation, beads[[step]], forces[[step]], [0])
+    end, way = simulation.states([0])[0], Way(beads, forces)
+    shown = readings(simulation.points[0], Limits(), search.rope)
+    return Shot(tuple(one.elite(way, end) for one in shown), found.spent + len(way))

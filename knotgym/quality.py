@@ -1,0 +1,375 @@
+"""How well a rope state can be read off its picture, and how far from over-twisted it is.
+
+Every measure has a unit that a person can check with a ruler. Pixels are those of the 128 x 128 picture, 5.2 mm each; the
+rope is two of them wide. `Limits` holds what a curated state must keep to, each with its reason.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from typing import Any
+
+import cv2
+import numba
+import numpy as np
+from numpy.typing import ArrayLike
+
+from knotgym.rendering.picture import DEFAULT, PictureConfig, project
+from knotgym.rope import Array, noised
+from knotgym.topology.crossings import Crossings, find_crossings, label_many
+from knotgym.topology.diagrams import faces
+from knotgym.topology.gauss import GaussCode
+
+UNITS = {
+    "crossing_angle": "degrees",
+    "crossing_spacing": "pixels",
+    "base_spacing": "pixels",
+    "strand_spacing": "pixels",
+    "smallest_region": "square pixels",
+    "smallest_face": "square pixels",
+    "margin": "pixels",
+    "clearance": "millimetres",
+    "excess_crossing_number": "crossings",
+    "total_curvature": "turns",
+    "writhe": "crossings",
+    "noise_survival": "share",
+}
+
+WALK = 12.0  # pixels of walk along the drawn rope, crossings may be turned at, beyond which two places are different strands
+NOISE_DRAWS = 64
+FACE = 20.0  # square pixels inside the axes of an eye that shows some background; where none is shown it says which way is better
+
+
+@dataclass(frozen=True)
+class Quality:
+    """The measures of one state; where there is no crossing, those about crossings have the value of a perfect one.
+
+    Attributes:
+        crossing_angle: smallest angle at which two strands cross in the picture, degrees in [0, 90].
+        crossing_spacing: smallest distance between two crossings, pixels, at most the picture's side.
+        base_spacing: from the white base bead along the rope to the nearest crossing, pixels, at most the picture's side.
+        strand_spacing: smallest distance in the picture between the axes of two places more than WALK pixels of walk apart.
+        smallest_region: background of the smallest region that the drawn rope encloses, square pixels; 0 if the picture doesn't
+            show the nx + 2 regions, the outside among them, that a diagram with nx crossings has.
+        smallest_face: of the regions that the rope's axis encloses, had the rope no width, square pixels.
+        margin: from the rope's edge to the edge of the picture, pixels; negative if the rope leaves it.
+        clearance: smallest height of an over strand's axis above the under strand's, millimetres; two beads that touch have 10.
+        excess_crossing_number: average crossing number over all directions of view minus the crossings seen from above:
+            turns of the rope about itself that this picture doesn't show.
+        total_curvature: total turning of the rope's direction, in full turns; a flat loop has 1.
+        writhe: sum of the crossing signs.
+        noise_survival: share of NOISE_DRAWS draws of reset noise that keep the Gauss code; NaN until measured.
+    """
+
+    crossing_angle: float
+    crossing_spacing: float
+    base_spacing: float
+    strand_spacing: float
+    smallest_region: float
+    smallest_face: float
+    margin: float
+    clearance: float
+    excess_crossing_number: float
+    total_curvature: float
+    writhe: float
+    noise_survival: float = float("nan")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """What an accepted state keeps to.
+
+    Attributes:
+        crossing_angle: at least; under 25 degrees the two strands share more than five pixels of their width.
+        crossing_spacing: at least; three widths of the rope leave a rope's width of background between two crossings.
+        base_spacing: at least; a crossing nearer to the base bead could be counted first or last.
+        strand_spacing: at least; half again the rope's width, so that a dark pixel parts two strands.
+        smallest_region: at least; a kink's eye three pixels wide is the least that a person finds without looking for it.
+        margin: at least; the rope stays in the picture after reset noise, which moves no bead by more than three pixels as a rule.
+        clearance: at least, millimetres; beads that are pressed into each other spring apart when the episode begins.
+        excess_crossing_number: at most; a coil seen end-on hides about one crossing a turn, and two turns of it still read well.
+        total_curvature: at most, turns, per crossing and one more for the loop itself.
+        noise_survival: at least.
+    """
+
+    crossing_angle: float = 25.0
+    crossing_spacing: float = 6.0
+    base_spacing: float = 3.0
+    strand_spacing: float = 3.0
+    smallest_region: float = 9.0
+    margin: float = 3.0
+    clearance: float = 8.0
+    excess_crossing_number: float = 2.5
+    total_curvature: float = 2.0
+    noise_survival: float = 0.95
+
+    def faults(self, quality: Quality, nx: int) -> list[str]:
+        """Names of the measures that miss their limit; an unmeasured noise_survival passes."""
+        missed = []
+        for limit in fields(self):
+            value, bound = getattr(quality, limit.name), getattr(self, limit.name)
+            if limit.name == "excess_crossing_number":
+                short = value > bound
+            elif limit.name == "total_curvature":
+                short = value > bound * (nx + 1)
+            else:
+                short = value < bound
+            if short:
+                missed.append(limit.name)
+        return missed
+
+    def badness(self, quality: Quality, nx: int) -> float:
+        """How far from comfortable: nothing for a measure twice as good as its limit, 1 for each one just at it, more beyond."""
+        total = max(0.0, 2 - quality.smallest_face / FACE) ** 2
+        for limit in fields(self):
+            value, bound = getattr(quality, limit.name), getattr(self, limit.name)
+            if value != value:
+                continue
+            if limit.name in ("excess_crossing_number", "total_curvature"):
+                allowed = bound if limit.name == "excess_crossing_number" else bound * (nx + 1)
+                total += max(0.0, 2 * value / allowed - 1)
+            elif limit.name == "clearance":
+                total += max(0.0, 1 - (value - bound)) if value < bound + 1 else 0.0
+            else:
+                total += max(0.0, 2 - value / bound) ** 2
+        return total
+
+
+@dataclass(frozen=True, eq=False)
+class Spots:
+    """All the places of a picture that may be tight.
+
+    Attributes:
+        angles: of the crossings, degrees (nx,).
+        apart: distances of all pairs of crossings, pixels.
+        faces: areas, the outer one's among them, square pixels (nx + 2,).
+    """
+
+    angles: Array
+    apart: Array
+    faces: Array
+
+    def crampedness(self, limits: Limits) -> float:
+        """How far all of them together are from comfortable, where `Limits.badness` asks the worst.
+
+        A rope with several tight spots gets better as any of them opens. Same scale as `Limits.badness`; 0 for a roomy picture.
+        """
+        if not len(self.angles):
+            return 0.0
+        shares = (self.faces / FACE, self.apart / limits.crossing_spacing, self.angles / limits.crossing_angle)
+        return float(sum((np.maximum(0.0, 2 - share) ** 2).sum() for share in shares))
+
+
+def spots_of(points: Array, crossings: Crossings, config: PictureConfig = DEFAULT) -> Spots:
+    """The spots of a configuration, float64 (beads, 3), metres."""
+    at = crossings.position * config.pixels_per_metre
+    apart = np.linalg.norm(at[:, None] - at[None, :], axis=2)[np.triu_indices(crossings.nx, 1)]
+    angles = np.array([_angle(points, over, under) for over, under in zip(crossings.over_place, crossings.under_place, strict=True)])
+    return Spots(angles, apart, _faces(project(points, config), crossings))
+
+
+def measure(
+    points: ArrayLike, crossings: Crossings | None = None, config: PictureConfig = DEFAULT, *, spots: Spots | None = None, quick: bool = False
+) -> Quality:
+    """Measure a configuration, float64 (beads, 3), metres.
+
+    Args:
+        points: left alone.
+        crossings: of these points, if they are known already.
+        config: of the picture it is measured in.
+        spots: of all that, if they are known already.
+        quick: leave out excess_crossing_number, half of the time.
+
+    Returns:
+        All but noise_survival, which has a function of its own; NaN where left out.
+    """
+    p = np.ascontiguousarray(points, dtype=np.float64)
+    found = find_crossings(p) if crossings is None else crossings
+    scale = config.pixels_per_metre
+    size = float(config.size)
+    seen = project(p, config)
+    pixels = np.ascontiguousarray(seen)
+    chord = np.roll(p, -1, axis=0) - p
+    length = np.linalg.norm(chord, axis=1)
+    unit = chord / length[:, None]
+    curvature = np.arccos(np.clip((unit * np.roll(unit, -1, axis=0)).sum(axis=1), -1, 1)).sum() / (2 * np.pi)
+    radius = config.rope_radius * scale
+    regions = _regions(pixels, 2 * radius)[0]
+    spots = spots_of(p, found, config) if spots is None else spots
+    clearance = 1000 * float((found.over_z - found.under_z).min(initial=np.inf))
+    return Quality(
+        crossing_angle=float(spots.angles.min(initial=90.0)),
+        crossing_spacing=float(spots.apart.min(initial=size)),
+        base_spacing=base_spacing(p, found, 0, config),
+        strand_spacing=min(size, _strand_spacing(pixels, found.over_place, found.under_place, WALK)),
+        smallest_region=float(regions.min()) if len(regions) == found.nx + 2 else 0.0,
+        smallest_face=float(spots.faces.min()),
+        margin=float(min(seen.min(), size - seen.max()) - radius),
+        clearance=min(clearance, 1000.0 * config.rope_radius * 4),
+        excess_crossing_number=float("nan") if quick else _average_crossing_number(p) - found.nx,
+        total_curvature=float(curvature),
+        writhe=float(found.sign.sum()),
+    )
+
+
+def base_spacing(points: Array, crossings: Crossings, base: int = 0, config: PictureConfig = DEFAULT) -> float:
+    """Walk from the base bead, between the vertices `base` and `base + 1`, to the nearest crossing: pixels; 0 on the base bead."""
+    if not crossings.nx:
+        return float(config.size)
+    pixels = np.roll(project(points, config), -base, axis=0)
+    places = (np.concatenate([crossings.over_place, crossings.under_place]) - base) % len(points)
+    walked = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.roll(pixels, -1, axis=0) - pixels, axis=1))])
+    at = np.interp(places, np.arange(len(walked)), walked)
+    return float(min(config.size, max(0.0, min((at - walked[1]).min(), walked[-1] - at.max()))))
+
+
+def tightest_spot(points: Array, config: PictureConfig = DEFAULT) -> Array:
+    """Middle of the smallest region that the drawn rope encloses, float64 (2,), metres."""
+    areas, centres = _regions(np.ascontiguousarray(project(points, config)), 2 * config.rope_radius * config.pixels_per_metre)
+    offset = (centres[np.argmin(areas)] - config.size / 2) / config.pixels_per_metre
+    return np.asarray(points[:, :2].mean(axis=0) + offset * (1, -1))
+
+
+def noise_survival(points: ArrayLike, scale: float, rng: np.random.Generator, draws: int = NOISE_DRAWS) -> float:
+    """Share of reset-noise draws, none of them drawn again, that keep the Gauss code with its chirality."""
+    p = np.asarray(points, dtype=np.float64)
+    codes = label_many(np.stack([p, *(noised(p, scale, rng) for _ in range(draws))]))
+    return float(np.mean([code == codes[0] for code in codes[1:]]))
+
+
+def _angle(points: Array, over: float, under: float) -> float:
+    """Angle in the picture between the strands at two places, each direction taken over two beads, degrees in [0, 90]."""
+    beads = len(points)
+
+    def at(place: float) -> Array:
+        bead = int(np.floor(place))
+        here, after = points[bead % beads, :2], points[(bead + 1) % beads, :2]
+        return np.asarray(here + (place - bead) * (after - here))
+
+    a, b = (at(place + 1) - at(place - 1) for place in (over, under))
+    return float(np.degrees(np.arctan2(abs(a[0] * b[1] - a[1] * b[0]), abs(a @ b))))
+
+
+def _faces(pixels: Array, crossings: Crossings) -> Array:
+    """Areas of the faces of the curve, the outer one among them, square pixels: half the sum of p x dp round each, edge by edge."""
+    after = np.roll(pixels, -1, axis=0)
+    swept = pixels[:, 0] * after[:, 1] - pixels[:, 1] * after[:, 0]
+    until = np.concatenate([[0.0], np.cumsum(swept)])
+    if not crossings.nx:
+        return np.full(2, abs(until[-1]) / 2)
+    places = np.sort(np.concatenate([crossings.over_place, crossings.under_place]))
+    bead = np.minimum(places.astype(np.int64), len(pixels) - 1)
+    at = until[bead] + (places - bead) * swept[bead]
+    edges = np.append(at[1:], at[0] + until[-1]) - at
+    return np.asarray(np.abs(_borders(crossings.code) @ edges) / 2)
+
+
+@lru_cache(maxsize=10_000)
+def _borders(code: GaussCode) -> Array:
+    """Which way each edge is walked round each face, its left: float64 (nx + 2, 2 nx) of -1, 0, 1."""
+    walks = faces(code)
+    out = np.zeros((len(walks), 2 * code.nx))
+    for row, darts in enumerate(walks):
+        for dart in darts:
+            out[row, dart // 2] += -1 if dart % 2 else 1
+    return out
+
+
+def _regions(pixels: Array, width: float, fine: int = 3) -> tuple[Array, Array]:
+    """Draw the rope as a closed band, `fine` dots a pixel: areas (n,) and centres (n, 2) of the pieces of background left, pixels."""
+    low = np.floor(pixels.min(axis=0)) - 4
+    high = np.ceil(pixels.max(axis=0)) + 4 - low
+    canvas = np.ones((int(high[1] * fine), int(high[0] * fine)), dtype=np.uint8)
+    corners = np.round((pixels - low) * fine * 16).astype(np.int32)
+    cv2.polylines(canvas, [corners[:, None]], True, 0, max(2, round(width * fine)), cv2.LINE_8, 4)  # two dots keep what is 8-connected apart
+    _, _, stats, centres = cv2.connectedComponentsWithStatsWithAlgorithm(canvas, 8, cv2.CV_16U, cv2.CCL_BBDT)
+    return stats[1:, cv2.CC_STAT_AREA] / fine**2, centres[1:] / fine + low
+
+
+@numba.njit(cache=True, nogil=True)
+def _strand_spacing(pixels: Array, over: Array, under: Array, walk: float) -> float:
+    """Smallest distance between vertices and edges whose walk along the drawing is longer than `walk`."""
+    beads, crossings = len(pixels), len(over)
+    along = np.zeros(beads + 1)
+    for i in range(beads):
+        step = pixels[(i + 1) % beads] - pixels[i]
+        along[i + 1] = along[i] + np.sqrt((step * step).sum())
+    total = along[beads]
+    # visits: 2k over, 2k + 1 under; the walk between two visits, turning at crossings for nothing
+    at = np.empty(2 * crossings)
+    for k in range(crossings):
+        for side in range(2):
+            place = over[k] if side == 0 else under[k]
+            i = min(int(place), beads - 1)
+            at[2 * k + side] = along[i] + (place - i) * (along[i + 1] - along[i])
+    n = 2 * crossings
+    between = np.empty((n, n))
+    for a in range(n):
+        for b in range(n):
+            gap = abs(at[a] - at[b])
+            between[a, b] = 0.0 if a // 2 == b // 2 else min(gap, total - gap)
+    for m in range(n):
+        for a in range(n):
+            for b in range(n):
+                between[a, b] = min(between[a, b], between[a, m] + between[m, b])
+    to_visit = np.empty((beads, n))
+    for i in range(beads):
+        for b in range(n):
+            gap = abs(along[i] - at[b])
+            to_visit[i, b] = min(gap, total - gap)
+    from_bead = np.empty((beads, n))  # shortest walk from a bead to a visit over any crossings
+    for i in range(beads):
+        for b in range(n):
+            best = np.inf
+            for a in range(n):
+                best = min(best, to_visit[i, a] + between[a, b])
+            from_bead[i, b] = best
+    nearest = np.inf
+    for i in range(beads):
+        for j in range(i + 1, beads):
+            gap = along[j] - along[i]
+            gap = min(gap, total - gap)
+            if gap <= walk:
+                continue
+            dx, dy = pixels[i, 0] - pixels[j, 0], pixels[i, 1] - pixels[j, 1]
+            apart = np.sqrt(dx * dx + dy * dy)
+            if apart >= nearest:
+                continue
+            for b in range(n):
+                gap = min(gap, from_bead[i, b] + to_visit[j, b])
+            if gap > walk:
+                nearest = apart
+    return nearest
+
+
+@numba.njit(cache=True, nogil=True)
+def _average_crossing_number(points: Array) -> float:
+    """Crossings seen on average over all directions of view, by the exact solid angles of Banchoff (Klenin and Langowski, 2000)."""
+    beads = len(points)
+    total = 0.0
+    for i in range(beads):
+        a, b = points[i], points[(i + 1) % beads]
+        for j in range(i + 2, beads if i > 0 else beads - 1):
+            c, d = points[j], points[(j + 1) % beads]
+            total += _solid_angle(a, b, c, d)
+    return total / (2 * np.pi)
+
+
+@numba.njit(cache=True, nogil=True)
+def _solid_angle(a: Array, b: Array, c: Array, d: Array) -> float:
+    n0, n1, n2, n3 = _normal(c - a, d - a), _normal(d - a, d - b), _normal(d - b, c - b), _normal(c - b, c - a)
+    return abs(_arcsine(n0, n1) + _arcsine(n1, n2) + _arcsine(n2, n3) + _arcsine(n3, n0))
+
+
+@numba.njit(cache=True, nogil=True)
+def _normal(a: Array, b: Array) -> tuple[float, float, float]:
+    x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    size = np.sqrt(x * x + y * y + z * z)
+    least = 1e-12 * np.sqrt((a * a).sum() * (b * b).sum())  # below it the direction is rounding: points in line count nothing
+    return (x / size, y / size, z / size) if size > least else (0.0, 0.0, 0.0)
+
+
+@numba.njit(cache=True, nogil=True)
+def _arcsine(a: Any, b: Any) -> float:
+    return np.arcsin(min(1.0, max(-1.0, a[0] * b[0] + a[1] * b[1] + a[2] * b[2])))

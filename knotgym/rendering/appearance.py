@@ -1,0 +1,165 @@
+"""What a perception picture may vary without its label becoming false: colours, width, background, camera, noise, blur, size.
+
+A turn or a zoom moves the crossings' pixels (they are recomputed) and no code. Under colours "published" and "gradient" the
+picture shows which way the walk runs: towards red, or from the bright end to the dark one. Under "single" only the white base
+bead is shown, so the code and the code of the walk the other way fit the picture equally well.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.errors import KnotgymError
+from knotgym.rendering.picture import RGB, PictureConfig, draw, project, rope_colours
+from knotgym.rope import Array
+
+VARIED = ("colours", "width", "background", "turn", "zoom", "noise", "blur")
+SIZES = (64, 512)  # pixels, smallest and largest
+MARGIN = 2.0  # pixels of 128 that a zoomed rope keeps from the picture's edge
+
+
+class InvalidAppearance(KnotgymError, ValueError):
+    """Pictures can't be varied so."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AppearanceConfig:
+    """What varies from picture to picture, and how far; all else is as published.
+
+    Attributes:
+        vary: of VARIED; any subset, stored in that order.
+        sizes: pixels, drawn from evenly.
+        width: range of the factor on the rope's width.
+        zoom: range of the magnification; never so large that the rope leaves the picture.
+        noise: largest standard deviation of the Gaussian noise, levels of 255.
+        blur: largest standard deviation of the Gaussian blur, pixels of a picture of 128; larger pictures take more.
+    """
+
+    vary: tuple[str, ...] = ()
+    sizes: tuple[int, ...] = (128,)
+    width: tuple[float, float] = (0.7, 1.4)
+    zoom: tuple[float, float] = (0.8, 1.5)
+    noise: float = 8.0
+    blur: float = 0.6
+
+    def __post_init__(self) -> None:
+        for name in self.vary:
+            if name not in VARIED:
+                raise InvalidAppearance(f"{name!r} can't be varied; these can: {', '.join(VARIED)}, or all, or none")
+        object.__setattr__(self, "vary", tuple(name for name in VARIED if name in self.vary))
+        if not self.sizes or any(type(size) is not int or not SIZES[0] <= size <= SIZES[1] for size in self.sizes):
+            raise InvalidAppearance(f"sizes are whole pixels from {SIZES[0]} to {SIZES[1]}, got {', '.join(map(str, self.sizes)) or 'none'}")
+        for name in ("width", "zoom"):
+            low, high = getattr(self, name)
+            if not 0 < low <= high < math.inf:
+                raise InvalidAppearance(f"{name} is a range (low, high) above 0, got {(low, high)}")
+        for name in ("noise", "blur"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise InvalidAppearance(f"{name} must be at least 0 and finite, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Appearance:
+    """How one picture was drawn; together with the points it determines every byte of it.
+
+    Attributes:
+        size: pixels of a side.
+        turn: of the camera about z, radians, anticlockwise.
+        zoom: magnification.
+        width: factor on the rope's width.
+        colours: "published"; "single", the rope in the RGB `first`; "gradient", from `first` at bead 1 to `last`.
+        first, last: RGB; all 0 where not used.
+        background: RGB.
+        noise: standard deviation of the Gaussian noise, levels.
+        blur: standard deviation of the Gaussian blur, pixels of this picture; blurred first, noise after.
+        seed: the noise is that of `np.random.default_rng(seed)`.
+    """
+
+    size: int = 128
+    turn: float = 0.0
+    zoom: float = 1.0
+    width: float = 1.0
+    colours: str = "published"
+    first: RGB = (0, 0, 0)
+    last: RGB = (0, 0, 0)
+    background: RGB = (0, 0, 0)
+    noise: float = 0.0
+    blur: float = 0.0
+    seed: int = 0
+
+    def picture(self) -> PictureConfig:
+        """The camera and the rope's width; colours are `bead_colours`."""
+        return PictureConfig(size=self.size, turn=self.turn, zoom=self.zoom, width=self.width, background=self.background)
+
+    def bead_colours(self, beads: int) -> NDArray[np.uint8]:
+        """RGB of every bead, uint8 (beads, 3); the base bead is white."""
+        if self.colours == "published":
+            return rope_colours(beads)
+        last = self.first if self.colours == "single" else self.last
+        along = np.linspace(0.0, 1.0, beads)[:, None]
+        colours: NDArray[np.uint8] = np.rint((1 - along) * np.array(self.first) + along * np.array(last)).astype(np.uint8)
+        colours[0] = 255
+        return colours
+
+
+def appearance(points: Array, config: AppearanceConfig, rng: np.random.Generator) -> Appearance:
+    """Draw an appearance for a configuration (beads, 3), metres."""
+    vary, plain = set(config.vary), Appearance()
+    size = config.sizes[int(rng.integers(len(config.sizes)))]
+    turn = float(rng.uniform(-math.pi, math.pi)) if "turn" in vary else 0.0
+    width = float(rng.uniform(*config.width)) if "width" in vary else 1.0
+    zoom = 1.0
+    if "zoom" in vary:
+        most = _largest_zoom(points, turn, width)
+        low, high = config.zoom
+        zoom = float(rng.uniform(min(low, most), min(high, most)))
+    kind = ("published", "single", "gradient")[int(rng.integers(3))] if "colours" in vary else plain.colours
+    background = _rgb(rng.integers(0, 81, 3)) if "background" in vary else plain.background
+    first, last = _rgb(rng.integers(150, 256, 3)), plain.last
+    if kind == "gradient":  # from bright to dark, another hue at the end, never as dark as a background
+        dark = rng.integers(20, 60, 3)
+        dark[rng.integers(3)] = rng.integers(150, 200)
+        last = _rgb(dark)
+    noise = float(rng.uniform(0, config.noise)) if "noise" in vary else 0.0
+    blur = float(rng.uniform(0, config.blur)) * size / plain.size if "blur" in vary else 0.0
+    return Appearance(
+        size=size,
+        turn=turn,
+        zoom=zoom,
+        width=width,
+        colours=kind,
+        first=plain.first if kind == "published" else first,
+        last=last,
+        background=background,
+        noise=noise,
+        blur=blur,
+        seed=int(rng.integers(2**62)) if noise else 0,
+    )
+
+
+def render(points: Array, look: Appearance) -> NDArray[np.uint8]:
+    """The picture of a configuration (beads, 3): uint8 (size, size, 3), RGB."""
+    image = draw(points, look.picture(), colours=look.bead_colours(len(points)))
+    if look.blur > 0:
+        image = np.asarray(cv2.GaussianBlur(image, (0, 0), look.blur), dtype=np.uint8)
+    if look.noise > 0:
+        grain = np.random.default_rng(look.seed).normal(0.0, look.noise, image.shape)
+        image = np.clip(np.rint(image + grain), 0, 255).astype(np.uint8)
+    return image
+
+
+def _largest_zoom(points: Array, turn: float, width: float) -> float:
+    """The zoom at which the rope comes within MARGIN of the picture's edge."""
+    plain = PictureConfig(turn=turn, width=width)
+    out = np.abs(project(points, plain) - plain.size / 2).max() / plain.pixels_per_metre + plain.drawn_radius
+    return float((plain.size / 2 - MARGIN) / plain.pixels_per_metre / out)
+
+
+def _rgb(levels: NDArray[np.integer]) -> RGB:
+    red, green, blue = (int(level) for level in levels)
+    return red, green, blue

@@ -1,0 +1,187 @@
+"""The picture of a rope by MuJoCo's classic renderer: capsules with flat colours, the same picture as knotgym.rendering.picture draws, through OpenGL.
+
+Imported only when a picture with renderer="mujoco" is asked for. OpenGL contexts are costly and belong to one thread of one process, so one is
+kept for each (process, thread, side of the canvas); nothing else holds them, so environments pickle. A process that has drawn may not be forked
+and draw in the child: the drivers hang, so that it is refused. The backend is the user's MUJOCO_GL; when that is unset, EGL where it is installed,
+otherwise OSMesa, otherwise a window system. The environment variable itself is never written.
+"""
+
+import atexit
+import ctypes.util
+import importlib
+import math
+import os
+import platform
+import threading
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.errors import KnotgymError
+from knotgym.rendering.picture import PictureConfig, average
+
+_NEAR, _MARGIN = 0.01, 0.5  # metres: nearest thing the camera sees; free space kept above and below the rope
+
+_STAGE = """
+<mujoco>
+  <visual>
+    <headlight ambient="1 1 1" diffuse="0 0 0" specular="0 0 0"/>
+    <quality offsamples="0" shadowsize="0" numslices="24" numstacks="12" numquads="1"/>
+    <global offwidth="{side}" offheight="{side}"/>
+  </visual>
+  <worldbody/>
+</mujoco>
+"""
+
+
+_REMEDY = "install EGL (libegl1) or OSMesa (libosmesa6), name one in MUJOCO_GL, or use renderer='opencv', which needs none"
+
+
+class GraphicsUnavailable(KnotgymError):
+    """MuJoCo's renderer was asked for where no OpenGL context can be made."""
+
+
+class Painter:
+    """An OpenGL canvas of one size, and the scene that is drawn on it; to be used in the thread that made it.
+
+    Args:
+        side: pixels of the canvas, both sides.
+
+    Raises:
+        GraphicsUnavailable: no OpenGL context can be made.
+    """
+
+    def __init__(self, side: int) -> None:
+        backend = _backend()
+        model = mujoco.MjModel.from_xml_string(_STAGE.format(side=side))
+        try:
+            self._gl: Any = importlib.import_module(f"mujoco.{backend}").GLContext(side, side)
+            self._gl.make_current()
+            self._context: Any = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+        except Exception as error:  # each backend fails in its own way: ImportError, AttributeError, RuntimeError, GLError, FatalError
+            raise _unavailable(f"{backend}: {(str(error).strip() or type(error).__name__).splitlines()[0]}") from error
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
+        self._model, self._side = model, side
+        self._scene = _stage(model, 256)
+
+    def paint(self, points: NDArray[np.float64], colours: NDArray[np.uint8], config: PictureConfig) -> NDArray[np.uint8]:
+        """Paint a rope on the canvas: uint8, shape (side, side, 3), row 0 at the top, not yet averaged to the picture's size.
+
+        Args:
+            points: float64, shape (beads, 3), metres.
+            colours: uint8, shape (beads, 3).
+        """
+        points = points - points.mean(axis=0)
+        beads = len(points)
+        if beads + 1 > self._scene.maxgeom:
+            self._scene = _stage(self._model, beads + 1)
+        self._look(points, config)
+        rgba = np.ones((beads, 4), dtype=np.float32)
+        rgba[:, :3] = colours / 255.0
+        nowhere, upright, capsule = np.zeros(3), np.eye(3).ravel(), mujoco.mjtGeom.mjGEOM_CAPSULE.value
+        geoms = self._scene.geoms
+        for bead in range(beads):
+            mujoco.mjv_initGeom(geoms[bead], capsule, nowhere, nowhere, upright, rgba[bead])
+            mujoco.mjv_connector(geoms[bead], capsule, config.drawn_radius, points[bead], points[(bead + 1) % beads])
+        self._scene.ngeom = beads
+        if any(config.background):  # an unlit picture is black by itself; any other background is a floor under the rope
+            floor = np.array([100.0, 100.0, 0.01])
+            below = np.array([0.0, 0.0, points[:, 2].min() - 0.5 * _MARGIN])
+            shade = np.array([*(level / 255.0 for level in config.background), 1.0], dtype=np.float32)
+            mujoco.mjv_initGeom(geoms[beads], mujoco.mjtGeom.mjGEOM_BOX.value, floor, below, upright, shade)
+            self._scene.ngeom = beads + 1
+        self._gl.make_current()
+        canvas = np.empty((self._side, self._side, 3), dtype=np.uint8)
+        view = mujoco.MjrRect(0, 0, self._side, self._side)
+        mujoco.mjr_render(view, self._scene, self._context)
+        mujoco.mjr_readPixels(canvas, None, view, self._context)
+        return np.ascontiguousarray(canvas[::-1])
+
+    def _look(self, points: NDArray[np.float64], config: PictureConfig) -> None:
+        """Put the camera where config says; points are given from their mean."""
+        if config.camera == "orthographic":
+            height, near = float(points[:, 2].max()) + _MARGIN, _NEAR
+            half = 0.5 * config.view / config.zoom
+        else:
+            height, near = config.camera_height, _NEAR
+            half = near * math.tan(0.5 * math.radians(config.fovy)) / config.zoom
+        for camera in self._scene.camera:
+            camera.pos = [0.0, 0.0, height]
+            camera.forward = [0.0, 0.0, -1.0]
+            camera.up = [-math.sin(config.turn), math.cos(config.turn), 0.0]
+            camera.orthographic = int(config.camera == "orthographic")
+            camera.frustum_center, camera.frustum_width = 0.0, half
+            camera.frustum_bottom, camera.frustum_top = -half, half
+            camera.frustum_near, camera.frustum_far = near, height - float(points[:, 2].min()) + _MARGIN
+
+    def close(self) -> None:
+        """Free the context; closing twice is nothing."""
+        if self._context is not None:
+            self._gl.make_current()
+            self._context.free()
+            self._gl.free()
+        self._context = self._gl = None
+
+
+_painters: dict[tuple[int, int, int], Painter] = {}
+_processes: set[int] = set()  # that have made a context: this one and those it was forked from
+
+
+def draw(points: NDArray[np.float64], colours: NDArray[np.uint8], config: PictureConfig) -> NDArray[np.uint8]:
+    """Draw one rope; knotgym.rendering.picture.draw checks the arguments and says what they are.
+
+    Raises:
+        GraphicsUnavailable: no OpenGL context can be made.
+    """
+    side = config.size * config.supersampling
+    process = os.getpid()
+    key = (process, threading.get_ident(), side)
+    if key not in _painters:
+        if _processes - {process}:  # drivers hang there
+            raise _unavailable(
+                "this process was forked from one that had drawn already", "start workers by 'spawn' or 'forkserver', or use renderer='opencv'"
+            )
+        _painters[key] = Painter(side)
+        if not _processes:  # not before the first context, so as to run before the backend's own clearing up
+            atexit.register(close)
+        _processes.add(process)
+    return average(_painters[key].paint(points, colours, config), config.supersampling)
+
+
+def close() -> None:
+    """Free the contexts that this thread of this process has made."""
+    for key in [key for key in _painters if key[:2] == (os.getpid(), threading.get_ident())]:
+        _painters.pop(key).close()
+
+
+def _stage(model: mujoco.MjModel, geoms: int) -> mujoco.MjvScene:
+    """An empty scene for so many geoms, lit evenly from everywhere."""
+    scene = mujoco.MjvScene(model, maxgeom=geoms)
+    everything = mujoco.mjtCatBit.mjCAT_ALL.value
+    mujoco.mjv_updateScene(model, mujoco.MjData(model), mujoco.MjvOption(), None, mujoco.MjvCamera(), everything, scene)
+    for flag in ("SHADOW", "REFLECTION", "FOG", "HAZE", "SKYBOX"):
+        scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = False
+    return scene
+
+
+def _unavailable(reason: str, remedy: str = _REMEDY) -> GraphicsUnavailable:
+    return GraphicsUnavailable(f"no OpenGL for renderer='mujoco' ({reason}); {remedy}")
+
+
+def _backend() -> str:
+    """The module of MuJoCo that makes contexts: egl, osmesa, glfw or cgl."""
+    chosen = os.environ.get("MUJOCO_GL", "").strip().lower()
+    if chosen in ("egl", "osmesa", "glfw", "cgl"):
+        return chosen
+    if chosen in ("disable", "disabled", "off", "false", "0"):
+        raise _unavailable(f"MUJOCO_GL={chosen}")
+    if platform.system() != "Linux":
+        return "cgl" if platform.system() == "Darwin" else "glfw"
+    for backend, library in (("egl", "EGL"), ("osmesa", "OSMesa")):
+        if ctypes.util.find_library(library):
+            return backend
+    if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        return "glfw"
+    raise _unavailable("neither libEGL nor libOSMesa is installed and there is no display")

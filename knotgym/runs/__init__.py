@@ -1,0 +1,1 @@
+"""How long work is done: executors, shards, staging and locks, progress."""

@@ -1,0 +1,139 @@
+"""Which knot a diagram shows, decided exactly or not at all.
+
+A diagram that loses all its crossings with its kinks and bigons shows the unknot. Another is told by its Alexander polynomial:
+if that is not 1 the rope is knotted, and if it is 1 with at most 10 crossings left it is not, since the first knots with a
+trivial one have 11 crossings (tables of Hoste, Thistlethwaite and Weeks, "The First 1,701,936 Knots", 1998). Beyond that
+the Jones polynomial decides, up to 24 crossings: no knot with so few has the unknot's (R. E. Tuzun and A. S. Sikora,
+"Verification of the Jones Unknot Conjecture up to 24 Crossings", 2021).
+
+Types are named as in Rolfsen's table, whatever the handedness: both trefoils are "3_1", and "3_1#3_1" is the granny knot
+as well as the square knot.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from knotgym.errors import KnotgymError
+from knotgym.topology.diagrams import drawn, summands
+from knotgym.topology.gauss import GaussCode
+from knotgym.topology.polynomials import alexander_polynomial, jones_polynomial
+from knotgym.topology.reidemeister import simplify, without_bigons
+
+UNKNOT = "0_1"
+UNKNOWN = "unknown"
+ALEXANDER_DECIDES = 10
+JONES_DECIDES = 24
+
+# Every knot of at most 7 crossings, composites included. The polynomials differ, so a diagram of at most 7 crossings is
+# told by its own.
+_TYPES: dict[tuple[int, ...], str] = {
+    (1,): UNKNOT,
+    (1, -1, 1): "3_1",
+    (-1, 3, -1): "4_1",
+    (1, -1, 1, -1, 1): "5_1",
+    (2, -3, 2): "5_2",
+    (-2, 5, -2): "6_1",
+    (-1, 3, -3, 3, -1): "6_2",
+    (1, -3, 5, -3, 1): "6_3",
+    (1, -2, 3, -2, 1): "3_1#3_1",
+    (1, -1, 1, -1, 1, -1, 1): "7_1",
+    (3, -5, 3): "7_2",
+    (2, -3, 3, -3, 2): "7_3",
+    (4, -7, 4): "7_4",
+    (2, -4, 5, -4, 2): "7_5",
+    (-1, 5, -7, 5, -1): "7_6",
+    (1, -5, 9, -5, 1): "7_7",
+    (-1, 4, -5, 4, -1): "3_1#4_1",
+}
+_TABLED = 7
+
+
+class UndecidedKnot(KnotgymError):
+    """The polynomials do not tell this diagram from the unknot, and it is too large for that to be a proof."""
+
+    def __init__(self, code: GaussCode) -> None:
+        super().__init__(
+            f"cannot say whether a diagram of {code.nx} crossings is the unknot: its Alexander and Jones polynomials are 1, "
+            f"which proves it up to {JONES_DECIDES} crossings: {code.chiral}"
+        )
+
+
+@lru_cache(maxsize=65536)
+def is_unknot(code: GaussCode) -> bool:
+    """Say whether the rope can be opened to a plain loop.
+
+    Args:
+        code: a planar code. Without chirality the answer holds for each of its handedness patterns: they differ by mirrored
+            summands.
+
+    Raises:
+        NotPlanar: no closed curve shows the code.
+        UndecidedKnot: more than 24 crossings are left that the polynomials do not tell.
+    """
+    return all(_is_trivial(summand) for summand in summands(without_bigons(drawn(code))))
+
+
+@lru_cache(maxsize=65536)
+def knot_type(code: GaussCode) -> str:
+    """Name the knot: a type of at most 7 crossings, a sum of such types joined by "#", or "unknown" where that is not certain.
+
+    Args:
+        code: a planar code; without chirality as for is_unknot().
+
+    Raises:
+        NotPlanar: no closed curve shows the code.
+
+    >>> knot_type(GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c"))
+    '3_1'
+    """
+    names: list[str] = []
+    for summand in summands(simplify(code)):
+        names.extend(_name(summand).split("#"))
+    if UNKNOWN in names:
+        return UNKNOWN
+    return "#".join(sorted(name for name in names if name != UNKNOT)) or UNKNOT
+
+
+def handedness(code: GaussCode) -> int:
+    """Tell a knot from its mirror image where the span of its Jones polynomial does.
+
+    Returns:
+        +1 when the polynomial leans to positive powers, as the right-handed trefoil's, -1 when to negative ones, 0 when it
+        leans nowhere, as for the figure-eight knot, which is its own mirror image.
+
+    Raises:
+        UnknownChirality: the code has none.
+        NotPlanar: no closed curve shows the code.
+
+    >>> handedness(GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c"))
+    1
+    """
+    _ = code.signs
+    jones = jones_polynomial(without_bigons(drawn(code)))
+    lean = jones[0][0] + jones[-1][0]
+    return (lean > 0) - (lean < 0)
+
+
+def _is_trivial(summand: GaussCode) -> bool:
+    if alexander_polynomial(summand) != (1,):
+        return False
+    if summand.nx <= ALEXANDER_DECIDES:
+        return True
+    if summand.nx <= JONES_DECIDES:
+        return jones_polynomial(summand) == ((0, 1),)
+    smaller = simplify(summand)
+    if smaller.nx < summand.nx:
+        return is_unknot(smaller)
+    if jones_polynomial(smaller) != ((0, 1),):
+        return False
+    raise UndecidedKnot(smaller)
+
+
+def _name(summand: GaussCode) -> str:
+    if summand.nx <= _TABLED:
+        return _TYPES[alexander_polynomial(summand)]
+    try:
+        return UNKNOT if _is_trivial(summand) else UNKNOWN
+    except UndecidedKnot:
+        return UNKNOWN

@@ -1,0 +1,114 @@
+"""The symmetries of a rope's diagrams: what one way to a diagram teaches about others.
+
+Turning the rope about z, looking at it in a mirror (x -> -x) and switching over and under (z -> -z) take rope motions to
+rope motions exactly. Two more do so nearly: walking the rope the other way, and starting the walk at another sub-chain. A
+rope bends more easily where its sub-chains meet (their closures have no damping), so that a walk that starts at any other
+bead is no symmetry: rolled by one bead, a pull ends 9 mm elsewhere, rolled by a sub-chain, 0.5 mm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.rope import Array, RopeConfig, sub_chains
+from knotgym.topology.crossings import Crossings
+from knotgym.topology.gauss import GaussCode
+
+
+@dataclass(frozen=True)
+class Symmetry:
+    """Mirror and switch and turn the rope, then walk it the other way, then start at another vertex.
+
+    Attributes:
+        reflect: x -> -x first.
+        switch: z -> -z.
+        turn: about z, radians, after the reflection.
+        reverse: the new vertex j is the old vertex -j.
+        roll: then, the new vertex j is the old vertex j + roll.
+    """
+
+    reflect: bool = False
+    switch: bool = False
+    turn: float = 0.0
+    reverse: bool = False
+    roll: int = 0
+
+    def vectors(self, v: Array) -> Array:
+        """Positions or forces (..., 3), as the symmetry moves them."""
+        out = v * (-1.0 if self.reflect else 1.0, 1.0, -1.0 if self.switch else 1.0)
+        c, s = np.cos(self.turn), np.sin(self.turn)
+        return np.asarray(np.stack([c * out[..., 0] - s * out[..., 1], s * out[..., 0] + c * out[..., 1], out[..., 2]], axis=-1))
+
+    def configuration(self, points: Array) -> Array:
+        """A configuration (beads, 3), moved and renumbered."""
+        index = np.arange(len(points)) + self.roll
+        return self.vectors(points)[(-index if self.reverse else index) % len(points)]
+
+    def beads(self, beads: NDArray[np.integer], count: int) -> NDArray[np.int64]:
+        """New numbers of beads; bead b lies between the vertices b and b + 1."""
+        old = np.asarray(beads, dtype=np.int64)
+        return ((-old - 1 if self.reverse else old) - self.roll) % count
+
+    def back_to_loop(self, count: int) -> Symmetry:
+        """The exact symmetry that lays a plain loop of `count` beads, moved by this one, down as it was, numbers included.
+
+        A loop lies as it did after a turn; one that was mirrored, or walked the other way, after a reflection and a turn.
+        """
+        rolled, half = 2 * np.pi * self.roll / count, np.pi if self.reverse else 0.0
+        if self.reflect != self.reverse:
+            return Symmetry(reflect=True, turn=self.turn - rolled - half)
+        return Symmetry(turn=-(half + rolled + self.turn))
+
+    def undone(self) -> Symmetry:
+        """The symmetry that takes back this one, which renumbers nothing."""
+        return Symmetry(reflect=self.reflect, switch=self.switch, turn=self.turn if self.reflect else -self.turn)
+
+
+def mirrorings(code: GaussCode) -> Iterator[tuple[GaussCode, Symmetry]]:
+    """The codes that a rope showing `code`, with chirality, shows after reflection and switch, each with its symmetry; four, some twice."""
+    for switch in (False, True):
+        for reflect in (False, True):
+            shown = code.mirrored() if switch else code
+            yield shown.reflected() if reflect else shown, Symmetry(reflect=reflect, switch=switch)
+
+
+def variants(code: GaussCode) -> Iterator[tuple[GaussCode, Symmetry]]:
+    """As `mirrorings`, walked both ways; eight, some twice."""
+    yield from mirrorings(code)
+    yield from ((shown, replace(symmetry, reverse=True)) for shown, symmetry in mirrorings(code.reversed()))
+
+
+@lru_cache(maxsize=200_000)
+def class_of(code: GaussCode) -> GaussCode:
+    """The code that stands for all its variants: the first in order of visits and chirality.
+
+    >>> class_of(GaussCode.parse("1+a,1-a")) == class_of(GaussCode.parse("1-c,1+c"))
+    True
+    """
+    return min((member for member, _ in variants(code)), key=_order)
+
+
+@lru_cache(maxsize=200_000)
+def mirror_images(code: GaussCode) -> tuple[GaussCode, ...]:
+    """The codes of `mirrorings`, once each, in order; the first stands for all of them."""
+    return tuple(sorted({image for image, _ in mirrorings(code)}, key=_order))
+
+
+def rolls(rope: RopeConfig) -> list[int]:
+    """The renumberings that nearly are symmetries: to the start of each sub-chain, vertices."""
+    return [first for first, _ in sub_chains(rope)]
+
+
+def rolled(crossings: Crossings, roll: int) -> GaussCode:
+    """The code of the same rope with its walk starting at vertex `roll`."""
+    places = np.concatenate([crossings.over_place, crossings.under_place])
+    return crossings.code.rebased(int((places < roll).sum()))
+
+
+def _order(code: GaussCode) -> tuple[tuple[int, ...], str]:
+    return code.visits, code.chirality or ""
