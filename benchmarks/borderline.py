@@ -1,9 +1,11 @@
-"""A page of borderline pictures: for every quality limit, states that just pass it beside states that just fail it.
+"""A page of borderline pictures: for every quality limit, states that just pass it beside states
+that just fail it.
 
     python benchmarks/borderline.py --out docs/borderline.png
 
-The states are ropes tangled by random manoeuvres, at rest or not, with one to four crossings; those shown differ from
-acceptable ones in that measure alone, or nearly so. Prints how many of all states miss each limit.
+The states are ropes tangled by random manoeuvres, at rest or not, with one to four crossings; those
+shown differ from acceptable ones in that measure alone, or nearly so. Prints how many of all states
+miss each limit.
 """
 
 import argparse
@@ -20,11 +22,21 @@ from knotgym.rendering.picture import draw
 from knotgym.topology.crossings import find_crossings
 
 EACH = 6  # pictures on either side of a limit
-SHORT = {"degrees": "deg", "pixels": "px", "square pixels": "px2", "millimetres": "mm", "crossings": "crossings", "turns": "turns", "share": ""}
+SHORT = {
+    "degrees": "deg",
+    "pixels": "px",
+    "square pixels": "px2",
+    "millimetres": "mm",
+    "crossings": "crossings",
+    "turns": "turns",
+    "share": "",
+}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--states", type=int, default=4000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("borderline.png"))
@@ -54,9 +66,15 @@ def main() -> None:
         short = sorted((one for one in seen if one[3] == [name]), key=over, reverse=True)[:EACH]
         for group, colour in ((short, (255, 120, 120)), (fine, (120, 255, 120))):
             for k in range(EACH):
-                images.append(draw(group[k][0]) if k < len(group) else np.zeros((128, 128, 3), dtype=np.uint8))
+                images.append(
+                    draw(group[k][0]) if k < len(group) else np.zeros((128, 128, 3), dtype=np.uint8)
+                )
                 word = "rejected" if group is short else "accepted"
-                value = f"{word}: {getattr(group[k][2], name):.3g} {SHORT[UNITS[name]]}" if k < len(group) else f"no {word}"
+                value = (
+                    f"{word}: {getattr(group[k][2], name):.3g} {SHORT[UNITS[name]]}"
+                    if k < len(group)
+                    else f"no {word}"
+                )
                 captions.append((name.replace("_", " "), value))
                 colours.append(colour)
     write_png(args.out, contact_sheet(np.stack(images), captions, colours, columns=2 * EACH))

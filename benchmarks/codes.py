@@ -1,9 +1,10 @@
-"""Gauss codes against pyknotid: how often they agree, chirality included, why not, and how long a code takes.
+"""Gauss codes against pyknotid: how often they agree, chirality included, why not, and how long a
+code takes.
 
     python benchmarks/codes.py --curves 10000 --out codes.json
 
-The curves are random Fourier series of 100 beads at the rope's length, spread evenly over the crossing numbers, so that
-long codes are seen as often as short ones.
+The curves are random Fourier series of 100 beads at the rope's length, spread evenly over the
+crossing numbers, so that long codes are seen as often as short ones.
 """
 
 from __future__ import annotations
@@ -53,14 +54,20 @@ class Comparison:
     theirs_us: float
 
 
-def fourier_curves(count: int, rng: np.random.Generator, max_nx: int = MAX_NX) -> Iterator[np.ndarray]:
-    """Draw closed curves, float64 (100, 3), metres, as many of each crossing number 0..max_nx as chance allows."""
+def fourier_curves(
+    count: int, rng: np.random.Generator, max_nx: int = MAX_NX
+) -> Iterator[np.ndarray]:
+    """Draw closed curves, float64 (100, 3), metres, as many of each crossing number 0..max_nx as
+    chance allows.
+    """
     angle = np.linspace(0.0, 2.0 * np.pi, BEADS, endpoint=False)
     room = np.full(max_nx + 1, -(-count // (max_nx + 1)))
     while count > 0:
         modes = np.arange(1, int(rng.integers(2, 9)) + 1)
         waves = np.concatenate([np.cos(modes[:, None] * angle), np.sin(modes[:, None] * angle)])
-        points = waves.T @ (rng.normal(size=(len(waves), 3)) / np.tile(modes, 2)[:, None] ** rng.uniform(0.5, 1.5))
+        points = waves.T @ (
+            rng.normal(size=(len(waves), 3)) / np.tile(modes, 2)[:, None] ** rng.uniform(0.5, 1.5)
+        )
         points *= LENGTH / np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1).sum()
         nx = label(points).nx
         if nx <= max_nx and room[nx] > 0:
@@ -91,7 +98,10 @@ def compare(curves: Iterable[np.ndarray]) -> Comparison:
     start = time.perf_counter()
     ours = [label(rope) for rope in ropes]
     ours_us = (time.perf_counter() - start) / len(ropes) * 1e6
-    same_size = [np.array([rope for rope in ropes if len(rope) == beads]) for beads in sorted({len(rope) for rope in ropes})]
+    same_size = [
+        np.array([rope for rope in ropes if len(rope) == beads])
+        for beads in sorted({len(rope) for rope in ropes})
+    ]
     start = time.perf_counter()
     for batch in same_size:
         label_many(batch)
@@ -106,7 +116,11 @@ def compare(curves: Iterable[np.ndarray]) -> Comparison:
         by_nx[one.nx] = by_nx.get(one.nx, 0) + 1
         agreed[one.nx] = agreed.get(one.nx, 0) + (one == other)
         if one != other:
-            disagreements.append(Disagreement(index=index, ours=one.chiral, theirs=other.chiral, cause=cause(ropes[index])))
+            disagreements.append(
+                Disagreement(
+                    index=index, ours=one.chiral, theirs=other.chiral, cause=cause(ropes[index])
+                )
+            )
     return Comparison(
         curves=len(ropes),
         agreed=sum(agreed.values()),
@@ -127,27 +141,48 @@ def show(title: str, found: Comparison, console: Console) -> None:
     table.add_row("all", str(found.curves), str(found.agreed))
     console.print(table)
     for one in found.disagreements:
-        console.print(f"curve {one.index}: ours {one.ours!r}, pyknotid's {one.theirs!r}; {one.cause}")
-    console.print(f"microseconds a code: ours {found.ours_us:.1f}, ours batched {found.ours_batched_us:.1f}, pyknotid {found.theirs_us:.0f}")
+        console.print(
+            f"curve {one.index}: ours {one.ours!r}, pyknotid's {one.theirs!r}; {one.cause}"
+        )
+    console.print(
+        f"microseconds a code: ours {found.ours_us:.1f}, ours batched {found.ours_batched_us:.1f},"
+        f" pyknotid {found.theirs_us:.0f}"
+    )
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--curves", type=int, default=10_000)
-    parser.add_argument("--ropes", type=int, default=2000, help="rope states beside them, tangled by random manoeuvres")
+    parser.add_argument(
+        "--ropes",
+        type=int,
+        default=2000,
+        help="rope states beside them, tangled by random manoeuvres",
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, help="JSON file to write")
     settings = parser.parse_args()
     if settings.curves < 1:
         parser.error(f"--curves must be at least 1, got {settings.curves}")
-    found = {"Fourier curves": compare(fourier_curves(settings.curves, np.random.default_rng(settings.seed)))}
+    found = {
+        "Fourier curves": compare(
+            fourier_curves(settings.curves, np.random.default_rng(settings.seed))
+        )
+    }
     if settings.ropes:
-        found["rope states"] = compare(tangled(settings.ropes, np.random.default_rng(settings.seed), least=0))
+        found["rope states"] = compare(
+            tangled(settings.ropes, np.random.default_rng(settings.seed), least=0)
+        )
     for title, comparison in found.items():
         show(title, comparison, Console())
     if settings.out is not None:
         results = {title: asdict(comparison) for title, comparison in found.items()}
-        settings.out.write_text(json.dumps({"curves": settings.curves, "seed": settings.seed, "results": results}, indent=1) + "\n")
+        settings.out.write_text(
+            json.dumps(
+                {"curves": settings.curves, "seed": settings.seed, "results": results}, indent=1
+            )
+            + "\n"
+        )
 
 
 if __name__ == "__main__":

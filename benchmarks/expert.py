@@ -1,12 +1,14 @@
 """The expert in the nine setups of the paper, and a random policy beside it, on the test split.
 
     knotgym-generate --nx 0-4 --count 40 --balance natural --out natural
-    python benchmarks/expert.py --natural natural/states.h5 --references knotgym/generate/data/references.json
+    python benchmarks/expert.py --natural natural/states.h5 --references
+    knotgym/generate/data/references.json
 
-Prints success with 95 % intervals, steps and planning seconds an episode. The random policy also plays the states of --natural,
-whose codes are as frequent as a random policy meets them, beside the curated ones. Every setup is written to --out as it ends; the
-same command goes on after the last one there. With --references the mean returns of both are written for `knotgym collect`,
-which states them as Minari's reference scores.
+Prints success with 95 % intervals, steps and planning seconds an episode. The random policy also
+plays the states of --natural, whose codes are as frequent as a random policy meets them, beside the
+curated ones. Every setup is written to --out as it ends; the same command goes on after the last
+one there. With --references the mean returns of both are written for `knotgym collect`, which
+states them as Minari's reference scores.
 """
 
 import argparse
@@ -28,10 +30,17 @@ from knotgym.tasks import TaskConfig
 
 
 def play(args: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    """Setup, as "tie-nx3 expert" or "tie-nx3 random natural", -> its settings, result and wall seconds; those in --out are taken from there."""
-    done: dict[str, dict[str, Any]] = json.loads(args.out.read_text(encoding="utf-8")) if args.out.is_file() else {}
+    """Setup, as "tie-nx3 expert" or "tie-nx3 random natural", -> its settings, result and wall
+    seconds; those in --out are taken from there.
+    """
+    done: dict[str, dict[str, Any]] = (
+        json.loads(args.out.read_text(encoding="utf-8")) if args.out.is_file() else {}
+    )
     expert = PolicyConfig(policy="expert", planner=PlannerConfig(budget=args.budget))
-    kinds = [("expert", expert, args.episodes, args.states), ("random", PolicyConfig(), args.random_episodes, args.states)]
+    kinds = [
+        ("expert", expert, args.episodes, args.states),
+        ("random", PolicyConfig(), args.random_episodes, args.states),
+    ]
     if args.natural:
         kinds.append(("random natural", PolicyConfig(), args.random_episodes, args.natural))
     with engine(args.workers) as pool:
@@ -42,29 +51,52 @@ def play(args: argparse.Namespace) -> dict[str, dict[str, Any]]:
                         continue
                     shared = TaskConfig(task="tie", observation="state", states=states)
                     config = EvaluateConfig(
-                        policies=(policy,), tasks=(task,), nx=(nx,), splits=(args.split,), episodes=episodes, seed=args.seed, task=shared
+                        policies=(policy,),
+                        tasks=(task,),
+                        nx=(nx,),
+                        splits=(args.split,),
+                        episodes=episodes,
+                        seed=args.seed,
+                        task=shared,
                     )
                     settings = json.loads(json.dumps(asdict(config)))
                     name = f"{task}-nx{nx} {kind}"
                     if name in done:
                         if done[name]["settings"] != settings:
-                            raise SystemExit(f"{args.out} holds {name} with other settings; give the same options again, or another --out")
+                            raise SystemExit(
+                                f"{args.out} holds {name} with other settings; give the same"
+                                " options again, or another --out"
+                            )
                         continue
                     began = time.perf_counter()
                     (result,), _ = evaluate(config, pool)
-                    done[name] = {"settings": settings, "result": asdict(result), "seconds": round(time.perf_counter() - began, 1)}
+                    done[name] = {
+                        "settings": settings,
+                        "result": asdict(result),
+                        "seconds": round(time.perf_counter() - began, 1),
+                    }
                     with whole(args.out) as part:
                         part.write_text(json.dumps(done, indent=1) + "\n", encoding="utf-8")
-                    Console(width=150).print(f"{name}: {result.successes} of {result.episodes}, {done[name]['seconds']} s", highlight=False)
+                    Console(width=150).print(
+                        f"{name}: {result.successes} of {result.episodes},"
+                        f" {done[name]['seconds']} s",
+                        highlight=False,
+                    )
     return done
 
 
 def show(done: dict[str, dict[str, Any]]) -> None:
     """A row for each setup."""
-    table = Table("setup", "success", "95 % interval", "steps", "return", "planned actions", "planning s")
+    table = Table(
+        "setup", "success", "95 % interval", "steps", "return", "planned actions", "planning s"
+    )
     for name, one in done.items():
         result = Result(**one["result"])
-        effort = (f"{result.planned_actions:.0f}", f"{result.planning_seconds:.2f}") if result.planned_actions else ("", "")
+        effort = (
+            (f"{result.planned_actions:.0f}", f"{result.planning_seconds:.2f}")
+            if result.planned_actions
+            else ("", "")
+        )
         table.add_row(
             name,
             f"{result.successes} of {result.episodes}",
@@ -77,25 +109,46 @@ def show(done: dict[str, dict[str, Any]]) -> None:
 
 
 def references(done: dict[str, dict[str, Any]]) -> dict[str, dict[str, float]]:
-    """Setup -> mean returns of random and expert, and the fewer of the episodes they were taken over; where both were played."""
+    """Setup -> mean returns of random and expert, and the fewer of the episodes they were taken
+    over; where both were played.
+    """
     means = {}
     for setup in dict.fromkeys(name.split()[0] for name in done):
-        results = {policy: done[f"{setup} {policy}"]["result"] for policy in ("random", "expert") if f"{setup} {policy}" in done}
+        results = {
+            policy: done[f"{setup} {policy}"]["result"]
+            for policy in ("random", "expert")
+            if f"{setup} {policy}" in done
+        }
         if len(results) == 2:
-            means[setup] = {policy: round(result["mean_return"], 4) for policy, result in results.items()}
+            means[setup] = {
+                policy: round(result["mean_return"], 4) for policy, result in results.items()
+            }
             means[setup]["episodes"] = min(result["episodes"] for result in results.values())
     return means
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--episodes", type=int, default=64, help="of the expert, each setup; 0 for none")
-    parser.add_argument("--random-episodes", type=int, default=256, help="of the random policy, each setup; 0 for none")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--episodes", type=int, default=64, help="of the expert, each setup; 0 for none"
+    )
+    parser.add_argument(
+        "--random-episodes",
+        type=int,
+        default=256,
+        help="of the random policy, each setup; 0 for none",
+    )
     parser.add_argument("--tasks", default="unknot,tie,convert")
     parser.add_argument("--nx", default="2,3,4")
     parser.add_argument("--split", default="test")
-    parser.add_argument("--states", help="state file for both policies, instead of the one that ships")
-    parser.add_argument("--natural", help="state file of natural balance, for the random policy once more")
+    parser.add_argument(
+        "--states", help="state file for both policies, instead of the one that ships"
+    )
+    parser.add_argument(
+        "--natural", help="state file of natural balance, for the random policy once more"
+    )
     parser.add_argument("--budget", type=int, default=PlannerConfig().budget)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=0)

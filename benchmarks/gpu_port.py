@@ -3,12 +3,14 @@
     pip install mujoco-warp
     python benchmarks/gpu_port.py [--out warp.json] [--device cpu] [--solver newton]
 
-The rope is handed to `mujoco_warp` as it is, and then with the solver changed to one that it has; one action of full force (24 steps) is
-taken there and by MuJoCo on the CPU, with that solver and with the rope's own. Compiling the kernels for a CPU takes minutes.
+The rope is handed to `mujoco_warp` as it is, and then with the solver changed to one that it has;
+one action of full force (24 steps) is taken there and by MuJoCo on the CPU, with that solver and
+with the rope's own. Compiling the kernels for a CPU takes minutes.
 
-Found with mujoco_warp 4.0.0 on a CPU device: PGS, the rope's solver, is refused. With Newton everything else is taken (ball joints, connect
-equalities, fluid drag, capsules), but in float32: after one action a bead lies 0.02 mm from where MuJoCo has it. What it plays can't be
-replayed to the bit on a CPU, which every dataset promises, so it is no backend.
+Found with mujoco_warp 4.0.0 on a CPU device: PGS, the rope's solver, is refused. With Newton
+everything else is taken (ball joints, connect equalities, fluid drag, capsules), but in float32:
+after one action a bead lies 0.02 mm from where MuJoCo has it. What it plays can't be replayed to
+the bit on a CPU, which every dataset promises, so it is no backend.
 """
 
 import argparse
@@ -56,14 +58,21 @@ def on_warp(model: mujoco.MjModel, rope: Rope) -> tuple[NDArray[np.float32], flo
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--solver", choices=tuple(SOLVERS), default="newton")
     parser.add_argument("--out", type=Path, default=Path("warp.json"))
     args = parser.parse_args()
     warp.set_device(args.device)
     rope = Rope()
-    found: dict[str, Any] = {"mujoco": mujoco.__version__, "warp": warp.__version__, "device": args.device, "solver": args.solver}
+    found: dict[str, Any] = {
+        "mujoco": mujoco.__version__,
+        "warp": warp.__version__,
+        "device": args.device,
+        "solver": args.solver,
+    }
     try:
         mujoco_warp.put_model(rope.model)
         found["the rope as it is"] = "taken"
@@ -74,7 +83,11 @@ def main() -> None:
     changed.opt.solver = SOLVERS[args.solver]
     other = on_cpu(changed, rope)
     there, taken = on_warp(changed, rope)
-    apart = {"CPU, its solver over ours": (other, own), "warp over CPU, its solver": (there, other), "warp over CPU, ours": (there, own)}
+    apart = {
+        "CPU, its solver over ours": (other, own),
+        "warp over CPU, its solver": (there, other),
+        "warp over CPU, ours": (there, own),
+    }
     for name, (first, second) in apart.items():
         points = rope.points(np.asarray(first, dtype=np.float64)) - rope.points(second)
         found[f"{name}, farthest bead, m"] = float(np.linalg.norm(points, axis=1).max())

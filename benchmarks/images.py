@@ -21,12 +21,21 @@ def main() -> None:
     began = time.perf_counter()
     dataset = images(given.folder)
     print(f"opened {len(dataset)} pictures in {time.perf_counter() - began:.2f} s")
-    loader = DataLoader(dataset, given.batch, shuffle=True, num_workers=given.workers, persistent_workers=given.workers > 0)
+    loader = DataLoader(
+        dataset,
+        given.batch,
+        shuffle=True,
+        num_workers=given.workers,
+        persistent_workers=given.workers > 0,
+    )
     for epoch in range(given.epochs):
         began = time.perf_counter()
         seen = sum(len(batch["image"]) for batch in loader)
         seconds = time.perf_counter() - began
-        print(f"epoch {epoch}: {seen / seconds:.0f} pictures a second, {given.workers} workers, batches of {given.batch}")
+        print(
+            f"epoch {epoch}: {seen / seconds:.0f} pictures a second, {given.workers} workers,"
+            f" batches of {given.batch}"
+        )
 
 
 if __name__ == "__main__":

@@ -1,9 +1,10 @@
 """How fast single frames come out of a dataset of 100,000, and how many bytes a frame takes.
 
-    python benchmarks/loaders.py [--out loaders.json] [--frames 100000] [--reads 2000] [--workers 2] [--room FOLDER]
+    python benchmarks/loaders.py [--out loaders.json] [--frames 100000] [--reads 2000] [--workers 2]
+    [--room FOLDER]
 
-50 ropes are pulled about for 50 steps; copies of these episodes, compressed chunks and all, make up the dataset, so that it
-reads as one of as many different frames would. Needs torch.
+50 ropes are pulled about for 50 steps; copies of these episodes, compressed chunks and all, make up
+the dataset, so that it reads as one of as many different frames would. Needs torch.
 """
 
 import argparse
@@ -32,8 +33,12 @@ from knotgym.tasks import TaskConfig
 STORED = ("pixels", "state", "both", "none")
 
 
-def random_access(path: Path, reads: int, rng: np.random.Generator, **chosen: Any) -> dict[str, float]:
-    """Milliseconds a frame, read in random order by one process: median, 95th percentile, and the seconds it took to open."""
+def random_access(
+    path: Path, reads: int, rng: np.random.Generator, **chosen: Any
+) -> dict[str, float]:
+    """Milliseconds a frame, read in random order by one process: median, 95th percentile, and the
+    seconds it took to open.
+    """
     begun = time.perf_counter()
     data = torch_dataset(path, kind="frames", **chosen)
     opened = time.perf_counter() - begun
@@ -42,12 +47,21 @@ def random_access(path: Path, reads: int, rng: np.random.Generator, **chosen: An
         begun = time.perf_counter()
         data[index]
         taken.append(1000 * (time.perf_counter() - begun))
-    return {"median_ms": statistics.median(taken), "p95_ms": float(np.quantile(taken, 0.95)), "open_s": opened}
+    return {
+        "median_ms": statistics.median(taken),
+        "p95_ms": float(np.quantile(taken, 0.95)),
+        "open_s": opened,
+    }
 
 
 def rate(path: Path, workers: int, batches: int, **chosen: Any) -> float:
     """Frames a second from a shuffling DataLoader, batches of 64, the first eight not counted."""
-    loader = torch.utils.data.DataLoader(torch_dataset(path, kind="frames", **chosen), batch_size=64, shuffle=True, num_workers=workers)
+    loader = torch.utils.data.DataLoader(
+        torch_dataset(path, kind="frames", **chosen),
+        batch_size=64,
+        shuffle=True,
+        num_workers=workers,
+    )
     begun = 0.0
     for number, _ in enumerate(loader):
         if number == 7:
@@ -64,20 +78,35 @@ def stored_bytes(path: Path) -> dict[str, float]:
     sizes: dict[str, int] = {}
     for index in range(len(reader)):
         reader.group(index).visititems(
-            lambda name, item: sizes.__setitem__(name, sizes.get(name, 0) + item.id.get_storage_size()) if isinstance(item, h5py.Dataset) else None
+            lambda name, item: (
+                sizes.__setitem__(name, sizes.get(name, 0) + item.id.get_storage_size())
+                if isinstance(item, h5py.Dataset)
+                else None
+            )
         )
     reader.close()
     seen = sum(size for name, size in sizes.items() if name.startswith("observations"))
-    return {"file": path.stat().st_size / frames, "observations": seen / frames, "rope": sizes["rope/points"] / frames}
+    return {
+        "file": path.stat().st_size / frames,
+        "observations": seen / frames,
+        "rope": sizes["rope/points"] / frames,
+    }
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=Path, default=Path("loaders.json"))
     parser.add_argument("--frames", type=int, default=100_000)
     parser.add_argument("--reads", type=int, default=2000)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--room", type=Path, default=None, help="where the data is made, about 1 GB; a temporary folder by default")
+    parser.add_argument(
+        "--room",
+        type=Path,
+        default=None,
+        help="where the data is made, about 1 GB; a temporary folder by default",
+    )
     arguments = parser.parse_args()
     rng = np.random.default_rng(0)
     with tempfile.TemporaryDirectory(dir=arguments.room) as folder:
@@ -91,7 +120,11 @@ def main() -> None:
             sizes[stored] = stored_bytes(room / f"{stored}.h5")
         copies = -(-arguments.frames // (EPISODES * (STEPS + 1)))
         results: dict[str, Any] = {}
-        for name, stored, observation in (("pixels", "pixels", "pixels"), ("pixels drawn when read", "none", "pixels"), ("state", "state", "state")):
+        for name, stored, observation in (
+            ("pixels", "pixels", "pixels"),
+            ("pixels drawn when read", "none", "pixels"),
+            ("state", "state", "state"),
+        ):
             many = room / "many.h5"
             merge([room / f"{stored}.h5"] * copies, many, concatenate=True)
             results[name] = {
@@ -106,8 +139,19 @@ def main() -> None:
         "cores": os.cpu_count(),
         "workers": arguments.workers,
     }
-    arguments.out.write_text(json.dumps({"about": about, "reading": results, "bytes_per_frame": sizes}, indent=2) + "\n", encoding="utf-8")
-    reading = Table("frame", "frames", "median ms", "95 % ms", f"frames/s, {arguments.workers} workers", "opening s", title="Random access")
+    arguments.out.write_text(
+        json.dumps({"about": about, "reading": results, "bytes_per_frame": sizes}, indent=2) + "\n",
+        encoding="utf-8",
+    )
+    reading = Table(
+        "frame",
+        "frames",
+        "median ms",
+        "95 % ms",
+        f"frames/s, {arguments.workers} workers",
+        "opening s",
+        title="Random access",
+    )
     for name, one in results.items():
         row = [one["median_ms"], one["p95_ms"], one["frames_per_s"], one["open_s"]]
         reading.add_row(name, str(one["frames"]), *(f"{value:.3g}" for value in row))

@@ -2,10 +2,13 @@
 
     python benchmarks/memory.py [--out memory.json] [--frames 1000000] [--room FOLDER]
 
-Episodes of 50 steps, of ropes pulled about once, are put together in the compact form (states and actions) until there are so many
-frames; nothing is simulated again, but every byte is written and read as of as many different ones. Writing, opening and reading are
-each done in a process of its own, whose peak of resident memory is the kernel's; a tenth of the frames is done first, so that what
-grows with them shows. Read by chunk: every episode once, through `knotgym.loaders`, states as float32, and its small columns.
+Episodes of 50 steps, of ropes pulled about once, are put together in the compact form (states and
+actions) until there are so many frames; nothing is simulated again, but every byte is written and
+read as of as many different ones. Writing, opening and reading are each done in a process of its
+own, whose peak of resident memory is the kernel's; a tenth of the frames is done first, so that
+what
+grows with them shows. Read by chunk: every episode once, through `knotgym.loaders`, states as
+    float32, and its small columns.
 """
 
 import argparse
@@ -37,7 +40,10 @@ def source(path: Path) -> None:
 def write(few: Path, many: Path, frames: int) -> dict[str, float]:
     copies = -(-frames // (EPISODES * (STEPS + 1)))
     merge([few] * copies, many, concatenate=True)
-    return {"frames": copies * EPISODES * (STEPS + 1), "bytes_per_frame": many.stat().st_size / (copies * EPISODES * (STEPS + 1))}
+    return {
+        "frames": copies * EPISODES * (STEPS + 1),
+        "bytes_per_frame": many.stat().st_size / (copies * EPISODES * (STEPS + 1)),
+    }
 
 
 def stream(few: Path, many: Path, frames: int) -> dict[str, float]:
@@ -72,7 +78,9 @@ def read(few: Path, many: Path, frames: int) -> dict[str, float]:
 
 
 def peak() -> float:
-    """Most memory this process has had, MB: Linux's own count, for getrusage's begins with that of the process that started this one."""
+    """Most memory this process has had, MB: Linux's own count, for getrusage's begins with that of
+    the process that started this one.
+    """
     lines = Path("/proc/self/status").read_text().splitlines()
     return next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
 
@@ -82,16 +90,35 @@ STAGES = {"write": write, "write, encoded anew": stream, "open": opened, "read b
 
 def measured(stage: str, few: Path, many: Path, frames: int) -> dict[str, Any]:
     """A stage in a process of its own: what it found, its seconds and its peak of memory."""
-    words = [sys.executable, __file__, "--stage", stage, "--few", str(few), "--many", str(many), "--frames", str(frames)]
-    found: dict[str, Any] = json.loads(subprocess.run(words, check=True, capture_output=True, text=True).stdout)
+    words = [
+        sys.executable,
+        __file__,
+        "--stage",
+        stage,
+        "--few",
+        str(few),
+        "--many",
+        str(many),
+        "--frames",
+        str(frames),
+    ]
+    found: dict[str, Any] = json.loads(
+        subprocess.run(words, check=True, capture_output=True, text=True).stdout
+    )
     return found
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=Path, default=Path("memory.json"))
     parser.add_argument("--frames", type=int, default=1_000_000)
-    parser.add_argument("--room", type=Path, help="where the data is made, about 3 GB; a temporary folder by default")
+    parser.add_argument(
+        "--room",
+        type=Path,
+        help="where the data is made, about 3 GB; a temporary folder by default",
+    )
     for name in ("--stage", "--few", "--many"):  # this script in a process of its own
         parser.add_argument(name, help=argparse.SUPPRESS)
     args = parser.parse_args()
@@ -112,13 +139,23 @@ def main() -> None:
                     continue  # minutes; that memory is flat shows in a tenth
                 many = Path(room) / ("anew.h5" if stage == "write, encoded anew" else "many.h5")
                 found = rows[f"{stage}, {frames} frames"] = measured(stage, few, many, frames)
-                table.add_row(stage, str(frames), *(f"{found[name]:.2f}" for name in ("seconds", "cpu_seconds")), f"{found['peak_mb']:.0f}")
+                table.add_row(
+                    stage,
+                    str(frames),
+                    *(f"{found[name]:.2f}" for name in ("seconds", "cpu_seconds")),
+                    f"{found['peak_mb']:.0f}",
+                )
     console = Console()
     console.print(table)
     last = rows[f"open, {args.frames} frames"]
     size = rows[f"write, {args.frames} frames"]["bytes_per_frame"]
-    console.print(f"opened in {last['open_s']:.2f} s (bar: 1 s); {size:.0f} bytes a frame", highlight=False)
-    args.out.write_text(json.dumps({"settings": {"frames": args.frames}, "stages": rows}, indent=1) + "\n", encoding="utf-8")
+    console.print(
+        f"opened in {last['open_s']:.2f} s (bar: 1 s); {size:.0f} bytes a frame", highlight=False
+    )
+    args.out.write_text(
+        json.dumps({"settings": {"frames": args.frames}, "stages": rows}, indent=1) + "\n",
+        encoding="utf-8",
+    )
 
 
 if __name__ == "__main__":

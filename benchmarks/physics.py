@@ -1,12 +1,15 @@
-"""What a cheaper MuJoCo model of the rope would cost and change: milliseconds an action, and how far beads end from where ours put them.
+"""What a cheaper MuJoCo model of the rope would cost and change: milliseconds an action, and how
+far beads end from where ours put them.
 
     python benchmarks/physics.py [--out physics.json] [--starts 40] [--repeats 5]
 
-Every row is the rope with one setting changed. All of them take the same random pulls from the same curated states, in turn, on one
-pinned core; milliseconds are medians over the repeats of the CPU time of an action's `mujoco.mj_step`, "times" is against the published
-model of the same repeat. The distances are medians over the starts of the bead that ended furthest from where it ends under "ours", after
-one action and after ten. What is rounding shows as 1e-12 or nothing; the root is not: MuJoCo integrates joint angles, and counted from
-another bead the same motion is cut into other steps. `integrator_steps` is a keyword of the environments.
+Every row is the rope with one setting changed. All of them take the same random pulls from the same
+curated states, in turn, on one pinned core; milliseconds are medians over the repeats of the CPU
+time of an action's `mujoco.mj_step`, "times" is against the published model of the same repeat. The
+distances are medians over the starts of the bead that ended furthest from where it ends under
+"ours", after one action and after ten. What is rounding shows as 1e-12 or nothing; the root is not:
+MuJoCo integrates joint angles, and counted from another bead the same motion is cut into other
+steps. `integrator_steps` is a keyword of the environments.
 """
 
 import argparse
@@ -60,9 +63,15 @@ VARIANTS: dict[str, tuple[RopeConfig, Tweak]] = {
 
 
 def run(
-    rope: Rope, model: mujoco.MjModel, starts: NDArray[np.float64], beads: NDArray[np.int64], forces: NDArray[np.float64]
+    rope: Rope,
+    model: mujoco.MjModel,
+    starts: NDArray[np.float64],
+    beads: NDArray[np.int64],
+    forces: NDArray[np.float64],
 ) -> tuple[float, NDArray[np.float64]]:
-    """CPU seconds an action; and where the beads are after the first and after the last, (starts, 2, beads, 3)."""
+    """CPU seconds an action; and where the beads are after the first and after the last, (starts,
+    2, beads, 3).
+    """
     data, spent, where = mujoco.MjData(model), 0.0, np.empty((len(starts), 2, *starts.shape[1:]))
     for start, points in enumerate(starts):
         mujoco.mj_resetData(model, data)
@@ -79,9 +88,13 @@ def run(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=Path, default=Path("physics.json"))
-    parser.add_argument("--starts", type=int, default=40, help="states from which ten pulls are made")
+    parser.add_argument(
+        "--starts", type=int, default=40, help="states from which ten pulls are made"
+    )
     parser.add_argument("--repeats", type=int, default=5)
     args = parser.parse_args()
     if hasattr(os, "sched_setaffinity"):
@@ -102,16 +115,35 @@ def main() -> None:
         for name, (rope, model) in models.items():
             seconds, ends[name] = run(rope, model, starts, beads, forces)
             spent[name].append(seconds)
-    table = Table("model", "ms an action", "times as fast", "apart after 1 action, mm", f"after {ACTIONS}, mm")
+    table = Table(
+        "model", "ms an action", "times as fast", "apart after 1 action, mm", f"after {ACTIONS}, mm"
+    )
     rows = {}
     for name in models:
-        times = statistics.median(theirs / own for theirs, own in zip(spent[PUBLISHED], spent[name], strict=True))
-        apart = 1000 * np.median(np.linalg.norm(ends[name] - ends[OURS], axis=3).max(axis=2), axis=0)
-        rows[name] = {"ms": 1000 * statistics.median(spent[name]), "times": times, "apart_mm": apart.tolist()}
-        table.add_row(name, f"{rows[name]['ms']:.2f}", f"{times:.2f}", *(f"{one:.2g}" for one in apart))
+        times = statistics.median(
+            theirs / own for theirs, own in zip(spent[PUBLISHED], spent[name], strict=True)
+        )
+        apart = 1000 * np.median(
+            np.linalg.norm(ends[name] - ends[OURS], axis=3).max(axis=2), axis=0
+        )
+        rows[name] = {
+            "ms": 1000 * statistics.median(spent[name]),
+            "times": times,
+            "apart_mm": apart.tolist(),
+        }
+        table.add_row(
+            name, f"{rows[name]['ms']:.2f}", f"{times:.2f}", *(f"{one:.2g}" for one in apart)
+        )
     Console(width=120).print(table)
-    about = {"mujoco": mujoco.__version__, "starts": args.starts, "actions": ACTIONS, "repeats": args.repeats}
-    args.out.write_text(json.dumps({"settings": about, "models": rows}, indent=1) + "\n", encoding="utf-8")
+    about = {
+        "mujoco": mujoco.__version__,
+        "starts": args.starts,
+        "actions": ACTIONS,
+        "repeats": args.repeats,
+    }
+    args.out.write_text(
+        json.dumps({"settings": about, "models": rows}, indent=1) + "\n", encoding="utf-8"
+    )
 
 
 if __name__ == "__main__":

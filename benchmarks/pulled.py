@@ -10,19 +10,29 @@ EPISODES, STEPS = 50, 50
 
 
 def pulled_about(rng: np.random.Generator) -> list[Episode]:
-    """Episodes of pulls across the rope, each kept up for eight actions; a rope's goal is where the next one ends."""
+    """Episodes of pulls across the rope, each kept up for eight actions; a rope's goal is where the
+    next one ends.
+    """
     simulation = Simulation(EPISODES, threads=0)
     start_qpos, points, actions = simulation.qpos(), [simulation.points.copy()], []
     for step in range(STEPS):
         if step % 8 == 0:
             beads = rng.integers(100, size=EPISODES)
-            over = simulation.points.mean(axis=1) - simulation.points[np.arange(EPISODES), beads] + rng.normal(0, 0.05, (EPISODES, 3))
+            over = (
+                simulation.points.mean(axis=1)
+                - simulation.points[np.arange(EPISODES), beads]
+                + rng.normal(0, 0.05, (EPISODES, 3))
+            )
             over *= 0.2 / np.abs(over).max(axis=1, keepdims=True)
         over[:, 2] = 0.1 if step % 8 < 4 else -0.1
         actions.append(simulation.actions(beads, over))
         simulation.act(actions[-1])
         points.append(simulation.points.copy())
-    lain, acted, last = np.array(points).swapaxes(0, 1), np.array(actions).swapaxes(0, 1), np.arange(STEPS) == STEPS - 1
+    lain, acted, last = (
+        np.array(points).swapaxes(0, 1),
+        np.array(actions).swapaxes(0, 1),
+        np.arange(STEPS) == STEPS - 1,
+    )
     episodes = []
     for k in range(EPISODES):
         codes = label_many(lain[k])

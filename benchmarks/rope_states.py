@@ -1,4 +1,6 @@
-"""Rope states for the other scripts: ropes that random manoeuvres have tangled, as they come, none chosen."""
+"""Rope states for the other scripts: ropes that random manoeuvres have tangled, as they come, none
+chosen.
+"""
 
 from collections.abc import Iterator
 
@@ -13,8 +15,12 @@ ROPES = 32
 LONGEST = 60  # pulls before a rope starts over
 
 
-def tangled(count: int, rng: np.random.Generator, least: int = 1, most: int = 15) -> Iterator[Array]:
-    """Yield `count` configurations (beads, 3) with `least` to `most` crossings, at most every fourth pull of a rope."""
+def tangled(
+    count: int, rng: np.random.Generator, least: int = 1, most: int = 15
+) -> Iterator[Array]:
+    """Yield `count` configurations (beads, 3) with `least` to `most` crossings, at most every
+    fourth pull of a rope.
+    """
     simulation, hand = Simulation(ROPES, threads=0), Hand(ROPES)
     loop = np.repeat(simulation.rope.qpos(simulation.rope.loop())[None], ROPES, axis=0)
     step = given = 0

@@ -1,9 +1,12 @@
-"""Throughput with several worker processes over one: collection of states and of pixels, and the main job.
+"""Throughput with several worker processes over one: collection of states and of pixels, and the
+main job.
 
     python benchmarks/scaling.py [--out scaling.json] [--workers 1 2] [--repeats 3]
 
-The same job as a whole command, starting of processes and files included, with each number of workers in turn; medians of wall time
-over the repeats. Bar: 1.8 times as fast with two workers as with one, on two free cores; on a busy machine the figures mean nothing.
+The same job as a whole command, starting of processes and files included, with each number of
+workers in turn; medians of wall time
+over the repeats. Bar: 1.8 times as fast with two workers as with one, on two free cores; on a busy
+    machine the figures mean nothing.
 The files are compared: the number of workers doesn't change a byte.
 """
 
@@ -36,13 +39,23 @@ def run(name: str, size: int, out: Path, workers: int) -> tuple[float, dict[str,
         generate(GenerateConfig(nx=(3,), count=size), out, archive=None, **how)
     else:
         task = TaskConfig(task="tie", nx=2, observation=name)
-        collect(CollectConfig(task=task, policy=PolicyConfig(policy="random"), episodes=size), out, **how)
+        collect(
+            CollectConfig(task=task, policy=PolicyConfig(policy="random"), episodes=size),
+            out,
+            **how,
+        )
     taken = time.perf_counter() - began
-    return taken, {path.name: sha256(path) for path in out.rglob("*") if path.is_file() and path.name != "collection.json"}
+    return taken, {
+        path.name: sha256(path)
+        for path in out.rglob("*")
+        if path.is_file() and path.name != "collection.json"
+    }
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--jobs", nargs="+", choices=JOBS, default=list(JOBS))
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--repeats", type=int, default=3)
@@ -50,7 +63,11 @@ def main() -> None:
     parser.add_argument("--states", type=int, default=40, help="of the main job")
     parser.add_argument("--out", type=Path, default=Path("scaling.json"))
     args = parser.parse_args()
-    table = Table("job", *(f"{count} workers, s" for count in args.workers), *(f"{count} over {args.workers[0]}" for count in args.workers[1:]))
+    table = Table(
+        "job",
+        *(f"{count} workers, s" for count in args.workers),
+        *(f"{count} over {args.workers[0]}" for count in args.workers[1:]),
+    )
     results: dict[str, dict[str, float]] = {}
     for name in args.jobs:
         size = args.states if name == "main" else args.episodes
@@ -67,10 +84,22 @@ def main() -> None:
         medians = {count: statistics.median(times) for count, times in taken.items()}
         gains = [medians[args.workers[0]] / medians[count] for count in args.workers[1:]]
         results[name] = {str(count): seconds for count, seconds in medians.items()}
-        table.add_row(name, *(f"{seconds:.1f}" for seconds in medians.values()), *(f"{gain:.2f}" for gain in gains))
+        table.add_row(
+            name,
+            *(f"{seconds:.1f}" for seconds in medians.values()),
+            *(f"{gain:.2f}" for gain in gains),
+        )
     Console().print(table)
-    about = {"cores": os.cpu_count(), "episodes": args.episodes, "states": args.states, "repeats": args.repeats, "bar": 1.8}
-    args.out.write_text(json.dumps({"about": about, "seconds": results}, indent=1) + "\n", encoding="utf-8")
+    about = {
+        "cores": os.cpu_count(),
+        "episodes": args.episodes,
+        "states": args.states,
+        "repeats": args.repeats,
+        "bar": 1.8,
+    }
+    args.out.write_text(
+        json.dumps({"about": about, "seconds": results}, indent=1) + "\n", encoding="utf-8"
+    )
 
 
 if __name__ == "__main__":

@@ -1,10 +1,14 @@
-"""Where the time goes: the share of each stage in the main job, in collection of states and of pixels, and in images, on all cores.
+"""Where the time goes: the share of each stage in the main job, in collection of states and of
+pixels, and in images, on all cores.
 
-    python benchmarks/stages.py [--out stages.json] [--jobs main state pixels images] [--workers 0] [--clock wall]
+    python benchmarks/stages.py [--out stages.json] [--jobs main state pixels images] [--workers 0]
+    [--clock wall]
 
-Each of so many processes does its shard of the job as the command does (`--shard`), files included, with a stopwatch on the functions
-below; nested calls count for the inner one. What no stopwatch sees is Python and the rest. Bars: `mj_step` has 85 % of the main job's
-time and 75 % of pixel collection's, whose policy is random: no other leaves less to physics. On a busy machine take `--clock cpu`.
+Each of so many processes does its shard of the job as the command does (`--shard`), files included,
+with a stopwatch on the functions below; nested calls count for the inner one. What no stopwatch
+sees is Python and the rest. Bars: `mj_step` has 85 % of the main job's time and 75 % of pixel
+collection's, whose policy is random: no other leaves less to physics. On a busy machine take
+`--clock cpu`.
 """
 
 import argparse
@@ -27,9 +31,25 @@ from rich.table import Table
 BARS = {"main": 0.85, "pixels": 0.75}
 STAGES = ("mj_step", "configurations", "label", "quality", "picture", "compression")
 WATCHED = {
-    "configurations": ("rope.Rope.points", "rope.Rope.points_and_gaps", "rope.Rope.qpos", "rope.noised", "rope.clearance"),
-    "label": ("crossings.find_crossings", "crossings.label", "crossings.label_many", "crossings.count_crossings", "oracle.pyknotid_code"),
-    "quality": ("generate.quality.measure", "generate.quality.noise_survival", "generate.quality.base_spacing"),
+    "configurations": (
+        "rope.Rope.points",
+        "rope.Rope.points_and_gaps",
+        "rope.Rope.qpos",
+        "rope.noised",
+        "rope.clearance",
+    ),
+    "label": (
+        "crossings.find_crossings",
+        "crossings.label",
+        "crossings.label_many",
+        "crossings.count_crossings",
+        "oracle.pyknotid_code",
+    ),
+    "quality": (
+        "generate.quality.measure",
+        "generate.quality.noise_survival",
+        "generate.quality.base_spacing",
+    ),
     "picture": ("picture.draw", "picture.draw_many", "generate.appearance.render"),
     "compression": (
         "datasets.episode_files.EpisodeWriter.add",
@@ -92,7 +112,9 @@ class Stopwatch:
 
 
 def job(name: str, number: int, of: int, size: int, folder: Path) -> None:
-    """Shard `number` of `of` of a job that gives every shard `size` states, episodes or pictures."""
+    """Shard `number` of `of` of a job that gives every shard `size` states, episodes or
+    pictures.
+    """
     from knotgym.control.policies import PolicyConfig
     from knotgym.generate.episodes.collect import CollectConfig, collect
     from knotgym.generate.images.recipe import ImagesConfig, make
@@ -101,7 +123,15 @@ def job(name: str, number: int, of: int, size: int, folder: Path) -> None:
     from knotgym.runs.shards import Part
     from knotgym.tasks import TaskConfig
 
-    part, how = Part(number, of), {"workers": 1, "resume": False, "quiet": True, "console": Console()}
+    part, how = (
+        Part(number, of),
+        {
+            "workers": 1,
+            "resume": False,
+            "quiet": True,
+            "console": Console(),
+        },
+    )
     out = part.folder(folder / name)
     if name == "main":
         generate(GenerateConfig(nx=(3,), count=size * of, part=part), out, archive=None, **how)
@@ -109,10 +139,17 @@ def job(name: str, number: int, of: int, size: int, folder: Path) -> None:
         make(ImagesConfig(count=size * of, part=part), out, archive=None, states=None, **how)
     else:
         task = TaskConfig(task="tie", nx=2, observation=name)
-        collect(CollectConfig(task=task, policy=PolicyConfig(policy="random"), episodes=size * of), out, part=part, **how)
+        collect(
+            CollectConfig(task=task, policy=PolicyConfig(policy="random"), episodes=size * of),
+            out,
+            part=part,
+            **how,
+        )
 
 
-def worker(name: str, number: int, of: int, size: int, folder: Path, clock: str, queue: Any) -> None:
+def worker(
+    name: str, number: int, of: int, size: int, folder: Path, clock: str, queue: Any
+) -> None:
     import cv2
 
     cv2.setNumThreads(1)
@@ -127,24 +164,41 @@ def worker(name: str, number: int, of: int, size: int, folder: Path, clock: str,
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=Path, default=Path("stages.json"))
-    parser.add_argument("--jobs", nargs="+", choices=("main", "state", "pixels", "images"), default=["main", "state", "pixels", "images"])
+    parser.add_argument(
+        "--jobs",
+        nargs="+",
+        choices=("main", "state", "pixels", "images"),
+        default=["main", "state", "pixels", "images"],
+    )
     parser.add_argument("--workers", type=int, default=0, help="processes, 0 for one a core")
     parser.add_argument("--clock", choices=("wall", "cpu"), default="wall")
     parser.add_argument("--states", type=int, default=10, help="of the main job, for each process")
-    parser.add_argument("--episodes", type=int, default=60, help="of a collection, for each process")
+    parser.add_argument(
+        "--episodes", type=int, default=60, help="of a collection, for each process"
+    )
     parser.add_argument("--pictures", type=int, default=300, help="of images, for each process")
     args = parser.parse_args()
     workers = args.workers or len(os.sched_getaffinity(0))
-    sizes = {"main": args.states, "state": args.episodes, "pixels": args.episodes, "images": args.pictures}
+    sizes = {
+        "main": args.states,
+        "state": args.episodes,
+        "pixels": args.episodes,
+        "images": args.pictures,
+    }
     context = multiprocessing.get_context("spawn")
     table = Table("job", *STAGES, "Python, rest", "bar for mj_step")
     shares: dict[str, dict[str, float]] = {}
     for name in args.jobs:
         with tempfile.TemporaryDirectory() as folder:
             queue = context.Queue()
-            words = [(name, number + 1, workers, sizes[name], Path(folder), args.clock, queue) for number in range(workers)]
+            words = [
+                (name, number + 1, workers, sizes[name], Path(folder), args.clock, queue)
+                for number in range(workers)
+            ]
             processes = [context.Process(target=worker, args=one) for one in words]
             for process in processes:
                 process.start()
@@ -153,10 +207,17 @@ def main() -> None:
                 process.join()
         shares[name] = {stage: found[stage] / found["whole"] for stage in STAGES}
         shares[name]["rest"] = 1 - sum(shares[name].values())
-        table.add_row(name, *(f"{share:.1%}" for share in shares[name].values()), f"{BARS[name]:.0%}" if name in BARS else "")
+        table.add_row(
+            name,
+            *(f"{share:.1%}" for share in shares[name].values()),
+            f"{BARS[name]:.0%}" if name in BARS else "",
+        )
     Console().print(table)
     about = {"workers": workers, "clock": args.clock, "sizes": sizes, "cores": os.cpu_count()}
-    args.out.write_text(json.dumps({"settings": about, "shares": shares, "bars": BARS}, indent=1) + "\n", encoding="utf-8")
+    args.out.write_text(
+        json.dumps({"settings": about, "shares": shares, "bars": BARS}, indent=1) + "\n",
+        encoding="utf-8",
+    )
 
 
 if __name__ == "__main__":

@@ -1,11 +1,12 @@
-"""How fast an environment steps on one core, by observation mode, beside raw MuJoCo on the same rope.
+"""How fast an environment steps on one core, by observation mode, beside raw MuJoCo on the same
+rope.
 
     python benchmarks/step.py [--out step.json] [--steps 50] [--repeats 12]
 
-The raw share of a mode is the time that `mujoco.batch` alone takes for the same forces from the same start (24 substeps an
-action; the qpos at the end are compared bit for bit) over the time of the environment's steps. Both are taken in turn, ten
-actions at a time, on one pinned core in CPU seconds, so that what else runs on the machine hits both alike; medians over
-the repeats.
+The raw share of a mode is the time that `mujoco.batch` alone takes for the same forces from the
+same start (24 substeps an action; the qpos at the end are compared bit for bit) over the time of
+the environment's steps. Both are taken in turn, ten actions at a time, on one pinned core in CPU
+seconds, so that what else runs on the machine hits both alike; medians over the repeats.
 """
 
 import argparse
@@ -69,25 +70,49 @@ def measured(env: gym.Env[Any, Any], actions: NDArray[np.float32]) -> tuple[floa
             raw.pull(*pull)
         theirs += time.process_time() - began
     if not np.array_equal(raw.qpos, simulation.qpos()):
-        raise SystemExit("the raw rope did not go where the environment's did: they cannot be compared")
+        raise SystemExit(
+            "the raw rope did not go where the environment's did: they cannot be compared"
+        )
     return ours / len(actions), theirs / len(actions)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--steps", type=int, default=50, help="actions an episode")
     parser.add_argument("--repeats", type=int, default=12, help="episodes a mode")
-    parser.add_argument("--task", default="tie", help="where the ropes start: tie, a plain loop; unknot, nx crossings")
+    parser.add_argument(
+        "--task",
+        default="tie",
+        help="where the ropes start: tie, a plain loop; unknot, nx crossings",
+    )
     parser.add_argument("--nx", type=int, default=2)
     parser.add_argument("--states", help="state file, instead of the one that ships")
     parser.add_argument("--out", type=Path, default=Path("step.json"))
     args = parser.parse_args()
     if args.steps < 1 or args.repeats < 1:
-        parser.error(f"--steps and --repeats must be at least 1, got {args.steps} and {args.repeats}")
+        parser.error(
+            f"--steps and --repeats must be at least 1, got {args.steps} and {args.repeats}"
+        )
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    settings = {"nx": args.nx, "states": args.states, "horizon": args.steps + 1, "hold": args.steps + 1}  # no episode ends early
-    envs = {mode: gym.make(f"knotgym/{args.task.capitalize()}-v0", observation=mode, disable_env_checker=True, **settings) for mode in MODES}
+    # no episode ends early
+    settings = {
+        "nx": args.nx,
+        "states": args.states,
+        "horizon": args.steps + 1,
+        "hold": args.steps + 1,
+    }
+    envs = {
+        mode: gym.make(
+            f"knotgym/{args.task.capitalize()}-v0",
+            observation=mode,
+            disable_env_checker=True,
+            **settings,
+        )
+        for mode in MODES
+    }
     rng = np.random.default_rng(0)
     times: dict[str, list[tuple[float, float]]] = {mode: [] for mode in MODES}
     for repeat in range(args.repeats + 1):
@@ -107,12 +132,26 @@ def main() -> None:
         }
     table = Table("observation", "steps/s", "raw steps/s", "share of raw", "ms of our own", "bar")
     for mode, row in rows.items():
-        forms = {"steps_per_second": ".1f", "raw_steps_per_second": ".1f", "raw_share": ".3f", "own_ms": ".2f"}
-        table.add_row(mode, *(format(row[name], form) for name, form in forms.items()), str(row["bar"] or ""))
+        forms = {
+            "steps_per_second": ".1f",
+            "raw_steps_per_second": ".1f",
+            "raw_share": ".3f",
+            "own_ms": ".2f",
+        }
+        table.add_row(
+            mode, *(format(row[name], form) for name, form in forms.items()), str(row["bar"] or "")
+        )
     Console().print(table)
-    versions = {"knotgym": knotgym.__version__, "python": platform.python_version(), "mujoco": mujoco.__version__, "opencv": cv2.__version__}
+    versions = {
+        "knotgym": knotgym.__version__,
+        "python": platform.python_version(),
+        "mujoco": mujoco.__version__,
+        "opencv": cv2.__version__,
+    }
     settings = {name: value for name, value in vars(args).items() if name != "out"}
-    args.out.write_text(json.dumps({"versions": versions, "settings": settings, "modes": rows}, indent=1) + "\n")
+    args.out.write_text(
+        json.dumps({"versions": versions, "settings": settings, "modes": rows}, indent=1) + "\n"
+    )
 
 
 if __name__ == "__main__":

@@ -2,8 +2,9 @@
 
     python benchmarks/transitions.py --seeds 8 7 0 --rounds 50 20 40
 
-Plays so many rounds of the search from each seed (the defaults made the table that ships), and adds what archives of other runs
-have counted (their archive.h5). Changes seen once and codes of more than --max-nx crossings are left out.
+Plays so many rounds of the search from each seed (the defaults made the table that ships), and adds
+what archives of other runs have counted (their archive.h5). Changes seen once and codes of more
+than --max-nx crossings are left out.
 """
 
 import argparse
@@ -18,9 +19,17 @@ from knotgym.runs.executors import engine
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seeds", type=int, nargs="*", default=[8, 7, 0])
-    parser.add_argument("--rounds", type=int, nargs="*", default=[50, 20, 40], help="of the search, 768 actions each, for each seed")
+    parser.add_argument(
+        "--rounds",
+        type=int,
+        nargs="*",
+        default=[50, 20, 40],
+        help="of the search, 768 actions each, for each seed",
+    )
     parser.add_argument("--archive", type=Path, action="append", default=[])
     parser.add_argument("--max-nx", type=int, default=5)
     parser.add_argument("--least", type=int, default=2, help="times that a change was seen")
@@ -38,7 +47,10 @@ def main() -> None:
                 advance(archive, config, pool)
                 if number % 10 == 9:
                     classes, changes = len(archive.niches), len(archive.transitions.seen)
-                    console.print(f"seed {seed}, round {number + 1}: {classes} classes, {changes} changes", highlight=False)
+                    console.print(
+                        f"seed {seed}, round {number + 1}: {classes} classes, {changes} changes",
+                        highlight=False,
+                    )
             table.add(archive.transitions)
     table.pruned(max_nx=args.max_nx, least=args.least).save(args.out)
 

@@ -1,10 +1,12 @@
-"""What an archive knows: codes by number of crossings, and the shortest way to each from the plain loop, followed again.
+"""What an archive knows: codes by number of crossings, and the shortest way to each from the plain
+loop, followed again.
 
     python benchmarks/ways.py knotgym-data/nx4/archive.h5
 
-A way counts when the rope, led from the plain loop at rest (mirrored or turned over where the code is such an image, numbered
-from another sub-chain or the other way where the archive knows the way so), shows the code; actions count until it first does.
-Writes JSON, with the growth of the archive by rounds, to --out.
+A way counts when the rope, led from the plain loop at rest (mirrored or turned over where the code
+is such an image, numbered from another sub-chain or the other way where the archive knows the way
+so), shows the code; actions count until it first does. Writes JSON, with the growth of the archive
+by rounds, to --out.
 """
 
 import argparse
@@ -26,12 +28,16 @@ from knotgym.topology.symmetry import mirrorings
 
 
 def leads(simulation: Simulation, elite: Elite, code: GaussCode) -> int | None:
-    """After how many actions of the elite's way, carried over, the rope shows `code`; None if it never does."""
+    """After how many actions of the elite's way, carried over, the rope shows `code`; None if it
+    never does.
+    """
     rope = simulation.rope
     for shown, symmetry in mirrorings(elite.code):
         if shown.plain != code:
             continue
-        symmetry = replace(symmetry, reverse=elite.reverse, roll=-elite.roll if elite.reverse else elite.roll)
+        symmetry = replace(
+            symmetry, reverse=elite.reverse, roll=-elite.roll if elite.reverse else elite.roll
+        )
         simulation.lay(rope.qpos(symmetry.configuration(rope.loop()))[None])
         beads = symmetry.beads(elite.way.beads, rope.config.beads)
         forces = symmetry.vectors(elite.way.forces.astype(np.float64))
@@ -45,13 +51,24 @@ def leads(simulation: Simulation, elite: Elite, code: GaussCode) -> int | None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("archive", type=Path)
     parser.add_argument("--most-nx", type=int, default=4)
     parser.add_argument("--out", type=Path, default=Path("ways.json"))
     args = parser.parse_args()
     archive, simulation = Archive.load(args.archive), Simulation()
-    table = Table("nx", "codes there are", "known", "led to", "fewest", "median", "most", title=f"ways from the plain loop, {args.archive}")
+    table = Table(
+        "nx",
+        "codes there are",
+        "known",
+        "led to",
+        "fewest",
+        "median",
+        "most",
+        title=f"ways from the plain loop, {args.archive}",
+    )
     figures = {}
     for nx in range(args.most_nx + 1):
         lengths: dict[str, int] = {}
@@ -62,9 +79,18 @@ def main() -> None:
                     lengths[str(code)] = taken
                     break
         counts = [len(codes_of("0_1", nx)), len(archive.codes(nx)), len(lengths)]
-        spread = [int(value) for value in np.quantile(list(lengths.values()), [0, 0.5, 1])] if lengths else ["-"] * 3
+        spread = (
+            [int(value) for value in np.quantile(list(lengths.values()), [0, 0.5, 1])]
+            if lengths
+            else ["-"] * 3
+        )
         table.add_row(*map(str, [nx, *counts, *spread]))
-        figures[nx] = {"there_are": counts[0], "known": counts[1], "led_to": counts[2], "actions": lengths}
+        figures[nx] = {
+            "there_are": counts[0],
+            "known": counts[1],
+            "led_to": counts[2],
+            "actions": lengths,
+        }
     Console().print(table)
     args.out.write_text(json.dumps({"nx": figures, "growth": archive.growth}, indent=1) + "\n")
 

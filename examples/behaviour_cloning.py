@@ -1,13 +1,17 @@
-"""Behaviour cloning on the expert's state observations, and what it reaches beside random and expert.
+"""Behaviour cloning on the expert's state observations, and what it reaches beside random and
+expert.
 
-    knotgym collect --task tie --nx 2 --policy expert --episodes 300 --observation state --out bc-data
-    python examples/behaviour_cloning.py bc-data/knotgym/tie-nx2/expert-v0 --out bc
+    knotgym collect --task tie --nx 2 --policy expert --episodes 300 --observation state --out
+    bc-data python examples/behaviour_cloning.py bc-data/knotgym/tie-nx2/expert-v0 --out bc
 
-A small network in NumPy learns two things: which of the beads the expert pulls (cross-entropy) and with which force (squared
-error). Turns about z, mirrors and the exchange of over and under are exact symmetries of the rope, so every rope is first brought
-into one frame: turned so that the loop begins at the right, reflected so that it runs counter-clockwise, and switched so that the
-goal's code begins with an over. The goal is told by its code, read off the goal that is observed. Hindsight adds the codes that an
-episode passed on its way. Writes `policy.npz`, `curve.csv`, `curve.png`, `success.json` and `success_expert.json`.
+A small network in NumPy learns two things: which of the beads the expert pulls (cross-entropy) and
+with which force (squared error). Turns about z, mirrors and the exchange of over and under are
+exact symmetries of the rope, so every rope is first brought
+into one frame: turned so that the loop begins at the right, reflected so that it runs
+    counter-clockwise, and switched so that the
+goal's code begins with an over. The goal is told by its code, read off the goal that is observed.
+Hindsight adds the codes that an episode passed on its way. Writes `policy.npz`, `curve.csv`,
+`curve.png`, `success.json` and `success_expert.json`.
 """
 
 from __future__ import annotations
@@ -58,37 +62,56 @@ class Frame(NamedTuple):
 
     def back(self, vectors: NDArray[Any]) -> NDArray[Any]:
         """The inverse of `into`."""
-        return _turned(vectors, -self.turn) * (-1.0 if self.reflect else 1.0, 1.0, -1.0 if self.switch else 1.0)
+        return _turned(vectors, -self.turn) * (
+            -1.0 if self.reflect else 1.0,
+            1.0,
+            -1.0 if self.switch else 1.0,
+        )
 
 
 def frame_of(rope: NDArray[Any], goal: GaussCode) -> Frame:
-    """The frame of a rope (beads, 3): by the larger of the two waves that run once round the rope."""
+    """The frame of a rope (beads, 3): by the larger of the two waves that run once round the
+    rope.
+    """
     flat = (rope[:, 0] - rope[:, 0].mean()) + 1j * (rope[:, 1] - rope[:, 1].mean())
     wave = np.exp(2j * np.pi * np.arange(len(rope)) / len(rope))
     forwards, backwards = (flat * wave.conj()).sum(), (flat * wave).sum()
     reflect = abs(backwards) > abs(forwards)
-    return Frame(bool(reflect), bool(goal.visits) and goal.visits[0] < 0, -float(np.angle(-backwards.conj() if reflect else forwards)))
+    return Frame(
+        bool(reflect),
+        bool(goal.visits) and goal.visits[0] < 0,
+        -float(np.angle(-backwards.conj() if reflect else forwards)),
+    )
 
 
 def seen(rope: NDArray[Any], goal: GaussCode, frame: Frame) -> Array:
-    """What the network sees of a rope (beads, 3), float32 (inputs,): every second vertex, its code and where it crosses, the goal's code."""
+    """What the network sees of a rope (beads, 3), float32 (inputs,): every second vertex, its code
+    and where it crosses, the goal's code.
+    """
     moved = frame.into(rope - rope.mean(axis=0))
     crossings = find_crossings(np.ascontiguousarray(moved, dtype=np.float64))
     places = np.zeros(VISITS)
     visits = np.sort(np.concatenate([crossings.over_place, crossings.under_place]))[:VISITS]
     places[: len(visits)] = visits / ROPE.beads
     wanted = goal.mirrored() if frame.switch else goal
-    return np.concatenate([SCALE * moved[::2].ravel(), _hot(crossings.code), places, _hot(wanted)]).astype(np.float32)
+    return np.concatenate(
+        [SCALE * moved[::2].ravel(), _hot(crossings.code), places, _hot(wanted)]
+    ).astype(np.float32)
 
 
 class Network:
-    """Two hidden layers of ReLU, trained with Adam; a bead's logits and a force for each bead's pull."""
+    """Two hidden layers of ReLU, trained with Adam; a bead's logits and a force for each bead's
+    pull.
+    """
 
     def __init__(self, sizes: tuple[int, ...], rng: np.random.Generator) -> None:
         pairs = zip(sizes[:-1], sizes[1:], strict=True)
         self.weights: list[Array] = []
         for inputs, outputs in pairs:
-            self.weights += [rng.normal(0, np.sqrt(2 / inputs), (inputs, outputs)).astype(np.float32), np.zeros(outputs, np.float32)]
+            self.weights += [
+                rng.normal(0, np.sqrt(2 / inputs), (inputs, outputs)).astype(np.float32),
+                np.zeros(outputs, np.float32),
+            ]
         self._first = [np.zeros_like(w) for w in self.weights]
         self._second = [np.zeros_like(w) for w in self.weights]
         self._steps = 0
@@ -110,8 +133,13 @@ class Network:
             for at, one in zip((k, k + 1), slopes, strict=True):
                 self._first[at] += 0.1 * (one - self._first[at])
                 self._second[at] += 0.001 * (one**2 - self._second[at])
-                mean, square = self._first[at] / (1 - 0.9**self._steps), self._second[at] / (1 - 0.999**self._steps)
-                self.weights[at] -= rate * (mean / (np.sqrt(square) + 1e-8) + 0.02 * self.weights[at] * (at == k))
+                mean, square = (
+                    self._first[at] / (1 - 0.9**self._steps),
+                    self._second[at] / (1 - 0.999**self._steps),
+                )
+                self.weights[at] -= rate * (
+                    mean / (np.sqrt(square) + 1e-8) + 0.02 * self.weights[at] * (at == k)
+                )
 
 
 class Examples(NamedTuple):
@@ -148,26 +176,45 @@ def examples(dataset: str, nx: int) -> Examples:
             forces.append(frame.into(action[3:]))
             ways.append(last)
     number = np.unique(ways, return_inverse=True)[1]
-    return Examples(np.array(inputs), np.array(beads), np.array(forces, dtype=np.float32), number % 10 == 9)
+    return Examples(
+        np.array(inputs), np.array(beads), np.array(forces, dtype=np.float32), number % 10 == 9
+    )
 
 
-def losses(network: Network, x: Array, beads: NDArray[np.int64], forces: Array) -> tuple[float, float, Array, list[Array]]:
-    """Cross-entropy of the bead, squared error of the force, their slope by the outputs, and the layers."""
+def losses(
+    network: Network, x: Array, beads: NDArray[np.int64], forces: Array
+) -> tuple[float, float, Array, list[Array]]:
+    """Cross-entropy of the bead, squared error of the force, their slope by the outputs, and the
+    layers.
+    """
     layers, rows = network.layers(x), np.arange(len(x))
-    logits, pulled = layers[-1][:, : ROPE.beads], layers[-1][:, ROPE.beads :].reshape(len(x), ROPE.beads, 3)
+    logits, pulled = (
+        layers[-1][:, : ROPE.beads],
+        layers[-1][:, ROPE.beads :].reshape(len(x), ROPE.beads, 3),
+    )
     chance = np.exp(logits - logits.max(axis=1, keepdims=True))
     chance /= chance.sum(axis=1, keepdims=True)
-    near = np.minimum(np.abs(np.arange(ROPE.beads) - beads[:, None]), ROPE.beads - np.abs(np.arange(ROPE.beads) - beads[:, None]))
+    near = np.minimum(
+        np.abs(np.arange(ROPE.beads) - beads[:, None]),
+        ROPE.beads - np.abs(np.arange(ROPE.beads) - beads[:, None]),
+    )
     wanted = np.exp(-0.5 * (near / 2) ** 2)
     wanted /= wanted.sum(axis=1, keepdims=True)  # a neighbour is nearly as good
     off = pulled[rows, beads] - forces
     slope = np.zeros_like(layers[-1])
     slope[:, : ROPE.beads] = (chance - wanted) / len(x)
     slope[:, ROPE.beads :].reshape(len(x), ROPE.beads, 3)[rows, beads] = 2 * off / len(x)
-    return float(-(wanted * np.log(chance + 1e-9)).sum(axis=1).mean()), float((off**2).sum(axis=1).mean()), slope, layers
+    return (
+        float(-(wanted * np.log(chance + 1e-9)).sum(axis=1).mean()),
+        float((off**2).sum(axis=1).mean()),
+        slope,
+        layers,
+    )
 
 
-def train(data: Examples, epochs: int, seed: int, console: Console) -> tuple[Network, list[dict[str, float]]]:
+def train(
+    data: Examples, epochs: int, seed: int, console: Console
+) -> tuple[Network, list[dict[str, float]]]:
     """Clone the expert; the network kept is the one with the least loss on what is held out."""
     rng = np.random.default_rng(seed)
     network = Network((data.inputs.shape[1], 256, 256, 4 * ROPE.beads), rng)
@@ -178,17 +225,35 @@ def train(data: Examples, epochs: int, seed: int, console: Console) -> tuple[Net
         sums = np.zeros(2)
         batches = np.array_split(rng.permutation(rows), max(1, len(rows) // 128))
         for batch in batches:
-            noised = data.inputs[batch] + rng.normal(0, 0.02, (len(batch), data.inputs.shape[1])).astype(np.float32)
-            bead, force, slope, layers = losses(network, noised, data.beads[batch], data.forces[batch])
+            noised = data.inputs[batch] + rng.normal(
+                0, 0.02, (len(batch), data.inputs.shape[1])
+            ).astype(np.float32)
+            bead, force, slope, layers = losses(
+                network, noised, data.beads[batch], data.forces[batch]
+            )
             network.learn(layers, slope, rate)
             sums += bead, force
-        held = losses(network, data.inputs[data.held], data.beads[data.held], data.forces[data.held])[:2]
-        row = {"epoch": epoch + 1, "train_bead": sums[0] / len(batches), "train_force": sums[1] / len(batches)}
-        curve.append({name: float(value) for name, value in (row | {"held_bead": held[0], "held_force": held[1]}).items()})
+        held = losses(
+            network, data.inputs[data.held], data.beads[data.held], data.forces[data.held]
+        )[:2]
+        row = {
+            "epoch": epoch + 1,
+            "train_bead": sums[0] / len(batches),
+            "train_force": sums[1] / len(batches),
+        }
+        curve.append(
+            {
+                name: float(value)
+                for name, value in (row | {"held_bead": held[0], "held_force": held[1]}).items()
+            }
+        )
         if sum(held) < best:
             best, kept = sum(held), [w.copy() for w in network.weights]
         if epoch % 10 == 9:
-            console.print("  ".join(f"{name} {value:.3f}" for name, value in curve[-1].items()), highlight=False)
+            console.print(
+                "  ".join(f"{name} {value:.3f}" for name, value in curve[-1].items()),
+                highlight=False,
+            )
     network.weights = kept
     return network, curve
 
@@ -203,7 +268,9 @@ def _trained(path: str) -> Network:
 
 
 def act(observation: Array, info: dict[str, Any], rng: np.random.Generator) -> Array:
-    """The cloned policy, for `knotgym evaluate --policy behaviour_cloning:act` (weights named by KNOTGYM_BC_WEIGHTS)."""
+    """The cloned policy, for `knotgym evaluate --policy behaviour_cloning:act` (weights named by
+    KNOTGYM_BC_WEIGHTS).
+    """
     rope, wanted = np.asarray(observation, dtype=np.float64).reshape(2, ROPE.beads, 3)
     goal = find_crossings(wanted).code.plain
     frame = frame_of(rope, goal)
@@ -221,21 +288,46 @@ def draw(curve: list[dict[str, float]], path: Path) -> None:
     for panel, loss in enumerate(("bead", "force")):
         lines = {name: [row[name] for row in curve] for name in (f"train_{loss}", f"held_{loss}")}
         top = max(max(values) for values in lines.values())
-        for (name, values), colour in zip(lines.items(), ((160, 60, 20), (90, 170, 240)), strict=True):
+        for (name, values), colour in zip(
+            lines.items(), ((160, 60, 20), (90, 170, 240)), strict=True
+        ):
             x = edge + np.arange(len(values)) * (width - 2 * edge) / max(1, len(curve) - 1)
             y = panel * height + height - edge - np.array(values) / top * (height - 2 * edge)
-            cv2.polylines(picture, [np.stack([x, y], axis=1).astype(np.int32)], False, colour, 2, cv2.LINE_AA)
+            cv2.polylines(
+                picture, [np.stack([x, y], axis=1).astype(np.int32)], False, colour, 2, cv2.LINE_AA
+            )
             place = (edge + 300 * name.startswith("held"), panel * height + 16)
-            cv2.putText(picture, f"{name} {values[-1]:.3f}", place, cv2.FONT_HERSHEY_SIMPLEX, 0.45, colour, 1, cv2.LINE_AA)
+            cv2.putText(
+                picture,
+                f"{name} {values[-1]:.3f}",
+                place,
+                cv2.FONT_HERSHEY_SIMPLEX,
+                0.45,
+                colour,
+                1,
+                cv2.LINE_AA,
+            )
     cv2.imwrite(str(path), picture)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("dataset", help="Minari id or folder of expert episodes with states")
     parser.add_argument("--epochs", type=int, default=60)
-    parser.add_argument("--episodes", type=int, default=128, help="of random and clone each, in both splits; 0 for none")
-    parser.add_argument("--expert-episodes", type=int, default=32, help="of the expert, which plans for seconds an episode; 0 for none")
+    parser.add_argument(
+        "--episodes",
+        type=int,
+        default=128,
+        help="of random and clone each, in both splits; 0 for none",
+    )
+    parser.add_argument(
+        "--expert-episodes",
+        type=int,
+        default=32,
+        help="of the expert, which plans for seconds an episode; 0 for none",
+    )
     parser.add_argument("--nx", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--workers", type=int, default=0)
@@ -244,9 +336,14 @@ def main() -> None:
     console = Console(width=150)
     data = examples(args.dataset, args.nx)
     if not data.held.any():
-        parser.error(f"{args.dataset} leads to codes of {args.nx} crossings fewer than 10 times: too little to learn from")
+        parser.error(
+            f"{args.dataset} leads to codes of {args.nx} crossings fewer than 10 times: too little"
+            " to learn from"
+        )
     args.out.mkdir(parents=True, exist_ok=True)
-    console.print(f"{len(data.beads)} examples, {data.held.sum()} of them held out", highlight=False)
+    console.print(
+        f"{len(data.beads)} examples, {data.held.sum()} of them held out", highlight=False
+    )
     network, curve = train(data, args.epochs, args.seed, console)
     np.savez(args.out / "policy.npz", *network.weights)
     with open(args.out / "curve.csv", "w", newline="") as file:
@@ -262,12 +359,23 @@ def main() -> None:
         ("success_expert", expert, ("test",), args.expert_episodes),
     ):
         if episodes:
-            config = EvaluateConfig(policies=policies, nx=(args.nx,), splits=splits, episodes=episodes, seed=args.seed)
-            run(config, workers=args.workers, out=args.out / f"{name}.json", video=None, quiet=False, console=console)
+            config = EvaluateConfig(
+                policies=policies, nx=(args.nx,), splits=splits, episodes=episodes, seed=args.seed
+            )
+            run(
+                config,
+                workers=args.workers,
+                out=args.out / f"{name}.json",
+                video=None,
+                quiet=False,
+                console=console,
+            )
 
 
 def _hot(code: GaussCode) -> Array:
-    """The first visits of a code: of each its label up to 4, over or under, one of eight; float32 (VISITS * 8,)."""
+    """The first visits of a code: of each its label up to 4, over or under, one of eight; float32
+    (VISITS * 8,).
+    """
     out = np.zeros((VISITS, 8), np.float32)
     for k, visit in enumerate(code.visits[:VISITS]):
         if abs(visit) <= 4:

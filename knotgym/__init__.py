@@ -1,6 +1,7 @@
 """knotgym: a closed rope in MuJoCo, goals that are Gauss codes, and the data to learn to tie them.
 
-Importing this registers the environments knotgym/Unknot-v0, knotgym/Tie-v0 and knotgym/Convert-v0 with Gymnasium.
+Importing this registers the environments knotgym/Unknot-v0, knotgym/Tie-v0 and knotgym/Convert-v0
+with Gymnasium.
 """
 
 from importlib.metadata import PackageNotFoundError, version

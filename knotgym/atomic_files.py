@@ -17,10 +17,12 @@ import h5py
 
 @contextmanager
 def whole(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary path beside `path`; what is written there takes its name at the end, or vanishes with an error.
+    """Yield a temporary path beside `path`; what is written there takes its name at the end, or
+    vanishes with an error.
 
-    Works for a file and for a folder (make it at the yielded path). A kill in between leaves only a `.part-` name. An
-    existing target is replaced; a folder is replaced by renaming, the old one aside first.
+    Works for a file and for a folder (make it at the yielded path). A kill in between leaves only a
+    `.part-` name. An existing target is replaced; a folder is replaced by renaming, the old one
+    aside first.
     """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -40,8 +42,9 @@ def whole(path: str | os.PathLike[str]) -> Iterator[Path]:
 def new_hdf5(path: str | os.PathLike[str], **options: Any) -> Iterator[h5py.File]:
     """Yield a new HDF5 file; `options` as of h5py.File.
 
-    HDF5 can't fail to write: on a full disk it neither closes the file nor stays in one piece. So it never hears of that; what
-    there is no room for goes nowhere, and the trouble is raised here once the file is closed.
+    HDF5 can't fail to write: on a full disk it neither closes the file nor stays in one piece. So
+    it never hears of that; what there is no room for goes nowhere, and the trouble is raised here
+    once the file is closed.
     """
     with open(path, "w+b", buffering=0) as target:
         sink = _Sink(target)
@@ -50,7 +53,9 @@ def new_hdf5(path: str | os.PathLike[str], **options: Any) -> Iterator[h5py.File
                 yield file
         finally:
             if sink.trouble is not None:
-                raise OSError(sink.trouble.errno, sink.trouble.strerror, str(path)) from sink.trouble
+                raise OSError(
+                    sink.trouble.errno, sink.trouble.strerror, str(path)
+                ) from sink.trouble
 
 
 class _Sink:

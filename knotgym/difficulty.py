@@ -1,16 +1,23 @@
 """How hard a picture is to read, in four grades.
 
-Reading a code is a chain that breaks at its weakest link: one crossing that can't be made out spoils all of it. So the grade is
-that of the worst of the five measures of the picture, each in units of what an accepted state must have of it: "easy" from 1.5
-times the limit up, "medium" from the limit up, "hard" from half of it, "extreme" below. The other limits (margin, clearance,
-twist, survival of noise) are about the rope and not about reading it; they bear on `accepted` alone.
+Reading a code is a chain that breaks at its weakest link: one crossing that can't be made out
+spoils all of it. So the grade is that of the worst of the five measures of the picture, each in
+units of what an accepted state must have of it: "easy" from 1.5 times the limit up, "medium" from
+the limit up, "hard" from half of it, "extreme" below. The other limits (margin, clearance, twist,
+survival of noise) are about the rope and not about reading it; they bear on `accepted` alone.
 """
 
 from __future__ import annotations
 
 from knotgym.quality import Limits, Quality
 
-READING = ("crossing_angle", "crossing_spacing", "base_spacing", "strand_spacing", "smallest_region")
+READING = (
+    "crossing_angle",
+    "crossing_spacing",
+    "base_spacing",
+    "strand_spacing",
+    "smallest_region",
+)
 _FROM = {"easy": 1.5, "medium": 1.0, "hard": 0.5}
 
 

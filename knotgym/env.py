@@ -1,4 +1,6 @@
-"""The environments: `KnotEnv` for one rope, `KnotVectorEnv` for many in one batched simulation on all cores."""
+"""The environments: `KnotEnv` for one rope, `KnotVectorEnv` for many in one batched simulation on
+all cores.
+"""
 
 from __future__ import annotations
 
@@ -24,12 +26,18 @@ def observation_space(config: TaskConfig, beads: int = 100) -> spaces.Space[Any]
     """What one agent sees."""
     pixels = spaces.Box(0, 255, (config.image_size, 2 * config.image_size, 3), np.uint8)
     state = spaces.Box(-np.inf, np.inf, (6 * beads,), np.float32)
-    choices: dict[str, spaces.Space[Any]] = {"pixels": pixels, "state": state, "both": spaces.Dict({"pixels": pixels, "state": state})}
+    choices: dict[str, spaces.Space[Any]] = {
+        "pixels": pixels,
+        "state": state,
+        "both": spaces.Dict({"pixels": pixels, "state": state}),
+    }
     return choices[config.observation]
 
 
 def action_space() -> spaces.Space[NDArray[np.float32]]:
-    """(x, y, z, fx, fy, fz): the bead nearest to the scaled point is pulled with the scaled force."""
+    """(x, y, z, fx, fy, fz): the bead nearest to the scaled point is pulled with the scaled
+    force.
+    """
     return cast("spaces.Space[NDArray[np.float32]]", spaces.Box(-1.0, 1.0, (6,), np.float32))
 
 
@@ -42,20 +50,32 @@ class KnotEnv(gym.Env[Any, NDArray[np.float32]]):
         self.config = _config(task, settings)
         self.render_mode = _checked(render_mode)
         self.episodes = Episodes(self.config)
-        self.observation_space = observation_space(self.config, self.episodes.simulation.rope.config.beads)
+        self.observation_space = observation_space(
+            self.config, self.episodes.simulation.rope.config.beads
+        )
         self.action_space = action_space()
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         """Start over; options `start` and `goal` pick rows of the state file."""
         super().reset(seed=seed)
         self.episodes.begin(0, self.np_random, options)
         return self.episodes.observation(0), self.episodes.info(0)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Pull once; raises InvalidAction for NaN or numbers outside [-1, 1], and then nothing has moved."""
+        """Pull once; raises InvalidAction for NaN or numbers outside [-1, 1], and then nothing has
+        moved.
+        """
         _require_reset(self.episodes)
         reward, terminated, truncated = self.episodes.step(np.asarray(action)[None], np.array([0]))
-        return self.episodes.observation(0), float(reward[0]), bool(terminated[0]), bool(truncated[0]), self.episodes.info(0)
+        return (
+            self.episodes.observation(0),
+            float(reward[0]),
+            bool(terminated[0]),
+            bool(truncated[0]),
+            self.episodes.info(0),
+        )
 
     def render(self) -> NDArray[np.uint8] | None:
         """The rope and its goal, uint8 (size, 2 size, 3)."""
@@ -73,7 +93,11 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         settings: as KnotEnv.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": _FPS, "autoreset_mode": AutoresetMode.NEXT_STEP}
+    metadata = {
+        "render_modes": ["rgb_array"],
+        "render_fps": _FPS,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
 
     def __init__(
         self,
@@ -92,60 +116,97 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
         self.episodes = Episodes(self.config, num_envs, threads)
-        self.single_observation_space = observation_space(self.config, self.episodes.simulation.rope.config.beads)
+        self.single_observation_space = observation_space(
+            self.config, self.episodes.simulation.rope.config.beads
+        )
         self.single_action_space = action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._rngs = [np.random.default_rng() for _ in range(num_envs)]
         self._done = np.zeros(num_envs, dtype=bool)
 
-    def reset(self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Start over; options as KnotEnv's, and Gymnasium's `reset_mask`, bool (num_envs,), for which ropes."""
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start over; options as KnotEnv's, and Gymnasium's `reset_mask`, bool (num_envs,), for
+        which ropes.
+        """
         wanted = dict(options or {})
         mask = np.asarray(wanted.pop("reset_mask", np.ones(self.num_envs, dtype=bool)))
         if mask.shape != (self.num_envs,) or mask.dtype != bool:
-            raise InvalidSetting(f"reset_mask must be {self.num_envs} booleans, got {mask.dtype} of shape {mask.shape}")
+            raise InvalidSetting(
+                f"reset_mask must be {self.num_envs} booleans, got {mask.dtype} of shape"
+                f" {mask.shape}"
+            )
         if isinstance(seed, (int, np.integer)):
             seed = [int(seed) + i for i in range(self.num_envs)]
         seeds = [None] * self.num_envs if seed is None else list(seed)
         if len(seeds) != self.num_envs:
-            raise InvalidSetting(f"a list of seeds needs one for each of {self.num_envs} ropes, got {len(seeds)}")
+            raise InvalidSetting(
+                f"a list of seeds needs one for each of {self.num_envs} ropes, got {len(seeds)}"
+            )
         for i in np.flatnonzero(mask):
             if seeds[i] is not None:
                 self._rngs[i] = np.random.default_rng(seeds[i])
             self.episodes.begin(int(i), self._rngs[i], wanted)
         self._done[mask] = False
-        return self._observations(), self._infos({int(i): self.episodes.info(int(i)) for i in np.flatnonzero(mask)})
+        return self._observations(), self._infos(
+            {int(i): self.episodes.info(int(i)) for i in np.flatnonzero(mask)}
+        )
 
-    def step(self, actions: NDArray[np.float32]) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+    def step(
+        self, actions: NDArray[np.float32]
+    ) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Pull every rope once; ended episodes start over as `autoreset_mode` says."""
         _require_reset(self.episodes)
         done = self._done.copy()
         actions = np.asarray(actions)
         if actions.shape != self.action_space.shape:
-            raise InvalidAction(f"actions must have shape {self.action_space.shape}, got {actions.shape}")
+            raise InvalidAction(
+                f"actions must have shape {self.action_space.shape}, got {actions.shape}"
+            )
         if done.any() and self.autoreset_mode == AutoresetMode.DISABLED:
-            raise InvalidSetting(f"episodes {np.flatnonzero(done).tolist()} have ended: reset them (options reset_mask) before the next step")
+            raise InvalidSetting(
+                f"episodes {np.flatnonzero(done).tolist()} have ended: reset them (options"
+                " reset_mask) before the next step"
+            )
         rewards = np.zeros(self.num_envs)
-        terminated, truncated = np.zeros(self.num_envs, dtype=bool), np.zeros(self.num_envs, dtype=bool)
+        terminated, truncated = (
+            np.zeros(self.num_envs, dtype=bool),
+            np.zeros(self.num_envs, dtype=bool),
+        )
         go_on = np.flatnonzero(~done)
         if len(go_on):
-            rewards[go_on], terminated[go_on], truncated[go_on] = self.episodes.step(actions[go_on], go_on)
+            rewards[go_on], terminated[go_on], truncated[go_on] = self.episodes.step(
+                actions[go_on], go_on
+            )
         for i in np.flatnonzero(done):
             self.episodes.begin(int(i), self._rngs[i])
         self._done = terminated | truncated
         final: dict[int, dict[str, Any]] = {}
         if self.autoreset_mode == AutoresetMode.SAME_STEP:
             for i in np.flatnonzero(self._done):
-                final[int(i)] = {"final_obs": self.episodes.observation(int(i)), "final_info": self.episodes.info(int(i))}
+                final[int(i)] = {
+                    "final_obs": self.episodes.observation(int(i)),
+                    "final_info": self.episodes.info(int(i)),
+                }
                 self.episodes.begin(int(i), self._rngs[i])
             self._done[:] = False
-        infos = self._infos({i: {**self.episodes.info(i), **final.get(i, {})} for i in range(self.num_envs)})
+        infos = self._infos(
+            {i: {**self.episodes.info(i), **final.get(i, {})} for i in range(self.num_envs)}
+        )
         return self._observations(), rewards, terminated, truncated, infos
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """One picture a rope, uint8 (size, 2 size, 3) each."""
-        return tuple(self.episodes.picture(i) for i in range(self.num_envs)) if self.render_mode == "rgb_array" else None
+        return (
+            tuple(self.episodes.picture(i) for i in range(self.num_envs))
+            if self.render_mode == "rgb_array"
+            else None
+        )
 
     def _observations(self) -> Any:
         each = [self.episodes.observation(i) for i in range(self.num_envs)]
@@ -164,7 +225,10 @@ def _config(task: str, settings: dict[str, Any]) -> TaskConfig:
     known = TaskConfig.__dataclass_fields__
     unknown = [name for name in settings if name not in known]
     if unknown:
-        raise InvalidSetting(f"no keyword {', '.join(map(repr, unknown))}; there is {', '.join(name for name in known if name != 'task')}")
+        raise InvalidSetting(
+            f"no keyword {', '.join(map(repr, unknown))}; there is"
+            f" {', '.join(name for name in known if name != 'task')}"
+        )
     return TaskConfig(task=task, **settings)
 
 

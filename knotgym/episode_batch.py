@@ -1,7 +1,7 @@
 """Episodes of one task, many at once: what the single and the vector environment share.
 
-Rows are drawn from the state file, laid with noise that keeps their Gauss code, pulled, labelled, rewarded and shown here;
-`env.py` only dresses this in Gymnasium's two interfaces.
+Rows are drawn from the state file, laid with noise that keeps their Gauss code, pulled, labelled,
+rewarded and shown here; `env.py` only dresses this in Gymnasium's two interfaces.
 """
 
 from __future__ import annotations
@@ -57,46 +57,64 @@ class Episodes:
         self.beads = np.full(count, -1, dtype=np.int64)
         self.forces = np.zeros((count, 3))
 
-    def begin(self, index: int, rng: np.random.Generator, options: dict[str, Any] | None = None) -> None:
+    def begin(
+        self, index: int, rng: np.random.Generator, options: dict[str, Any] | None = None
+    ) -> None:
         """Start episode `index` over: draw a start and a goal, lay the rope.
 
         Args:
             index: which episode.
             rng: every draw comes from it.
-            options: `start` and `goal` name rows of the state file each comes from; others are refused.
+            options: `start` and `goal` name rows of the state file each comes from; others are
+                refused.
         """
         wanted = dict(options or {})
         start, start_states = self._choose(wanted.pop("start", None), self._starts, "start", rng)
         goal, goal_states = self._choose(wanted.pop("goal", None), self._goals, "goal", rng)
         if wanted:
-            raise InvalidSetting(f"no reset option {', '.join(map(repr, wanted))}; there is start, goal")
+            raise InvalidSetting(
+                f"no reset option {', '.join(map(repr, wanted))}; there is start, goal"
+            )
         self.start_row[index], self.goal_row[index] = start, goal
         code = GaussCode.parse(str(start_states.gauss_code_chiral[start]))
-        self.simulation.lay(start_qpos(self.simulation.rope, start_states, start, code, self.config.reset_noise, rng), [index])
+        self.simulation.lay(
+            start_qpos(
+                self.simulation.rope, start_states, start, code, self.config.reset_noise, rng
+            ),
+            [index],
+        )
         self.codes[index] = code
         self.goals[index] = GaussCode.parse(str(goal_states.gauss_code[goal]))
         self.steps[index] = self.held[index] = 0
         self.failed[index] = False
         self.beads[index], self.forces[index] = -1, 0.0
 
-    def step(self, actions: ArrayLike, ids: NDArray[np.int64]) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
+    def step(
+        self, actions: ArrayLike, ids: NDArray[np.int64]
+    ) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
         """Take one action in each episode of `ids`.
 
         Returns:
-            reward float64, terminated bool, truncated bool, each (len(ids),). A rope whose simulation blew up stays where
-            it was, is truncated with reward 0, and `failed` says so.
+            reward float64, terminated bool, truncated bool, each (len(ids),). A rope whose
+            simulation blew up stays where it was, is truncated with reward 0, and `failed` says so.
         """
         simulation, config = self.simulation, self.config
         self.beads[ids], self.forces[ids] = simulation.read_actions(actions, ids)
         self.failed[ids] = ~simulation.pull(self.beads[ids], self.forces[ids], ids)
         for index, code in zip(ids, label_many(simulation.points[ids]), strict=True):
             self.codes[index] = code
-        reached = np.array([self.codes[index].matches(self.goals[index]) for index in ids], dtype=bool)
+        reached = np.array(
+            [self.codes[index].matches(self.goals[index]) for index in ids], dtype=bool
+        )
         self.steps[ids] += 1
         self.held[ids] = np.where(reached, self.held[ids] + 1, 0)
         terminated = (self.held[ids] >= config.hold) & ~self.failed[ids]
         late = (self.steps[ids] >= config.horizon) & ~terminated
-        reward = np.where(terminated, config.success_reward, np.where(late & ~self.failed[ids], config.failure_reward, 0.0))
+        reward = np.where(
+            terminated,
+            config.success_reward,
+            np.where(late & ~self.failed[ids], config.failure_reward, 0.0),
+        )
         return reward, terminated, late | self.failed[ids]
 
     def picture(self, index: int) -> NDArray[np.uint8]:
@@ -104,12 +122,16 @@ class Episodes:
         goal = int(self.goal_row[index])
         if goal not in self._goal_images:
             self._goal_images[goal] = draw(self._goals.points[goal], self._picture)
-        seen: NDArray[np.uint8] = pixels(self.simulation.points[index][None], self._goal_images[goal], self._picture)[0]
+        seen: NDArray[np.uint8] = pixels(
+            self.simulation.points[index][None], self._goal_images[goal], self._picture
+        )[0]
         return seen
 
     def state(self, index: int) -> NDArray[np.float32]:
         """Vertices of the rope now, then of its goal, metres: float32 (6 beads,)."""
-        seen: NDArray[np.float32] = state(self.simulation.points[index][None], self._goals.points[self.goal_row[index]])[0]
+        seen: NDArray[np.float32] = state(
+            self.simulation.points[index][None], self._goals.points[self.goal_row[index]]
+        )[0]
         return seen
 
     def goal_points(self, index: int) -> Array:
@@ -125,7 +147,9 @@ class Episodes:
         return {"pixels": self.picture(index), "state": self.state(index)}
 
     def info(self, index: int) -> dict[str, Any]:
-        """Labels and bookkeeping of episode `index`, the same keys at every step; arrays are copies."""
+        """Labels and bookkeeping of episode `index`, the same keys at every step; arrays are
+        copies.
+        """
         code, goal = self.codes[index], self.goals[index]
         return {
             "gauss_code": str(code),
@@ -140,22 +164,30 @@ class Episodes:
             "force": self.forces[index].copy(),
         }
 
-    def _choose(self, row: object, side: States, name: str, rng: np.random.Generator) -> tuple[int, States]:
+    def _choose(
+        self, row: object, side: States, name: str, rng: np.random.Generator
+    ) -> tuple[int, States]:
         nx = self.config.start_nx if name == "start" else self.config.goal_nx
         rows = side.rows(nx, self.config.split)
-        drawn = int(rows[rng.integers(len(rows))])  # drawn even if unused: the noise that follows doesn't depend on options
+        # drawn even if unused: the noise that follows doesn't depend on options
+        drawn = int(rows[rng.integers(len(rows))])
         if row is None:
             return drawn, side
         if isinstance(row, bool) or not isinstance(row, (int, np.integer)) or row not in rows:
-            raise InvalidSetting(f"{name} must be a row with nx = {nx} of the {self.config.split} split: {_few(rows)}; got {row!r}")
+            raise InvalidSetting(
+                f"{name} must be a row with nx = {nx} of the {self.config.split} split:"
+                f" {_few(rows)}; got {row!r}"
+            )
         return int(row), side
 
 
-def start_qpos(rope: Rope, states: States, row: int, code: GaussCode, scale: float, rng: np.random.Generator) -> Array:
+def start_qpos(
+    rope: Rope, states: States, row: int, code: GaussCode, scale: float, rng: np.random.Generator
+) -> Array:
     """A row's generalized positions with reset noise that keeps its Gauss code, chirality included.
 
-    A draw that changes the code, or presses two beads more than 1 mm further into each other than the row has them, is
-    drawn again; after NOISE_DRAWS draws the noise shrinks, and ends at none.
+    A draw that changes the code, or presses two beads more than 1 mm further into each other than
+    the row has them, is drawn again; after NOISE_DRAWS draws the noise shrinks, and ends at none.
     """
     if scale == 0:
         return states.qpos[row].copy()
@@ -169,21 +201,33 @@ def start_qpos(rope: Rope, states: States, row: int, code: GaussCode, scale: flo
 
 
 def _side(config: TaskConfig, nx: int) -> States:
-    """The states that a side of the task draws from: the file asked for, or for want of rows the one that ships."""
+    """The states that a side of the task draws from: the file asked for, or for want of rows the
+    one that ships.
+    """
     paths = [shipped()] if config.states is None else [states_file(config.states), shipped()]
     for path in paths:
         states = _read(path, path.stat().st_mtime_ns if path.exists() else 0)
         made_for = states.attributes.get("rope")
-        if made_for != RopeConfig().fingerprint:  # however finely an action is integrated: a configuration at rest fits
-            raise InvalidSetting(f"{path} was made for rope model {made_for}, this version has {RopeConfig().fingerprint}")
+        if (
+            made_for != RopeConfig().fingerprint
+        ):  # however finely an action is integrated: a configuration at rest fits
+            raise InvalidSetting(
+                f"{path} was made for rope model {made_for}, this version has"
+                f" {RopeConfig().fingerprint}"
+            )
         if len(states.rows(nx, config.split)):
             return states
-    raise InvalidSetting(f"no states with nx = {nx} in split {config.split!r} of {paths[0]}; make some: knotgym-generate --nx {nx}")
+    raise InvalidSetting(
+        f"no states with nx = {nx} in split {config.split!r} of {paths[0]}; make some:"
+        f" knotgym-generate --nx {nx}"
+    )
 
 
 @lru_cache(maxsize=4)
 def _read(path: Path, written: int) -> States:
-    """States without pictures, read once for all the episodes of a process; again when the file was `written` anew."""
+    """States without pictures, read once for all the episodes of a process; again when the file was
+    `written` anew.
+    """
     return read_states(path, images=False)
 
 

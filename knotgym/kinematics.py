@@ -1,7 +1,8 @@
 """From generalized positions to vertices and back, along the kinematic trees of a rope, compiled.
 
-Quaternions are (w, x, y, z). A tree is given by arrays over the beads: `order`, parents before children; `parent`, -1 at a
-root; `at`, where a bead's numbers begin in qpos; `rest`, its orientation to its parent at zero joint angle.
+Quaternions are (w, x, y, z). A tree is given by arrays over the beads: `order`, parents before
+children; `parent`, -1 at a root; `at`, where a bead's numbers begin in qpos; `rest`, its
+orientation to its parent at zero joint angle.
 """
 
 from __future__ import annotations
@@ -14,7 +15,16 @@ Array = NDArray[np.float64]
 
 
 @numba.njit(cache=True, nogil=True)
-def forward(qpos: Array, order: Array, parent: Array, at: Array, rest: Array, length: float, out: Array, gaps: Array) -> None:
+def forward(
+    qpos: Array,
+    order: Array,
+    parent: Array,
+    at: Array,
+    rest: Array,
+    length: float,
+    out: Array,
+    gaps: Array,
+) -> None:
     beads = len(order)
     world = np.empty((beads, 4))
     axis = np.empty((beads, 3))
@@ -43,7 +53,9 @@ def forward(qpos: Array, order: Array, parent: Array, at: Array, rest: Array, le
 
 
 @numba.njit(cache=True, nogil=True)
-def backward(points: Array, along: Array, order: Array, parent: Array, at: Array, rest: Array, out: Array) -> None:
+def backward(
+    points: Array, along: Array, order: Array, parent: Array, at: Array, rest: Array, out: Array
+) -> None:
     world = np.empty((len(order), 4))
     for k in range(len(order)):
         bead = order[k]

@@ -1,7 +1,8 @@
 """How well a rope state can be read off its picture, and how far from over-twisted it is.
 
-Every measure has a unit that a person can check with a ruler. Pixels are those of the 128 x 128 picture, 5.2 mm each; the
-rope is two of them wide. `Limits` holds what a curated state must keep to, each with its reason.
+Every measure has a unit that a person can check with a ruler. Pixels are those of the 128 x 128
+picture, 5.2 mm each; the rope is two of them wide. `Limits` holds what a curated state must keep
+to, each with its reason.
 """
 
 from __future__ import annotations
@@ -36,30 +37,45 @@ UNITS = {
     "noise_survival": "share",
 }
 
-WALK = 12.0  # pixels of walk along the drawn rope, crossings may be turned at, beyond which two places are different strands
+# pixels of walk along the drawn rope, crossings may be turned at, beyond which two places are
+# different strands
+WALK = 12.0
 NOISE_DRAWS = 64
-FACE = 20.0  # square pixels inside the axes of an eye that shows some background; where none is shown it says which way is better
+# square pixels inside the axes of an eye that shows some background; where none is shown it says
+# which way is better
+FACE = 20.0
 
 
 @dataclass(frozen=True)
 class Quality:
-    """The measures of one state; where there is no crossing, those about crossings have the value of a perfect one.
+    """The measures of one state; where there is no crossing, those about crossings have the value
+    of a perfect one.
 
     Attributes:
-        crossing_angle: smallest angle at which two strands cross in the picture, degrees in [0, 90].
-        crossing_spacing: smallest distance between two crossings, pixels, at most the picture's side.
-        base_spacing: from the white base bead along the rope to the nearest crossing, pixels, at most the picture's side.
-        strand_spacing: smallest distance in the picture between the axes of two places more than WALK pixels of walk apart.
-        smallest_region: background of the smallest region that the drawn rope encloses, square pixels; 0 if the picture doesn't
-            show the nx + 2 regions, the outside among them, that a diagram with nx crossings has.
-        smallest_face: of the regions that the rope's axis encloses, had the rope no width, square pixels.
-        margin: from the rope's edge to the edge of the picture, pixels; negative if the rope leaves it.
-        clearance: smallest height of an over strand's axis above the under strand's, millimetres; two beads that touch have 10.
-        excess_crossing_number: average crossing number over all directions of view minus the crossings seen from above:
-            turns of the rope about itself that this picture doesn't show.
+        crossing_angle: smallest angle at which two strands cross in the picture, degrees in [0,
+            90].
+        crossing_spacing: smallest distance between two crossings, pixels, at most the picture's
+            side.
+        base_spacing: from the white base bead along the rope to the nearest crossing, pixels, at
+            most the picture's side.
+        strand_spacing: smallest distance in the picture between the axes of two places more than
+            WALK pixels of walk apart.
+        smallest_region: background of the smallest region that the drawn rope encloses, square
+            pixels; 0 if the picture doesn't show the nx + 2 regions, the outside among them, that a
+            diagram with nx crossings has.
+        smallest_face: of the regions that the rope's axis encloses, had the rope no width, square
+            pixels.
+        margin: from the rope's edge to the edge of the picture, pixels; negative if the rope leaves
+            it.
+        clearance: smallest height of an over strand's axis above the under strand's, millimetres;
+            two beads that touch have 10.
+        excess_crossing_number: average crossing number over all directions of view minus the
+            crossings seen from above: turns of the rope about itself that this picture doesn't
+            show.
         total_curvature: total turning of the rope's direction, in full turns; a flat loop has 1.
         writhe: sum of the crossing signs.
-        noise_survival: share of NOISE_DRAWS draws of reset noise that keep the Gauss code; NaN until measured.
+        noise_survival: share of NOISE_DRAWS draws of reset noise that keep the Gauss code; NaN
+            until measured.
     """
 
     crossing_angle: float
@@ -81,14 +97,21 @@ class Limits:
     """What an accepted state keeps to.
 
     Attributes:
-        crossing_angle: at least; under 25 degrees the two strands share more than five pixels of their width.
-        crossing_spacing: at least; three widths of the rope leave a rope's width of background between two crossings.
+        crossing_angle: at least; under 25 degrees the two strands share more than five pixels of
+            their width.
+        crossing_spacing: at least; three widths of the rope leave a rope's width of background
+            between two crossings.
         base_spacing: at least; a crossing nearer to the base bead could be counted first or last.
-        strand_spacing: at least; half again the rope's width, so that a dark pixel parts two strands.
-        smallest_region: at least; a kink's eye three pixels wide is the least that a person finds without looking for it.
-        margin: at least; the rope stays in the picture after reset noise, which moves no bead by more than three pixels as a rule.
-        clearance: at least, millimetres; beads that are pressed into each other spring apart when the episode begins.
-        excess_crossing_number: at most; a coil seen end-on hides about one crossing a turn, and two turns of it still read well.
+        strand_spacing: at least; half again the rope's width, so that a dark pixel parts two
+            strands.
+        smallest_region: at least; a kink's eye three pixels wide is the least that a person finds
+            without looking for it.
+        margin: at least; the rope stays in the picture after reset noise, which moves no bead by
+            more than three pixels as a rule.
+        clearance: at least, millimetres; beads that are pressed into each other spring apart when
+            the episode begins.
+        excess_crossing_number: at most; a coil seen end-on hides about one crossing a turn, and two
+            turns of it still read well.
         total_curvature: at most, turns, per crossing and one more for the loop itself.
         noise_survival: at least.
     """
@@ -120,7 +143,9 @@ class Limits:
         return missed
 
     def badness(self, quality: Quality, nx: int) -> float:
-        """How far from comfortable: nothing for a measure twice as good as its limit, 1 for each one just at it, more beyond."""
+        """How far from comfortable: nothing for a measure twice as good as its limit, 1 for each
+        one just at it, more beyond.
+        """
         total = max(0.0, 2 - quality.smallest_face / FACE) ** 2
         for limit in fields(self):
             value, bound = getattr(quality, limit.name), getattr(self, limit.name)
@@ -153,11 +178,16 @@ class Spots:
     def crampedness(self, limits: Limits) -> float:
         """How far all of them together are from comfortable, where `Limits.badness` asks the worst.
 
-        A rope with several tight spots gets better as any of them opens. Same scale as `Limits.badness`; 0 for a roomy picture.
+        A rope with several tight spots gets better as any of them opens. Same scale as
+        `Limits.badness`; 0 for a roomy picture.
         """
         if not len(self.angles):
             return 0.0
-        shares = (self.faces / FACE, self.apart / limits.crossing_spacing, self.angles / limits.crossing_angle)
+        shares = (
+            self.faces / FACE,
+            self.apart / limits.crossing_spacing,
+            self.angles / limits.crossing_angle,
+        )
         return float(sum((np.maximum(0.0, 2 - share) ** 2).sum() for share in shares))
 
 
@@ -165,12 +195,22 @@ def spots_of(points: Array, crossings: Crossings, config: PictureConfig = DEFAUL
     """The spots of a configuration, float64 (beads, 3), metres."""
     at = crossings.position * config.pixels_per_metre
     apart = np.linalg.norm(at[:, None] - at[None, :], axis=2)[np.triu_indices(crossings.nx, 1)]
-    angles = np.array([_angle(points, over, under) for over, under in zip(crossings.over_place, crossings.under_place, strict=True)])
+    angles = np.array(
+        [
+            _angle(points, over, under)
+            for over, under in zip(crossings.over_place, crossings.under_place, strict=True)
+        ]
+    )
     return Spots(angles, apart, _faces(project(points, config), crossings))
 
 
 def measure(
-    points: ArrayLike, crossings: Crossings | None = None, config: PictureConfig = DEFAULT, *, spots: Spots | None = None, quick: bool = False
+    points: ArrayLike,
+    crossings: Crossings | None = None,
+    config: PictureConfig = DEFAULT,
+    *,
+    spots: Spots | None = None,
+    quick: bool = False,
 ) -> Quality:
     """Measure a configuration, float64 (beads, 3), metres.
 
@@ -193,7 +233,9 @@ def measure(
     chord = np.roll(p, -1, axis=0) - p
     length = np.linalg.norm(chord, axis=1)
     unit = chord / length[:, None]
-    curvature = np.arccos(np.clip((unit * np.roll(unit, -1, axis=0)).sum(axis=1), -1, 1)).sum() / (2 * np.pi)
+    curvature = np.arccos(np.clip((unit * np.roll(unit, -1, axis=0)).sum(axis=1), -1, 1)).sum() / (
+        2 * np.pi
+    )
     radius = config.rope_radius * scale
     regions = _regions(pixels, 2 * radius)[0]
     spots = spots_of(p, found, config) if spots is None else spots
@@ -202,7 +244,9 @@ def measure(
         crossing_angle=float(spots.angles.min(initial=90.0)),
         crossing_spacing=float(spots.apart.min(initial=size)),
         base_spacing=base_spacing(p, found, 0, config),
-        strand_spacing=min(size, _strand_spacing(pixels, found.over_place, found.under_place, WALK)),
+        strand_spacing=min(
+            size, _strand_spacing(pixels, found.over_place, found.under_place, WALK)
+        ),
         smallest_region=float(regions.min()) if len(regions) == found.nx + 2 else 0.0,
         smallest_face=float(spots.faces.min()),
         margin=float(min(seen.min(), size - seen.max()) - radius),
@@ -213,33 +257,48 @@ def measure(
     )
 
 
-def base_spacing(points: Array, crossings: Crossings, base: int = 0, config: PictureConfig = DEFAULT) -> float:
-    """Walk from the base bead, between the vertices `base` and `base + 1`, to the nearest crossing: pixels; 0 on the base bead."""
+def base_spacing(
+    points: Array, crossings: Crossings, base: int = 0, config: PictureConfig = DEFAULT
+) -> float:
+    """Walk from the base bead, between the vertices `base` and `base + 1`, to the nearest crossing:
+    pixels; 0 on the base bead.
+    """
     if not crossings.nx:
         return float(config.size)
     pixels = np.roll(project(points, config), -base, axis=0)
     places = (np.concatenate([crossings.over_place, crossings.under_place]) - base) % len(points)
-    walked = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.roll(pixels, -1, axis=0) - pixels, axis=1))])
+    walked = np.concatenate(
+        [[0.0], np.cumsum(np.linalg.norm(np.roll(pixels, -1, axis=0) - pixels, axis=1))]
+    )
     at = np.interp(places, np.arange(len(walked)), walked)
     return float(min(config.size, max(0.0, min((at - walked[1]).min(), walked[-1] - at.max()))))
 
 
 def tightest_spot(points: Array, config: PictureConfig = DEFAULT) -> Array:
     """Middle of the smallest region that the drawn rope encloses, float64 (2,), metres."""
-    areas, centres = _regions(np.ascontiguousarray(project(points, config)), 2 * config.rope_radius * config.pixels_per_metre)
+    areas, centres = _regions(
+        np.ascontiguousarray(project(points, config)),
+        2 * config.rope_radius * config.pixels_per_metre,
+    )
     offset = (centres[np.argmin(areas)] - config.size / 2) / config.pixels_per_metre
     return np.asarray(points[:, :2].mean(axis=0) + offset * (1, -1))
 
 
-def noise_survival(points: ArrayLike, scale: float, rng: np.random.Generator, draws: int = NOISE_DRAWS) -> float:
-    """Share of reset-noise draws, none of them drawn again, that keep the Gauss code with its chirality."""
+def noise_survival(
+    points: ArrayLike, scale: float, rng: np.random.Generator, draws: int = NOISE_DRAWS
+) -> float:
+    """Share of reset-noise draws, none of them drawn again, that keep the Gauss code with its
+    chirality.
+    """
     p = np.asarray(points, dtype=np.float64)
     codes = label_many(np.stack([p, *(noised(p, scale, rng) for _ in range(draws))]))
     return float(np.mean([code == codes[0] for code in codes[1:]]))
 
 
 def _angle(points: Array, over: float, under: float) -> float:
-    """Angle in the picture between the strands at two places, each direction taken over two beads, degrees in [0, 90]."""
+    """Angle in the picture between the strands at two places, each direction taken over two beads,
+    degrees in [0, 90].
+    """
     beads = len(points)
 
     def at(place: float) -> Array:
@@ -252,7 +311,9 @@ def _angle(points: Array, over: float, under: float) -> float:
 
 
 def _faces(pixels: Array, crossings: Crossings) -> Array:
-    """Areas of the faces of the curve, the outer one among them, square pixels: half the sum of p x dp round each, edge by edge."""
+    """Areas of the faces of the curve, the outer one among them, square pixels: half the sum of p x
+    dp round each, edge by edge.
+    """
     after = np.roll(pixels, -1, axis=0)
     swept = pixels[:, 0] * after[:, 1] - pixels[:, 1] * after[:, 0]
     until = np.concatenate([[0.0], np.cumsum(swept)])
@@ -267,7 +328,9 @@ def _faces(pixels: Array, crossings: Crossings) -> Array:
 
 @lru_cache(maxsize=10_000)
 def _borders(code: GaussCode) -> Array:
-    """Which way each edge is walked round each face, its left: float64 (nx + 2, 2 nx) of -1, 0, 1."""
+    """Which way each edge is walked round each face, its left: float64 (nx + 2, 2 nx) of -1, 0,
+    1.
+    """
     walks = faces(code)
     out = np.zeros((len(walks), 2 * code.nx))
     for row, darts in enumerate(walks):
@@ -277,19 +340,26 @@ def _borders(code: GaussCode) -> Array:
 
 
 def _regions(pixels: Array, width: float, fine: int = 3) -> tuple[Array, Array]:
-    """Draw the rope as a closed band, `fine` dots a pixel: areas (n,) and centres (n, 2) of the pieces of background left, pixels."""
+    """Draw the rope as a closed band, `fine` dots a pixel: areas (n,) and centres (n, 2) of the
+    pieces of background left, pixels.
+    """
     low = np.floor(pixels.min(axis=0)) - 4
     high = np.ceil(pixels.max(axis=0)) + 4 - low
     canvas = np.ones((int(high[1] * fine), int(high[0] * fine)), dtype=np.uint8)
     corners = np.round((pixels - low) * fine * 16).astype(np.int32)
-    cv2.polylines(canvas, [corners[:, None]], True, 0, max(2, round(width * fine)), cv2.LINE_8, 4)  # two dots keep what is 8-connected apart
-    _, _, stats, centres = cv2.connectedComponentsWithStatsWithAlgorithm(canvas, 8, cv2.CV_16U, cv2.CCL_BBDT)
+    # two dots keep what is 8-connected apart
+    cv2.polylines(canvas, [corners[:, None]], True, 0, max(2, round(width * fine)), cv2.LINE_8, 4)
+    _, _, stats, centres = cv2.connectedComponentsWithStatsWithAlgorithm(
+        canvas, 8, cv2.CV_16U, cv2.CCL_BBDT
+    )
     return stats[1:, cv2.CC_STAT_AREA] / fine**2, centres[1:] / fine + low
 
 
 @numba.njit(cache=True, nogil=True)
 def _strand_spacing(pixels: Array, over: Array, under: Array, walk: float) -> float:
-    """Smallest distance between vertices and edges whose walk along the drawing is longer than `walk`."""
+    """Smallest distance between vertices and edges whose walk along the drawing is longer than
+    `walk`.
+    """
     beads, crossings = len(pixels), len(over)
     along = np.zeros(beads + 1)
     for i in range(beads):
@@ -345,7 +415,9 @@ def _strand_spacing(pixels: Array, over: Array, under: Array, walk: float) -> fl
 
 @numba.njit(cache=True, nogil=True)
 def _average_crossing_number(points: Array) -> float:
-    """Crossings seen on average over all directions of view, by the exact solid angles of Banchoff (Klenin and Langowski, 2000)."""
+    """Crossings seen on average over all directions of view, by the exact solid angles of Banchoff
+    (Klenin and Langowski, 2000).
+    """
     beads = len(points)
     total = 0.0
     for i in range(beads):
@@ -358,7 +430,12 @@ def _average_crossing_number(points: Array) -> float:
 
 @numba.njit(cache=True, nogil=True)
 def _solid_angle(a: Array, b: Array, c: Array, d: Array) -> float:
-    n0, n1, n2, n3 = _normal(c - a, d - a), _normal(d - a, d - b), _normal(d - b, c - b), _normal(c - b, c - a)
+    n0, n1, n2, n3 = (
+        _normal(c - a, d - a),
+        _normal(d - a, d - b),
+        _normal(d - b, c - b),
+        _normal(c - b, c - a),
+    )
     return abs(_arcsine(n0, n1) + _arcsine(n1, n2) + _arcsine(n2, n3) + _arcsine(n3, n0))
 
 
@@ -366,7 +443,8 @@ def _solid_angle(a: Array, b: Array, c: Array, d: Array) -> float:
 def _normal(a: Array, b: Array) -> tuple[float, float, float]:
     x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
     size = np.sqrt(x * x + y * y + z * z)
-    least = 1e-12 * np.sqrt((a * a).sum() * (b * b).sum())  # below it the direction is rounding: points in line count nothing
+    # below it the direction is rounding: points in line count nothing
+    least = 1e-12 * np.sqrt((a * a).sum() * (b * b).sum())
     return (x / size, y / size, z / size) if size > least else (0.0, 0.0, 0.0)
 
 

@@ -1,8 +1,10 @@
-"""Opening a configuration up without physics: strands part in the picture, bends ease, and the Gauss code stays.
+"""Opening a configuration up without physics: strands part in the picture, bends ease, and the
+Gauss code stays.
 
-A thousandth of the cost of opening up in the simulator (`generate.opening`), for pictures, which need a rope that could lie so
-and no way there. Each iteration pushes apart vertices whose strands come near in the picture, straightens bends, lifts the
-strands at crossings apart, and gives every bead its length again (position-based dynamics, Müller et al., 2007).
+A thousandth of the cost of opening up in the simulator (`generate.opening`), for pictures, which
+need a rope that could lie so and no way there. Each iteration pushes apart vertices whose strands
+come near in the picture, straightens bends, lifts the strands at crossings apart, and gives every
+bead its length again (position-based dynamics, Müller et al., 2007).
 """
 
 from __future__ import annotations
@@ -23,11 +25,13 @@ def relaxed(points: Array, rounds: int, rope: Rope) -> Array | None:
 
     Args:
         points: float64 (beads, 3), metres; left alone.
-        rounds: of 20 iterations each, at least 1; it ends before the first that would change the code.
+        rounds: of 20 iterations each, at least 1; it ends before the first that would change the
+            code.
         rope: whose bead length and overlap it keeps to.
 
     Returns:
-        float64 (beads, 3), a configuration of the rope with the code of `points`; None if it can't be had.
+        float64 (beads, 3), a configuration of the rope with the code of `points`; None if it can't
+        be had.
     """
     code = label(points)
     moving, last = np.array(points, dtype=np.float64), None
@@ -62,7 +66,9 @@ def _iterate(p: Array, length: float, iterations: int) -> None:
                 apart = np.sqrt(x * x + y * y)
                 if apart >= REACH:
                     continue
-                if apart < 1.5 * length:  # they cross, or nearly: over and under keep their distance
+                if (
+                    apart < 1.5 * length
+                ):  # they cross, or nearly: over and under keep their distance
                     z = p[i, 2] - p[j, 2]
                     lack = HEIGHT - abs(z)
                     if lack > 0:

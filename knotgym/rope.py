@@ -1,8 +1,9 @@
 """The closed rope: its MuJoCo model, and configurations to and from generalized positions.
 
-Bead i is a rigid capsule that starts at vertex i and ends at vertex i + 1; a *configuration* is the (beads, 3) array of
-vertices in metres, z up, and the rope runs towards increasing index. The loop is cut into sub-chains, each an open chain
-of ball joints hanging from one free bead; `connect` equalities pull the end of each sub-chain to the start of the next.
+Bead i is a rigid capsule that starts at vertex i and ends at vertex i + 1; a *configuration* is the
+(beads, 3) array of vertices in metres, z up, and the rope runs towards increasing index. The loop
+is cut into sub-chains, each an open chain of ball joints hanging from one free bead; `connect`
+equalities pull the end of each sub-chain to the start of the next.
 Source: arXiv 2505.18028 for the constants; beads are equal here, irregular in the published asset.
 """
 
@@ -42,10 +43,12 @@ class RopeConfig:
         medium_density: of what the rope floats in, kg/m^3; its drag is what stops the rope.
         joint_damping: of the ball joints, N m s / rad.
         sub_chains: open chains the loop is cut into.
-        rooted: which bead of a sub-chain carries the free joint, "middle" or "start" (published); the rope is the same, the
-            tree is half as deep from the middle. MuJoCo integrates joint angles, which are others then: beads end millimetres
-            apart after an action (`benchmarks/physics.py`).
-        closure_solref, closure_solimp: MuJoCo's parameters of the equalities that join the sub-chains.
+        rooted: which bead of a sub-chain carries the free joint, "middle" or "start" (published);
+            the rope is the same, the tree is half as deep from the middle. MuJoCo integrates joint
+            angles, which are others then: beads end millimetres apart after an action
+            (`benchmarks/physics.py`).
+        closure_solref, closure_solimp: MuJoCo's parameters of the equalities that join the
+            sub-chains.
         timestep: of the integrator, seconds.
         frame_skip: integrator steps in one action.
         max_force: largest component of the force on a bead, newtons.
@@ -71,7 +74,15 @@ class RopeConfig:
         for name in ("beads", "sub_chains", "frame_skip"):
             if type(getattr(self, name)) is not int:
                 raise ValueError(f"{name} must be a whole number, got {getattr(self, name)!r}")
-        for name in ("length", "radius", "density", "medium_density", "timestep", "max_force", "reach"):
+        for name in (
+            "length",
+            "radius",
+            "density",
+            "medium_density",
+            "timestep",
+            "max_force",
+            "reach",
+        ):
             if not 0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name} must be above 0 and finite, got {getattr(self, name)}")
         for name, size in (("closure_solref", 2), ("closure_solimp", 5)):
@@ -80,15 +91,23 @@ class RopeConfig:
                 raise ValueError(f"{name} must be {size} finite numbers, got {values}")
             object.__setattr__(self, name, values)
         if self.sub_chains < 2 or self.beads < 3 * self.sub_chains:
-            raise ValueError(f"a rope needs 2 sub-chains of 3 beads each at least, got {self.beads} beads in {self.sub_chains} sub-chains")
+            raise ValueError(
+                f"a rope needs 2 sub-chains of 3 beads each at least, got {self.beads} beads in"
+                f" {self.sub_chains} sub-chains"
+            )
         if 2 * self.radius >= self.bead_length:
-            raise ValueError(f"a bead must be longer than wide, got length {self.bead_length:.3g} and radius {self.radius:.3g}")
+            raise ValueError(
+                f"a bead must be longer than wide, got length {self.bead_length:.3g} and radius"
+                f" {self.radius:.3g}"
+            )
         if self.frame_skip < 1:
             raise ValueError(f"frame_skip must be at least 1 step, got {self.frame_skip}")
         if self.rooted not in ("middle", "start"):
             raise ValueError(f'rooted must be "middle" or "start", got {self.rooted!r}')
         if not 0 <= self.joint_damping < np.inf:
-            raise ValueError(f"joint_damping must be at least 0 and finite, got {self.joint_damping}")
+            raise ValueError(
+                f"joint_damping must be at least 0 and finite, got {self.joint_damping}"
+            )
 
     @property
     def bead_length(self) -> float:
@@ -120,10 +139,14 @@ class Rope:
         order = sorted(range(beads), key=lambda bead: self.bodies[bead])  # parents before children
         joints = self.model.body_jntadr[self.bodies]
         self._order = np.array(order)
-        self._parent = np.array([bead_of.get(int(self.model.body_parentid[body]), -1) for body in self.bodies])
+        self._parent = np.array(
+            [bead_of.get(int(self.model.body_parentid[body]), -1) for body in self.bodies]
+        )
         self._qpos_at = self.model.jnt_qposadr[joints].astype(np.int64)
         self._dof_at = self.model.jnt_dofadr[joints].astype(np.int64)
-        self._rest = self.model.body_quat[self.bodies].copy()  # orientation to the parent at zero joint angle
+        self._rest = self.model.body_quat[
+            self.bodies
+        ].copy()  # orientation to the parent at zero joint angle
         self._next_in_chain = np.ones(beads, dtype=bool)
         self._next_in_chain[[last for _, last in sub_chains(self.config)]] = False
 
@@ -144,15 +167,27 @@ class Rope:
         return self.points_and_gaps(qpos)[0]
 
     def points_and_gaps(self, qpos: ArrayLike) -> tuple[Array, Array]:
-        """As `points`, with how far apart the joined ends of the sub-chains stand at most: float64 (...), metres."""
+        """As `points`, with how far apart the joined ends of the sub-chains stand at most: float64
+        (...), metres.
+        """
         q = np.ascontiguousarray(qpos, dtype=np.float64)
         rows = q.reshape(-1, self.nq)
         points, gaps = np.empty((len(rows), self.config.beads, 3)), np.empty(len(rows))
-        forward(rows, self._order, self._parent, self._qpos_at, self._rest, self.config.bead_length, points, gaps)
+        forward(
+            rows,
+            self._order,
+            self._parent,
+            self._qpos_at,
+            self._rest,
+            self.config.bead_length,
+            points,
+            gaps,
+        )
         return points.reshape(*q.shape[:-1], self.config.beads, 3), gaps.reshape(q.shape[:-1])
 
     def qpos(self, points: ArrayLike) -> Array:
-        """Generalized positions of a configuration, the twist about the rope's axis left at its smallest.
+        """Generalized positions of a configuration, the twist about the rope's axis left at its
+        smallest.
 
         Args:
             points: float64 (beads, 3), neighbours one bead length apart inside each sub-chain.
@@ -176,11 +211,13 @@ class Rope:
     def from_curve(self, curve: ArrayLike, *, max_overlap: float = 0.001) -> Array:
         """Turn a closed polyline into a configuration of this rope.
 
-        A curve that already is a configuration (beads of the right length inside every sub-chain, closing gaps below a
-        bead's diameter) comes back as it is; any other is cut into equal chords, scaled to the rope's length and centred.
+        A curve that already is a configuration (beads of the right length inside every sub-chain,
+        closing gaps below a bead's diameter) comes back as it is; any other is cut into equal
+        chords, scaled to the rope's length and centred.
 
         Args:
-            curve: (n, 3), n >= 4, any unit; the last point is joined to the first, which may also be repeated at the end.
+            curve: (n, 3), n >= 4, any unit; the last point is joined to the first, which may also
+                be repeated at the end.
             max_overlap: how deep two beads that aren't neighbours may stand in each other, metres.
 
         Returns:
@@ -204,31 +241,40 @@ class Rope:
             repeated = len(p) < len(np.asarray(curve))
             if not repeated and chords[-1] > 3 * chords[:-1].max():
                 raise InvalidCurve(
-                    f"the curve isn't closed: its ends are {chords[-1]:.3g} apart, its other points at most {chords[:-1].max():.3g}; "
-                    "repeat the first point at the end to close it with a straight line"
+                    f"the curve isn't closed: its ends are {chords[-1]:.3g} apart, its other points"
+                    f" at most {chords[:-1].max():.3g}; repeat the first point at the end to close"
+                    " it with a straight line"
                 )
             p = self.config.bead_length * _equal_chords(p, self.config.beads)
             if not self._is_configuration(p):
-                raise InvalidCurve(f"the curve turns too sharply for a rope of {self.config.beads} beads")
+                raise InvalidCurve(
+                    f"the curve turns too sharply for a rope of {self.config.beads} beads"
+                )
         depth = 2 * self.config.radius - clearance(p)
         if depth > max_overlap:
             most = f"{1000 * max_overlap:.1f} mm"
-            raise InvalidCurve(f"beads would overlap by {1000 * depth:.1f} mm, at most {most} can be had: the curve passes too close to itself")
+            raise InvalidCurve(
+                f"beads would overlap by {1000 * depth:.1f} mm, at most {most} can be had: the"
+                " curve passes too close to itself"
+            )
         return p
 
     def _is_configuration(self, points: Array) -> bool:
         if len(points) != self.config.beads:
             return False
-        off = np.abs(np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1) - self.config.bead_length)
+        off = np.abs(
+            np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1) - self.config.bead_length
+        )
         return bool(off[self._next_in_chain].max() < 1e-6 and off.max() < 2 * self.config.radius)
 
 
 def noised(points: ArrayLike, scale: float, rng: np.random.Generator) -> Array:
     """Move every joint of a closed rope a little and keep it closed.
 
-    The 100 joints turn by rotation vectors drawn uniformly from [-scale, scale]^3 radians (their sum round the loop taken
-    out evenly, so that the ends meet in direction), the whole rope turns by one more such vector and shifts by
-    [-scale, scale]^3 metres; the least change of the bead directions that makes the ends meet in place is added.
+    The 100 joints turn by rotation vectors drawn uniformly from [-scale, scale]^3 radians (their
+    sum round the loop taken out evenly, so that the ends meet in direction), the whole rope turns
+    by one more such vector and shifts by [-scale, scale]^3 metres; the least change of the bead
+    directions that makes the ends meet in place is added.
 
     Args:
         points: float64 (beads, 3), metres; left alone.
@@ -255,7 +301,8 @@ def noised(points: ArrayLike, scale: float, rng: np.random.Generator) -> Array:
 
 @numba.njit(cache=True, nogil=True)
 def clearance(points: Array) -> float:
-    """Smallest distance between the axes of two beads that aren't neighbours, metres; below a diameter they overlap.
+    """Smallest distance between the axes of two beads that aren't neighbours, metres; below a
+    diameter they overlap.
 
     Args:
         points: float64 (beads, 3), the vertices of a closed rope.
@@ -270,7 +317,9 @@ def clearance(points: Array) -> float:
             for k in range(3):
                 far += (a[k] + b[k] - c[k] - d[k]) ** 2
                 half += (b[k] - a[k]) ** 2 + (d[k] - c[k]) ** 2
-            if 0.5 * np.sqrt(far) - np.sqrt(0.5 * half) >= best:  # midpoints minus both half lengths bound the distance
+            if (
+                0.5 * np.sqrt(far) - np.sqrt(0.5 * half) >= best
+            ):  # midpoints minus both half lengths bound the distance
                 continue
             best = min(best, _segment_distance(a, b, c, d))
     return best
@@ -278,7 +327,9 @@ def clearance(points: Array) -> float:
 
 @lru_cache(maxsize=8)
 def _compile(config: RopeConfig) -> mujoco.MjModel:
-    """Build and compile the model; its reference pose is the plain loop, which MuJoCo takes the anchors and inertias from."""
+    """Build and compile the model; its reference pose is the plain loop, which MuJoCo takes the
+    anchors and inertias from.
+    """
     spec = mujoco.MjSpec()
     spec.modelname = "rope"
     spec.option.gravity = [0.0, 0.0, 0.0]
@@ -290,8 +341,12 @@ def _compile(config: RopeConfig) -> mujoco.MjModel:
     turn = 2 * np.pi / beads
     radius = length / (2 * np.sin(np.pi / beads))
 
-    def add_bead(parent: mujoco.MjsBody, index: int, pos: list[float], angle: float) -> mujoco.MjsBody:
-        body = parent.add_body(name=f"bead{index}", pos=pos, quat=[np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)])
+    def add_bead(
+        parent: mujoco.MjsBody, index: int, pos: list[float], angle: float
+    ) -> mujoco.MjsBody:
+        body = parent.add_body(
+            name=f"bead{index}", pos=pos, quat=[np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)]
+        )
         body.add_geom(
             type=mujoco.mjtGeom.mjGEOM_CAPSULE,
             fromto=[0.0, 0.0, 0.0, length, 0.0, 0.0],
@@ -311,12 +366,23 @@ def _compile(config: RopeConfig) -> mujoco.MjModel:
         for i in range(root + 1, last + 1):
             bodies[i] = add_bead(bodies[i - 1], i, [length, 0.0, 0.0], turn)
             bodies[i].add_joint(type=mujoco.mjtJoint.mjJNT_BALL, damping=damping)
-        for i in range(root - 1, first - 1, -1):  # hangs from its own end, which is the start of bead i + 1
-            bodies[i] = add_bead(bodies[i + 1], i, [-length * np.cos(turn), length * np.sin(turn), 0.0], -turn)
-            bodies[i].add_joint(type=mujoco.mjtJoint.mjJNT_BALL, damping=damping, pos=[length, 0.0, 0.0])
+        for i in range(
+            root - 1, first - 1, -1
+        ):  # hangs from its own end, which is the start of bead i + 1
+            bodies[i] = add_bead(
+                bodies[i + 1], i, [-length * np.cos(turn), length * np.sin(turn), 0.0], -turn
+            )
+            bodies[i].add_joint(
+                type=mujoco.mjtJoint.mjJNT_BALL, damping=damping, pos=[length, 0.0, 0.0]
+            )
     for _, last in sub_chains(config):
         here, after = f"bead{last}", f"bead{(last + 1) % beads}"
-        joined = spec.add_equality(type=mujoco.mjtEq.mjEQ_CONNECT, objtype=mujoco.mjtObj.mjOBJ_BODY, name1=here, name2=after)
+        joined = spec.add_equality(
+            type=mujoco.mjtEq.mjEQ_CONNECT,
+            objtype=mujoco.mjtObj.mjOBJ_BODY,
+            name1=here,
+            name2=after,
+        )
         joined.data[0:3] = [length, 0.0, 0.0]
         joined.solref = list(config.closure_solref)
         joined.solimp = list(config.closure_solimp)
@@ -339,7 +405,9 @@ def _rotate(vectors: Array, by: Array) -> Array:
 
 
 def _closed(along: Array) -> Array:
-    """Change unit vectors (n, 3) as little as makes their sum zero (Newton on one shift common to all)."""
+    """Change unit vectors (n, 3) as little as makes their sum zero (Newton on one shift common to
+    all).
+    """
     shift = np.zeros(3)
     for _ in range(50):
         moved = along - shift
@@ -354,10 +422,12 @@ def _closed(along: Array) -> Array:
 
 
 def _equal_chords(curve: Array, count: int) -> Array:
-    """Cut a closed polyline into `count` chords of length 1 that end where they began: float64 (count, 3), centred.
+    """Cut a closed polyline into `count` chords of length 1 that end where they began: float64
+    (count, 3), centred.
 
-    The places of the cuts along the polyline move until the chords are equal, which they nearly become unless it doubles back
-    within a chord; the least change of their directions closes what is left.
+    The places of the cuts along the polyline move until the chords are equal, which they nearly
+    become unless it doubles back within a chord; the least change of their directions closes what
+    is left.
     """
     curve = (curve - curve[0]) / max(np.ptp(curve, axis=0).max(), np.finfo(float).tiny)
     closed = np.concatenate([curve, curve[:1]])
@@ -370,7 +440,9 @@ def _equal_chords(curve: Array, count: int) -> Array:
             break
         cuts = np.interp(np.linspace(0.0, walked[-1], count + 1), walked, cuts)
     chord = np.diff(points, axis=0)
-    along = _closed(chord / np.maximum(np.linalg.norm(chord, axis=1, keepdims=True), np.finfo(float).tiny))
+    along = _closed(
+        chord / np.maximum(np.linalg.norm(chord, axis=1, keepdims=True), np.finfo(float).tiny)
+    )
     out = np.cumsum(along, axis=0)
     return np.roll(out, 1, axis=0) - out.mean(axis=0)
 

@@ -1,7 +1,9 @@
-"""Many ropes pulled at once: the one batched simulation under the environment, the vector environment and the sampler.
+"""Many ropes pulled at once: the one batched simulation under the environment, the vector
+environment and the sampler.
 
-A rope's *state* is its MuJoCo integration state (qpos, qvel, warm start, time, ...): a rope restored from a saved state goes
-on bit for bit, at any number of threads. Actions follow the published interface: (x, y, z, fx, fy, fz) in [-1, 1].
+A rope's *state* is its MuJoCo integration state (qpos, qvel, warm start, time, ...): a rope
+restored from a saved state goes on bit for bit, at any number of threads. Actions follow the
+published interface: (x, y, z, fx, fy, fz) in [-1, 1].
 """
 
 from __future__ import annotations
@@ -17,7 +19,14 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.errors import KnotgymError
 from knotgym.rope import Array, Rope
 
-_BLOWN_UP = [int(w.value) for w in (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)]
+_BLOWN_UP = [
+    int(w.value)
+    for w in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+    )
+]
 
 EASED = (0.5, 0.25, 0.0)  # shares of the force that a pull which opens the rope is tried again with
 
@@ -34,7 +43,8 @@ class Simulation:
     Attributes:
         rope: the rope they all are.
         count: how many.
-        points: float64 (count, beads, 3), metres, as of the last call; the simulation's own memory, copy what you keep.
+        points: float64 (count, beads, 3), metres, as of the last call; the simulation's own memory,
+            copy what you keep.
         pulled: actions taken so far, all ropes together.
     """
 
@@ -52,7 +62,12 @@ class Simulation:
         self.pulled = 0
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"config": self.rope.config, "count": self.count, "threads": self._threads, "states": self.states()}
+        return {
+            "config": self.rope.config,
+            "count": self.count,
+            "threads": self._threads,
+            "states": self.states(),
+        }
 
     def __setstate__(self, saved: dict[str, Any]) -> None:
         Simulation.__init__(self, saved["count"], Rope(saved["config"]), saved["threads"])
@@ -73,7 +88,9 @@ class Simulation:
         self.points[where] = self.rope.points(self._qpos[where])
 
     def lay(self, qpos: ArrayLike, ids: Ids = None) -> None:
-        """Lay ropes at rest at generalized positions float64 (len(ids), nq); a rope so laid forgets all it did before."""
+        """Lay ropes at rest at generalized positions float64 (len(ids), nq); a rope so laid forgets
+        all it did before.
+        """
         where = self._all(ids)
         self._batch.reset(where, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
         self._qpos[where] = qpos
@@ -87,13 +104,19 @@ class Simulation:
             forces: (len(ids), 3), newtons, world frame.
             ids: the ropes, in rising order; None for all.
 
-        A pull that would open the rope where its sub-chains meet wider than a bead is made again with EASED times the force
-        (the closures are soft, and a fold at one of them can hold it open by millimetres); if all fail, the rope stays.
+        A pull that would open the rope where its sub-chains meet wider than a bead is made again
+        with EASED times the force (the closures are soft, and a fold at one of them can hold it
+        open by millimetres); if all fail, the rope stays.
 
         Returns:
-            bool (len(ids),): False where the simulation blew up; such a rope stands where it stood before the call.
+            bool (len(ids),): False where the simulation blew up; such a rope stands where it stood
+            before the call.
         """
-        where, bodies, full = self._all(ids), self.rope.bodies[np.asarray(beads)], np.asarray(forces, dtype=np.float64)
+        where, bodies, full = (
+            self._all(ids),
+            self.rope.bodies[np.asarray(beads)],
+            np.asarray(forces, dtype=np.float64),
+        )
         self.pulled += len(where)
         before, left = self._batch.state[where].copy(), np.arange(len(where))
         whole = np.ones(len(where), dtype=bool)
@@ -109,9 +132,13 @@ class Simulation:
                 break
         return whole
 
-    def _step(self, where: NDArray[np.int64], bodies: NDArray[np.int64], forces: Array) -> tuple[NDArray[np.bool_], Array]:
+    def _step(
+        self, where: NDArray[np.int64], bodies: NDArray[np.int64], forces: Array
+    ) -> tuple[NDArray[np.bool_], Array]:
         """Step ropes `where` through one action; which blew up, and the gaps of all, metres."""
-        self._batch.warning[where] = 0  # MuJoCo starts a blown-up rope over as a plain loop, and the count with it
+        self._batch.warning[where] = (
+            0  # MuJoCo starts a blown-up rope over as a plain loop, and the count with it
+        )
         self._xfrc[where, bodies, :3] = forces
         broken = np.zeros(len(where), dtype=bool)
         try:
@@ -121,7 +148,9 @@ class Simulation:
         finally:
             self._xfrc[where] = 0.0
         self.points[where], gaps = self.rope.points_and_gaps(self._qpos[where])
-        broken |= self._batch.warning[where][:, _BLOWN_UP, 1].any(axis=1) | ~np.isfinite(self.points[where]).all(axis=(1, 2))
+        broken |= self._batch.warning[where][:, _BLOWN_UP, 1].any(axis=1) | ~np.isfinite(
+            self.points[where]
+        ).all(axis=(1, 2))
         return broken, gaps
 
     def act(self, actions: ArrayLike, ids: Ids = None) -> NDArray[np.bool_]:
@@ -141,11 +170,16 @@ class Simulation:
         return self.pull(beads, forces, ids)
 
     def read_actions(self, actions: ArrayLike, ids: Ids = None) -> tuple[NDArray[np.int64], Array]:
-        """The beads int (len(ids),) and forces float64 (len(ids), 3), newtons, that actions stand for now."""
+        """The beads int (len(ids),) and forces float64 (len(ids), 3), newtons, that actions stand
+        for now.
+        """
         where = self._all(ids)
         a = np.asarray(actions, dtype=np.float64)
         if a.shape != (len(where), 6):
-            raise InvalidAction(f"an action is 6 numbers (x, y, z, fx, fy, fz); got shape {a.shape} for {len(where)} ropes")
+            raise InvalidAction(
+                f"an action is 6 numbers (x, y, z, fx, fy, fz); got shape {a.shape} for"
+                f" {len(where)} ropes"
+            )
         bad = ~(np.abs(a) <= 1.0).all(axis=1)
         if bad.any():
             raise InvalidAction(f"an action's numbers lie in [-1, 1]; got {a[bad][0].tolist()}")
@@ -153,11 +187,17 @@ class Simulation:
         return np.argmin((apart**2).sum(axis=2), axis=1), self.rope.config.max_force * a[:, 3:]
 
     def actions(self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None) -> NDArray[np.float32]:
-        """Actions float32 (len(ids), 6) that `act` reads as these beads and forces (newtons, cut at the largest there is)."""
+        """Actions float32 (len(ids), 6) that `act` reads as these beads and forces (newtons, cut at
+        the largest there is).
+        """
         where = self._all(ids)
         config = self.rope.config
         at = self.points[where, np.asarray(beads)] / config.reach
-        return np.clip(np.concatenate([at, np.asarray(forces, dtype=np.float64) / config.max_force], axis=1), -1, 1).astype(np.float32)
+        return np.clip(
+            np.concatenate([at, np.asarray(forces, dtype=np.float64) / config.max_force], axis=1),
+            -1,
+            1,
+        ).astype(np.float32)
 
     def _all(self, ids: Ids) -> NDArray[np.int64]:
         return np.arange(self.count) if ids is None else np.asarray(ids, dtype=np.int64)

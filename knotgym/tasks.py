@@ -1,4 +1,6 @@
-"""The three tasks: where a rope starts and which Gauss code it shall show; and the settings of their environments."""
+"""The three tasks: where a rope starts and which Gauss code it shall show; and the settings of
+their environments.
+"""
 
 from __future__ import annotations
 
@@ -27,14 +29,16 @@ class InvalidSetting(KnotgymError, ValueError):
 
 @dataclass(frozen=True, kw_only=True)
 class TaskConfig:
-    """What an environment was asked for; every field is JSON-able and a keyword of `gymnasium.make`.
+    """What an environment was asked for; every field is JSON-able and a keyword of
+    `gymnasium.make`.
 
     Attributes:
         task: "unknot", "tie" or "convert".
         nx: crossings of the tangled side; convert starts at nx - 1.
         split: rows of the state file to draw from, "train" or "test".
-        states: path of a state file, or id of a Minari dataset that carries one; None for the one that ships. A side of the
-            task whose number of crossings it lacks (the plain loops of `tie`, mostly) comes from the one that ships.
+        states: path of a state file, or id of a Minari dataset that carries one; None for the one
+            that ships. A side of the task whose number of crossings it lacks (the plain loops of
+            `tie`, mostly) comes from the one that ships.
         observation: "pixels", "state" or "both".
         horizon: steps until truncation.
         hold: consecutive steps the goal code must show.
@@ -42,9 +46,10 @@ class TaskConfig:
         image_size: pixels, each half of the picture.
         camera: "orthographic" or "perspective".
         renderer: "auto", "opencv" or "mujoco".
-        integrator_steps: MuJoCo steps that the 0.192 s of an action are cut into; 24 as published. With 20 an action takes five sixths of
-            the time, and the bead furthest off ends 0.2 mm from where 24 put it, 2 mm after ten actions (`benchmarks/physics.py`). With
-            fewer, ropes pulled hard blow up; with 20, two in 100,000 random pulls did.
+        integrator_steps: MuJoCo steps that the 0.192 s of an action are cut into; 24 as published.
+            With 20 an action takes five sixths of the time, and the bead furthest off ends 0.2 mm
+            from where 24 put it, 2 mm after ten actions (`benchmarks/physics.py`). With fewer,
+            ropes pulled hard blow up; with 20, two in 100,000 random pulls did.
         success_reward, failure_reward: paid at success, and at the horizon without it.
     """
 
@@ -72,13 +77,32 @@ class TaskConfig:
             "renderer": ("auto", "opencv", "mujoco"),
         }.items():
             if getattr(self, name) not in known:
-                raise InvalidSetting(f"no {name} {getattr(self, name)!r}; there is {', '.join(known)}")
-        for name, least, most in (("nx", 1, MAX_NX), ("horizon", 1, None), ("hold", 1, None), ("image_size", 16, 2048), ("integrator_steps", 20, 96)):
+                raise InvalidSetting(
+                    f"no {name} {getattr(self, name)!r}; there is {', '.join(known)}"
+                )
+        for name, least, most in (
+            ("nx", 1, MAX_NX),
+            ("horizon", 1, None),
+            ("hold", 1, None),
+            ("image_size", 16, 2048),
+            ("integrator_steps", 20, 96),
+        ):
             value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < least or (most is not None and value > most):
-                raise InvalidSetting(f"{name} must be a whole number {f'from {least} to {most}' if most else f'of at least {least}'}, got {value!r}")
+            if (
+                isinstance(value, bool)
+                or not isinstance(value, int)
+                or value < least
+                or (most is not None and value > most)
+            ):
+                raise InvalidSetting(
+                    f"{name} must be a whole number"
+                    f" {f'from {least} to {most}' if most else f'of at least {least}'}, got"
+                    f" {value!r}"
+                )
         if self.states is not None and not isinstance(self.states, str):
-            raise InvalidSetting(f"states must be the path of a state file as a string, got {self.states!r}")
+            raise InvalidSetting(
+                f"states must be the path of a state file as a string, got {self.states!r}"
+            )
         if not 0 <= self.reset_noise < 1:
             raise InvalidSetting(f"reset_noise must be in [0, 1), got {self.reset_noise!r}")
 
@@ -93,7 +117,11 @@ class TaskConfig:
         from knotgym.rope import RopeConfig  # here, so that loaders need no simulator
 
         usual = RopeConfig()
-        return replace(usual, frame_skip=self.integrator_steps, timestep=usual.timestep * usual.frame_skip / self.integrator_steps)
+        return replace(
+            usual,
+            frame_skip=self.integrator_steps,
+            timestep=usual.timestep * usual.frame_skip / self.integrator_steps,
+        )
 
     @property
     def goal_nx(self) -> int:

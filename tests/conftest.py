@@ -26,7 +26,9 @@ PER_NX = 6
 
 
 def curled(nx: int, turn: float = 0.0, hand: int = 1) -> NDArray[np.float64]:
-    """A round curve with nx curls on its inside, each a crossing; turned by radians, mirrored in z for hand -1: float64 (600, 3)."""
+    """A round curve with nx curls on its inside, each a crossing; turned by radians, mirrored in z
+    for hand -1: float64 (600, 3).
+    """
     at = turn + np.linspace(0, 2 * np.pi, 600, endpoint=False)
     size = {0: 0.0, 1: 0.75, 2: 0.55, 3: 0.42, 4: 0.34}[nx]
     flat = np.exp(1j * at) + size * np.exp(1j * (nx + 1) * at)
@@ -36,13 +38,21 @@ def curled(nx: int, turn: float = 0.0, hand: int = 1) -> NDArray[np.float64]:
 def trefoil() -> NDArray[np.float64]:
     """The usual trefoil: float64 (300, 3)."""
     at = np.linspace(0, 2 * np.pi, 300, endpoint=False)
-    return np.stack([np.sin(at) + 2 * np.sin(2 * at), np.cos(at) - 2 * np.cos(2 * at), -np.sin(3 * at)], axis=1)
+    return np.stack(
+        [np.sin(at) + 2 * np.sin(2 * at), np.cos(at) - 2 * np.cos(2 * at), -np.sin(3 * at)], axis=1
+    )
 
 
 def small_states() -> States:
     """Six states for each nx from 0 to 4, train and test in turn."""
     rope = Rope()
-    points = np.array([rope.from_curve(curled(nx, 0.7 + k, (-1) ** (k // 2))) for nx in range(5) for k in range(PER_NX)])
+    points = np.array(
+        [
+            rope.from_curve(curled(nx, 0.7 + k, (-1) ** (k // 2)))
+            for nx in range(5)
+            for k in range(PER_NX)
+        ]
+    )
     codes = [label(one) for one in points]
     n = len(points)
     return States(
@@ -103,7 +113,12 @@ def searched() -> Archive:
 
 @pytest.fixture(scope="session")
 def curated(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of the main job: four loops and four states with one crossing; only ever read, harm is done to copies."""
+    """A folder of the main job: four loops and four states with one crossing; only ever read, harm
+    is done to copies.
+    """
     folder = tmp_path_factory.mktemp("curated") / "nx0-1"
-    assert knotgym("generate", "--nx", "0,1", "--count", 4, "--workers", 1, "--out", folder, "--quiet") == 0
+    assert (
+        knotgym("generate", "--nx", "0,1", "--count", 4, "--workers", 1, "--out", folder, "--quiet")
+        == 0
+    )
     return folder

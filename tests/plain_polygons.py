@@ -1,4 +1,6 @@
-"""The polygons of a picture by whole-array arithmetic: what the compiled `knotgym.rendering.rasterizer.polygons` must equal bit for bit."""
+"""The polygons of a picture by whole-array arithmetic: what the compiled
+`knotgym.rendering.rasterizer.polygons` must equal bit for bit.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +18,14 @@ def polygons(
     """As `knotgym.rendering.rasterizer.polygons`."""
     along = np.roll(pixels, -1, axis=0) - pixels
     length = np.hypot(along[:, 0], along[:, 1])
-    along = np.where(length[:, None] > 1e-9, along / np.maximum(length, 1e-9)[:, None], np.array([1.0, 0.0]))
+    along = np.where(
+        length[:, None] > 1e-9, along / np.maximum(length, 1e-9)[:, None], np.array([1.0, 0.0])
+    )
     before = np.roll(along, 1, axis=0)
-    turn = np.arctan2(before[:, 0] * along[:, 1] - before[:, 1] * along[:, 0], np.sum(before * along, axis=1))  # at points[i], from bead i - 1 to i
+    # at points[i], from bead i - 1 to i
+    turn = np.arctan2(
+        before[:, 0] * along[:, 1] - before[:, 1] * along[:, 0], np.sum(before * along, axis=1)
+    )
 
     climb = np.roll(height, -1) - height
     pieces = np.maximum(np.ceil(np.abs(climb) / _PIECE_SPAN), 1.0).astype(np.intp)
@@ -27,21 +34,41 @@ def polygons(
     start, stop = nth / pieces[bead], (nth + 1) / pieces[bead]
     after = (bead + 1) % len(pixels)
 
-    # A piece's start is the end of the same piece walked backwards: the direction and the turn change sign.
-    head = _end(along[bead], radius[after], np.where(nth + 1 == pieces[bead], turn[after], 0.0), length[bead] / pieces[bead])
-    tail = _end(-along[bead], radius[bead], np.where(nth == 0, -turn[bead], 0.0), length[bead] / pieces[bead])
+    # A piece's start is the end of the same piece walked backwards: the direction and the turn
+    # change sign.
+    head = _end(
+        along[bead],
+        radius[after],
+        np.where(nth + 1 == pieces[bead], turn[after], 0.0),
+        length[bead] / pieces[bead],
+    )
+    tail = _end(
+        -along[bead],
+        radius[bead],
+        np.where(nth == 0, -turn[bead], 0.0),
+        length[bead] / pieces[bead],
+    )
     step = (along * length[:, None])[bead]
     head += (pixels[bead] + stop[:, None] * step)[:, None]
     tail += (pixels[bead] + start[:, None] * step)[:, None]
     corners = np.concatenate([head, tail], axis=1)
 
-    seen = np.all((corners.max(axis=1) >= -1.0) & (corners.min(axis=1) <= side), axis=1)  # false for NaN
-    order = np.flatnonzero(seen)[np.argsort((height[bead] + 0.5 * (start + stop) * climb[bead])[seen], kind="stable")]
+    # false for NaN
+    seen = np.all((corners.max(axis=1) >= -1.0) & (corners.min(axis=1) <= side), axis=1)
+    order = np.flatnonzero(seen)[
+        np.argsort((height[bead] + 0.5 * (start + stop) * climb[bead])[seen], kind="stable")
+    ]
     return np.rint(np.clip(corners[order], -_FAR, _FAR) * 2**SHIFT).astype(np.int32), bead[order]
 
 
-def _end(along: NDArray[np.float64], radius: NDArray[np.float64], turn: NDArray[np.float64], length: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The vertices of pieces' ends, from right to left, relative to the joint's pixel: shape (pieces, 7, 2).
+def _end(
+    along: NDArray[np.float64],
+    radius: NDArray[np.float64],
+    turn: NDArray[np.float64],
+    length: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """The vertices of pieces' ends, from right to left, relative to the joint's pixel: shape
+    (pieces, 7, 2).
 
     Args:
         along: unit vector out of the piece, shape (pieces, 2).
@@ -49,8 +76,12 @@ def _end(along: NDArray[np.float64], radius: NDArray[np.float64], turn: NDArray[
         length: pixels of the piece, shape (pieces,).
     """
     half = 0.5 * np.abs(turn)
-    angle = np.where(_INNER, 0.5 * np.pi, -0.5 * np.pi + half[:, None] * np.where(_INNER, 0.0, _ARC))
-    back = np.where(_INNER, np.minimum(radius * np.tan(np.minimum(half, 1.5)), 0.5 * length)[:, None], 0.0)
+    angle = np.where(
+        _INNER, 0.5 * np.pi, -0.5 * np.pi + half[:, None] * np.where(_INNER, 0.0, _ARC)
+    )
+    back = np.where(
+        _INNER, np.minimum(radius * np.tan(np.minimum(half, 1.5)), 0.5 * length)[:, None], 0.0
+    )
     right = (turn < 0.0)[:, None]
     angle, back = np.where(right, -angle[:, ::-1], angle), np.where(right, back[:, ::-1], back)
     rounded = (length < _STEEP * radius)[:, None]

@@ -1,6 +1,8 @@
-"""The main job made small enough for tests: shorter rounds of the search, smaller waves, less opening up.
+"""The main job made small enough for tests: shorter rounds of the search, smaller waves, less
+opening up.
 
-As a script it is the `knotgym` command with that change: python tests/small_job.py generate --nx 1 ...
+As a script it is the `knotgym` command with that change: python tests/small_job.py generate --nx 1
+...
 """
 
 from __future__ import annotations
@@ -42,9 +44,14 @@ def small() -> Iterator[None]:
     """Let every job begun in here be small."""
 
     def generate(config: GenerateConfig, *arguments: Any, **keywords: Any) -> None:
-        _generate(replace(config, wave=WAVE, instance=INSTANCE, planner=AIM), *arguments, **keywords)
+        _generate(
+            replace(config, wave=WAVE, instance=INSTANCE, planner=AIM), *arguments, **keywords
+        )
 
-    with mock.patch.object(job, "search_config", small_search), mock.patch.object(main_job, "generate", generate):
+    with (
+        mock.patch.object(job, "search_config", small_search),
+        mock.patch.object(main_job, "generate", generate),
+    ):
         yield
 
 

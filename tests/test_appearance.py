@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from knotgym.rendering.appearance import SIZES, VARIED, Appearance, AppearanceConfig, InvalidAppearance, appearance, render
+from knotgym.rendering.appearance import (
+    SIZES,
+    VARIED,
+    Appearance,
+    AppearanceConfig,
+    InvalidAppearance,
+    appearance,
+    render,
+)
 from knotgym.rendering.picture import crossing_pixels, draw, shown_strands
 from knotgym.rope import Array, Rope
 from knotgym.topology.crossings import find_crossings, label
@@ -42,13 +50,20 @@ def test_everything_varies_and_nothing_else(points: Array) -> None:
     for name in VARIED:
         drawn = looks(points, AppearanceConfig(vary=(name,)))
         also = {"colours": {"first", "last"}, "noise": {"seed"}}.get(name, set())
-        changed = {field for look in drawn for field in vars(plain) if getattr(look, field) != getattr(plain, field)}
+        changed = {
+            field
+            for look in drawn
+            for field in vars(plain)
+            if getattr(look, field) != getattr(plain, field)
+        }
         assert name in changed and changed <= {name} | also, name
 
 
 def test_sizes_are_drawn_from_those_given(points: Array) -> None:
     assert {look.size for look in looks(points, ALL)} == {64, 128, 256}
-    assert all(render(points, look).shape == (look.size, look.size, 3) for look in looks(points, ALL, 5))
+    assert all(
+        render(points, look).shape == (look.size, look.size, 3) for look in looks(points, ALL, 5)
+    )
 
 
 def test_a_zoomed_rope_stays_in_the_picture(points: Array) -> None:
@@ -62,7 +77,10 @@ def test_a_turned_or_zoomed_picture_shows_its_crossings_where_it_says(points: Ar
     found = find_crossings(points)
     for look in looks(points, AppearanceConfig(vary=("turn", "zoom"), sizes=(256,)), 10):
         config = look.picture()
-        assert set(shown_strands(render(points, look), found, points, config)) <= {"over", "ambiguous"}
+        assert set(shown_strands(render(points, look), found, points, config)) <= {
+            "over",
+            "ambiguous",
+        }
         for x, y in crossing_pixels(found, points, config):
             assert render(points, look)[int(y), int(x)].any()
 
@@ -73,7 +91,12 @@ def test_a_turned_camera_is_a_turned_rope(points: Array) -> None:
     middle = points.mean(axis=0)
     turned = (points - middle) @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]).T + middle
     assert label(turned) == label(points)
-    assert np.abs(render(points, Appearance(turn=turn)).astype(int) - render(turned, Appearance())).mean() < 0.1
+    assert (
+        np.abs(
+            render(points, Appearance(turn=turn)).astype(int) - render(turned, Appearance())
+        ).mean()
+        < 0.1
+    )
 
 
 def test_the_base_bead_is_white_whatever_the_colours() -> None:
@@ -83,7 +106,11 @@ def test_the_base_bead_is_white_whatever_the_colours() -> None:
 
 
 def test_a_gradient_darkens_along_the_walk(points: Array) -> None:
-    drawn = [look for look in looks(points, AppearanceConfig(vary=("colours",))) if look.colours == "gradient"]
+    drawn = [
+        look
+        for look in looks(points, AppearanceConfig(vary=("colours",)))
+        if look.colours == "gradient"
+    ]
     assert drawn
     for look in drawn:
         assert sum(look.first) > sum(look.last) + 50

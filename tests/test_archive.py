@@ -16,8 +16,17 @@ from knotgym.topology.symmetry import mirror_images
 KINK = GaussCode.parse("1+a,1-a")
 
 
-def elite(length: int, badness: float, roll: int = 0, code: GaussCode = KINK, reverse: bool = False) -> Elite:
-    return Elite(code, roll, reverse, Way(np.zeros(length, dtype=np.int16), np.zeros((length, 3), dtype=np.float32)), np.zeros(5), badness)
+def elite(
+    length: int, badness: float, roll: int = 0, code: GaussCode = KINK, reverse: bool = False
+) -> Elite:
+    return Elite(
+        code,
+        roll,
+        reverse,
+        Way(np.zeros(length, dtype=np.int16), np.zeros((length, 3), dtype=np.float32)),
+        np.zeros(5),
+        badness,
+    )
 
 
 def kept(archive: Archive) -> list[tuple[int, float]]:
@@ -32,7 +41,12 @@ def saved(searched: Archive, tmp_path: Path) -> Path:
 
 def test_only_the_first_of_a_class_is_new() -> None:
     archive = Archive()
-    assert [archive.offer(elite(3, 1.0, code=code)) for code in mirror_images(KINK)] == [True, False, False, False]
+    assert [archive.offer(elite(3, 1.0, code=code)) for code in mirror_images(KINK)] == [
+        True,
+        False,
+        False,
+        False,
+    ]
 
 
 def test_the_shortest_ways_are_kept_and_the_best_looking_states() -> None:
@@ -43,7 +57,10 @@ def test_the_shortest_ways_are_kept_and_the_best_looking_states() -> None:
 
 
 def test_the_order_of_offers_does_not_matter_to_what_is_kept() -> None:
-    offers = [elite(length, badness) for length, badness in ((3, 5.0), (1, 9.0), (7, 0.5), (2, 8.0), (9, 0.1), (5, 5.0))]
+    offers = [
+        elite(length, badness)
+        for length, badness in ((3, 5.0), (1, 9.0), (7, 0.5), (2, 8.0), (9, 0.1), (5, 5.0))
+    ]
     one, other = Archive(), Archive()
     for offer in offers:
         one.offer(offer)
@@ -61,7 +78,12 @@ def test_a_state_that_is_short_and_good_is_kept_once() -> None:
 
 def test_the_walk_along_the_beads_replaces_those_from_elsewhere_or_backwards() -> None:
     archive = Archive()
-    for offer in (elite(1, 0.1, roll=14), elite(2, 0.1, reverse=True), elite(9, 3.0), elite(2, 0.1, roll=29)):
+    for offer in (
+        elite(1, 0.1, roll=14),
+        elite(2, 0.1, reverse=True),
+        elite(9, 3.0),
+        elite(2, 0.1, roll=29),
+    ):
         archive.offer(offer)
     assert kept(archive) == [(9, 3.0)]
 
@@ -79,7 +101,10 @@ def test_an_empty_archive_leads_nowhere() -> None:
 def test_every_code_known_has_a_hand_and_elites(searched: Archive) -> None:
     for nx in range(4):
         for code in searched.codes(nx):
-            assert searched.handed(code) and all(one.visits == code.visits and searched.leading_to(one) for one in searched.handed(code))
+            assert searched.handed(code) and all(
+                one.visits == code.visits and searched.leading_to(one)
+                for one in searched.handed(code)
+            )
 
 
 def test_what_leads_to_a_code_has_it_among_its_mirror_images(searched: Archive) -> None:
@@ -90,13 +115,28 @@ def test_what_leads_to_a_code_has_it_among_its_mirror_images(searched: Archive) 
 
 def test_the_archive_comes_back_as_saved(searched: Archive, saved: Path) -> None:
     read = Archive.load(saved)
-    assert list(read.niches) == list(searched.niches) and read.visits == searched.visits and read.growth == searched.growth
+    assert (
+        list(read.niches) == list(searched.niches)
+        and read.visits == searched.visits
+        and read.growth == searched.growth
+    )
     for ours, theirs in zip(searched.niches.values(), read.niches.values(), strict=True):
         for one, other in zip(ours, theirs, strict=True):
-            assert (one.code, one.roll, one.reverse, one.badness) == (other.code, other.roll, other.reverse, other.badness)
+            assert (one.code, one.roll, one.reverse, one.badness) == (
+                other.code,
+                other.roll,
+                other.reverse,
+                other.badness,
+            )
             assert np.array_equal(one.state, other.state)
-            assert np.array_equal(one.way.beads, other.way.beads) and one.way.beads.dtype == other.way.beads.dtype
-            assert np.array_equal(one.way.forces, other.way.forces) and one.way.forces.dtype == other.way.forces.dtype
+            assert (
+                np.array_equal(one.way.beads, other.way.beads)
+                and one.way.beads.dtype == other.way.beads.dtype
+            )
+            assert (
+                np.array_equal(one.way.forces, other.way.forces)
+                and one.way.forces.dtype == other.way.forces.dtype
+            )
 
 
 def test_saving_again_gives_the_same_bytes(saved: Path, tmp_path: Path) -> None:
@@ -105,7 +145,13 @@ def test_saving_again_gives_the_same_bytes(saved: Path, tmp_path: Path) -> None:
 
 
 def test_an_archive_of_any_growth_can_be_saved(searched: Archive, tmp_path: Path) -> None:
-    Archive(searched.niches, searched.visits, searched.growth * 2000, searched.settings, searched.transitions).save(tmp_path / "long.h5")
+    Archive(
+        searched.niches,
+        searched.visits,
+        searched.growth * 2000,
+        searched.settings,
+        searched.transitions,
+    ).save(tmp_path / "long.h5")
     assert len(Archive.load(tmp_path / "long.h5").growth) == 2000 * len(searched.growth)
 
 
@@ -125,7 +171,9 @@ def test_a_foreign_file_is_refused_in_one_line(tmp_path: Path, states_path: str)
 def test_another_format_version_is_refused(saved: Path) -> None:
     with h5py.File(saved, "a") as file:
         file.attrs["format_version"] = 99
-    with pytest.raises(InvalidArchive, match="isn't an archive of format 'knotgym-archive' version 2"):
+    with pytest.raises(
+        InvalidArchive, match="isn't an archive of format 'knotgym-archive' version 2"
+    ):
         Archive.load(saved)
 
 
@@ -138,7 +186,22 @@ def test_a_truncated_archive_is_refused_in_one_line(saved: Path, share: float) -
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("name", ["code", "roll", "reverse", "badness", "length", "beads", "forces", "state", "growth", "visits", "settings"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "code",
+        "roll",
+        "reverse",
+        "badness",
+        "length",
+        "beads",
+        "forces",
+        "state",
+        "growth",
+        "visits",
+        "settings",
+    ],
+)
 def test_a_column_that_is_missing_or_nonsense_is_refused(saved: Path, name: str) -> None:
     for nonsense in (None, 3.5, np.arange(3), "{"):
         with h5py.File(saved, "a") as file:

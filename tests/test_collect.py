@@ -35,7 +35,9 @@ QUIET = {"workers": 1, "resume": False, "quiet": True, "console": Console()}
 
 def config(states_path: str, **settings: object) -> CollectConfig:
     task = TaskConfig(task="unknot", nx=1, states=states_path, observation="state", horizon=4)
-    return CollectConfig(**{"task": task, "policy": PolicyConfig(policy="scripted"), "episodes": 6, **settings})
+    return CollectConfig(
+        **{"task": task, "policy": PolicyConfig(policy="scripted"), "episodes": 6, **settings}
+    )
 
 
 def made(folder: Path) -> bytes:
@@ -54,14 +56,26 @@ def test_every_episode_can_be_acted_out_again(states_path: str, tmp_path: Path) 
     assert verify_episodes(folder, act_out=True) == []
 
 
-def test_episodes_of_a_rope_integrated_otherwise_say_so_and_can_be_acted_out_again(states_path: str, tmp_path: Path) -> None:
-    usual, coarse = config(states_path), config(states_path, task=replace(config(states_path).task, integrator_steps=20))
-    folders = [collect(one, tmp_path / str(one.task.integrator_steps), **QUIET) for one in (usual, coarse)]
+def test_episodes_of_a_rope_integrated_otherwise_say_so_and_can_be_acted_out_again(
+    states_path: str, tmp_path: Path
+) -> None:
+    usual, coarse = (
+        config(states_path),
+        config(states_path, task=replace(config(states_path).task, integrator_steps=20)),
+    )
+    folders = [
+        collect(one, tmp_path / str(one.task.integrator_steps), **QUIET) for one in (usual, coarse)
+    ]
     assert verify_episodes(folders[1], act_out=True) == []
     one, other = map(EpisodeReader, folders)
-    assert (one.rope, other.rope) == (usual.task.rope.fingerprint, coarse.task.rope.fingerprint) and one.rope != other.rope
+    assert (one.rope, other.rope) == (
+        usual.task.rope.fingerprint,
+        coarse.task.rope.fingerprint,
+    ) and one.rope != other.rope
     apart = np.linalg.norm(one.episode(0).points[1] - other.episode(0).points[1], axis=1).max()
-    assert 0 < apart < 0.002 and np.array_equal(one.episode(0).actions[0], other.episode(0).actions[0])
+    assert 0 < apart < 0.002 and np.array_equal(
+        one.episode(0).actions[0], other.episode(0).actions[0]
+    )
     with pytest.raises(SystemExit) as stopped:
         main(["dataset", "replay", str(folders[1]), "--out", str(tmp_path / "film.gif")])
     assert stopped.value.code == 0
@@ -69,7 +83,9 @@ def test_episodes_of_a_rope_integrated_otherwise_say_so_and_can_be_acted_out_aga
     assert json.loads(metadata[1]["env_spec"])["kwargs"]["integrator_steps"] == 20
 
 
-def test_the_environment_s_reset_with_the_stored_seed_begins_the_same_episode(states_path: str, tmp_path: Path) -> None:
+def test_the_environment_s_reset_with_the_stored_seed_begins_the_same_episode(
+    states_path: str, tmp_path: Path
+) -> None:
     made_config = config(states_path)
     episode = EpisodeReader(collect(made_config, tmp_path, **QUIET)).episode(3)
     assert episode.seed == episode_seed(0, 3)
@@ -78,29 +94,59 @@ def test_the_environment_s_reset_with_the_stored_seed_begins_the_same_episode(st
         observation, info = env.reset(seed=episode.seed, options=options)
         assert (info["start"], info["goal"]) == (episode.options["start"], episode.options["goal"])
         for step, action in enumerate(episode.actions):
-            assert np.array_equal(observation[:300], episode.points[step].reshape(-1).astype(np.float32))
+            assert np.array_equal(
+                observation[:300], episode.points[step].reshape(-1).astype(np.float32)
+            )
             observation, reward, terminated, truncated, info = env.step(action)
-            assert (reward, terminated, truncated) == (episode.rewards[step], episode.terminations[step], episode.truncations[step])
+            assert (reward, terminated, truncated) == (
+                episode.rewards[step],
+                episode.terminations[step],
+                episode.truncations[step],
+            )
             assert info["gauss_code_chiral"] == episode.gauss_code_chiral[step + 1]
-            assert info["bead"] == episode.bead[step + 1] and np.array_equal(info["force"], episode.force[step + 1])
+            assert info["bead"] == episode.bead[step + 1] and np.array_equal(
+                info["force"], episode.force[step + 1]
+            )
 
 
 @pytest.mark.parametrize("observation", ["pixels", "state", "both"])
-def test_minari_does_with_a_dataset_all_that_it_does(observation: str, states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    task = TaskConfig(task="tie", nx=1, states=states_path, observation=observation, horizon=6, image_size=32)
+def test_minari_does_with_a_dataset_all_that_it_does(
+    observation: str, states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    task = TaskConfig(
+        task="tie", nx=1, states=states_path, observation=observation, horizon=6, image_size=32
+    )
     name = "tests/scripted-v3"
-    collect(config(states_path, task=task, policy=PolicyConfig(policy="scripted"), episodes=5, dataset_id=name), tmp_path, **QUIET)
+    collect(
+        config(
+            states_path,
+            task=task,
+            policy=PolicyConfig(policy="scripted"),
+            episodes=5,
+            dataset_id=name,
+        ),
+        tmp_path,
+        **QUIET,
+    )
     check_minari(tmp_path, name, monkeypatch)
 
 
-def test_minari_does_it_with_hindsight_too(states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    task = TaskConfig(task="tie", nx=1, states=states_path, observation="both", horizon=16, image_size=32)
+def test_minari_does_it_with_hindsight_too(
+    states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    task = TaskConfig(
+        task="tie", nx=1, states=states_path, observation="both", horizon=16, image_size=32
+    )
     played = collect(config(states_path, task=task, episodes=5), tmp_path / "played", **QUIET)
     with EpisodeWriter(tmp_path / "hindsight.h5", task) as writer:
         for episode in relabel_all(EpisodeReader(played), "all"):
             writer.add(episode)
     name = "knotgym/tie-nx1/hindsight-v0"
-    publish([tmp_path / "hindsight.h5"], MinariMetadata(dataset_id=name, algorithm_name="scripted", description="Codes passed."), tmp_path / "root")
+    publish(
+        [tmp_path / "hindsight.h5"],
+        MinariMetadata(dataset_id=name, algorithm_name="scripted", description="Codes passed."),
+        tmp_path / "root",
+    )
     check_minari(tmp_path / "root", name, monkeypatch)
 
 
@@ -112,19 +158,29 @@ def test_workers_do_not_change_the_bytes(name: str, states_path: str, tmp_path: 
     assert made(one) == made(two)
 
 
-def test_failed_episodes_are_dropped_when_asked_and_counted(states_path: str, tmp_path: Path) -> None:
+def test_failed_episodes_are_dropped_when_asked_and_counted(
+    states_path: str, tmp_path: Path
+) -> None:
     policy = PolicyConfig(policy="expert", planner=PlannerConfig(budget=24, slots=4))
     kept = collect(config(states_path, policy=policy), tmp_path / "kept", **QUIET)
     tally = json.loads((kept / "data" / "collection.json").read_text())["tally"]
     assert 0 < tally["succeeded"] < tally["played"] == tally["kept"] == 6
-    dropped = collect(config(states_path, policy=policy, keep_failed=False), tmp_path / "dropped", **QUIET)
+    dropped = collect(
+        config(states_path, policy=policy, keep_failed=False), tmp_path / "dropped", **QUIET
+    )
     assert len(EpisodeReader(dropped)) == tally["succeeded"]
     assert all(episode.is_success[-1] for episode in EpisodeReader(dropped))
 
 
 def test_with_nothing_left_nothing_is_written(states_path: str, tmp_path: Path) -> None:
     with pytest.raises(InvalidCollection, match="nothing is left"):
-        collect(config(states_path, policy=PolicyConfig(policy="random"), episodes=1, keep_failed=False), tmp_path, **QUIET)
+        collect(
+            config(
+                states_path, policy=PolicyConfig(policy="random"), episodes=1, keep_failed=False
+            ),
+            tmp_path,
+            **QUIET,
+        )
     assert not (tmp_path / "knotgym/unknot-nx1/random-v0").exists()
 
 
@@ -137,8 +193,24 @@ def test_a_finished_dataset_is_not_written_over(states_path: str, tmp_path: Path
         collect(config(states_path, episodes=2), tmp_path, **{**QUIET, "resume": True})
 
 
-def test_a_killed_run_leaves_nothing_under_its_name_and_resumes_to_the_same_bytes(states_path: str, tmp_path: Path) -> None:
-    arguments = ["collect", "--task", "unknot", "--nx", "1", "--policy", "scripted", "--states", states_path, "--horizon", "8", "--episodes", "24"]
+def test_a_killed_run_leaves_nothing_under_its_name_and_resumes_to_the_same_bytes(
+    states_path: str, tmp_path: Path
+) -> None:
+    arguments = [
+        "collect",
+        "--task",
+        "unknot",
+        "--nx",
+        "1",
+        "--policy",
+        "scripted",
+        "--states",
+        states_path,
+        "--horizon",
+        "8",
+        "--episodes",
+        "24",
+    ]
     arguments += ["--observation", "state", "--workers", "1", "--quiet", "--out"]
     program = "import sys; from knotgym.cli.main import main; main(sys.argv[1:])"
     broken = subprocess.Popen([sys.executable, "-c", program, *arguments, str(tmp_path / "broken")])
@@ -149,18 +221,39 @@ def test_a_killed_run_leaves_nothing_under_its_name_and_resumes_to_the_same_byte
     broken.wait()
     assert not (partial.parent / "scripted-v0").exists()
     for where, resume in (("broken", ["--resume"]), ("whole", [])):
-        subprocess.run([sys.executable, "-c", program, *arguments, str(tmp_path / where), *resume], check=True)
-    assert made(tmp_path / "broken/knotgym/unknot-nx1/scripted-v0") == made(tmp_path / "whole/knotgym/unknot-nx1/scripted-v0")
+        subprocess.run(
+            [sys.executable, "-c", program, *arguments, str(tmp_path / where), *resume], check=True
+        )
+    assert made(tmp_path / "broken/knotgym/unknot-nx1/scripted-v0") == made(
+        tmp_path / "whole/knotgym/unknot-nx1/scripted-v0"
+    )
 
 
 @pytest.mark.slow
-def test_ten_kills_at_random_moments_leave_nothing_half_written_and_change_no_byte(states_path: str, tmp_path: Path) -> None:
+def test_ten_kills_at_random_moments_leave_nothing_half_written_and_change_no_byte(
+    states_path: str, tmp_path: Path
+) -> None:
     name, episodes, rng = "knotgym/unknot-nx1/scripted-v0", 24, np.random.default_rng(7)
-    words = ["collect", "--task", "unknot", "--nx", "1", "--policy", "scripted", "--states", states_path, "--horizon", "12"]
+    words = [
+        "collect",
+        "--task",
+        "unknot",
+        "--nx",
+        "1",
+        "--policy",
+        "scripted",
+        "--states",
+        states_path,
+        "--horizon",
+        "12",
+    ]
     words += ["--image-size", "32", "--episodes", str(episodes), "--quiet", "--resume", "--out"]
 
     def begun(where: str) -> multiprocessing.process.BaseProcess:
-        process = FORK.Process(target=main, args=([*words, str(tmp_path / where), "--workers", str(1 + int(rng.integers(2)))],))
+        process = FORK.Process(
+            target=main,
+            args=([*words, str(tmp_path / where), "--workers", str(1 + int(rng.integers(2)))],),
+        )
         process.start()
         return process
 
@@ -182,9 +275,16 @@ def test_ten_kills_at_random_moments_leave_nothing_half_written_and_change_no_by
             assert process.exitcode == 0
         if (where / name).exists():  # perhaps just before the kill
             assert verify_episodes(where / name) == []
-            assert [made(where / name), len(EpisodeReader(where / name))] == [made(tmp_path / "whole" / name), episodes]
+            assert [made(where / name), len(EpisodeReader(where / name))] == [
+                made(tmp_path / "whole" / name),
+                episodes,
+            ]
             runs += kills < 10
-    assert all(list((tmp_path / f"broken-{run}" / name).parent.iterdir()) == [tmp_path / f"broken-{run}" / name] for run in range(runs))
+    assert all(
+        list((tmp_path / f"broken-{run}" / name).parent.iterdir())
+        == [tmp_path / f"broken-{run}" / name]
+        for run in range(runs)
+    )
 
 
 def test_another_collection_is_not_resumed(states_path: str, tmp_path: Path) -> None:
@@ -196,13 +296,26 @@ def test_another_collection_is_not_resumed(states_path: str, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("settings", [{"episodes": 0}, {"seed": -1}])
-def test_settings_that_make_no_sense_are_refused(settings: dict[str, object], states_path: str) -> None:
+def test_settings_that_make_no_sense_are_refused(
+    settings: dict[str, object], states_path: str
+) -> None:
     with pytest.raises(InvalidCollection):
         config(states_path, **settings)
 
 
-@pytest.mark.parametrize("words", [["--policy", "genius"], ["--task", "knit"], ["--split", "dev"], ["--id", "no version"], ["--shares", "a"]])
-def test_a_mistake_is_one_line_and_status_2(words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--policy", "genius"],
+        ["--task", "knit"],
+        ["--split", "dev"],
+        ["--id", "no version"],
+        ["--shares", "a"],
+    ],
+)
+def test_a_mistake_is_one_line_and_status_2(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as left:
         main(["collect", "--out", str(tmp_path), *words])
     assert left.value.code == 2

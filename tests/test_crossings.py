@@ -8,13 +8,31 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from knotgym.topology.crossings import Crossings, InvalidPoints, VisitSpacing, count_crossings, find_crossings, label, label_many, visit_spacing
+from knotgym.topology.crossings import (
+    Crossings,
+    InvalidPoints,
+    VisitSpacing,
+    count_crossings,
+    find_crossings,
+    label,
+    label_many,
+    visit_spacing,
+)
 from knotgym.topology.diagrams import is_planar
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.orientation import side
 
 # An eight whose strands meet at (0, 0); the one from the lower left is over.
-EIGHT = np.array([[-1.0, -1.0, 1.0], [1.0, 1.0, 1.0], [2.0, 0.0, 0.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-2.0, 0.0, 0.0]])
+EIGHT = np.array(
+    [
+        [-1.0, -1.0, 1.0],
+        [1.0, 1.0, 1.0],
+        [2.0, 0.0, 0.0],
+        [1.0, -1.0, -1.0],
+        [-1.0, 1.0, -1.0],
+        [-2.0, 0.0, 0.0],
+    ]
+)
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -39,7 +57,9 @@ def turned(points: np.ndarray, angle: float) -> np.ndarray:
 
 def grid_curves(largest: int) -> st.SearchStrategy[np.ndarray]:
     """Closed curves through whole numbers, full of exact ties."""
-    return st.integers(3, 12).flatmap(lambda beads: arrays(np.float64, (beads, 3), elements=st.integers(0, largest).map(float)))
+    return st.integers(3, 12).flatmap(
+        lambda beads: arrays(np.float64, (beads, 3), elements=st.integers(0, largest).map(float))
+    )
 
 
 def test_a_triangle_has_no_crossing() -> None:
@@ -54,7 +74,11 @@ def test_a_crossing_is_described_in_place() -> None:
     crossings = find_crossings(EIGHT)
     assert (crossings.over_place.tolist(), crossings.under_place.tolist()) == ([0.5], [3.5])
     assert crossings.position.tolist() == [[0.0, 0.0]]
-    assert (crossings.over_z.tolist(), crossings.under_z.tolist(), crossings.sign.tolist()) == ([1.0], [-1.0], [1])
+    assert (crossings.over_z.tolist(), crossings.under_z.tolist(), crossings.sign.tolist()) == (
+        [1.0],
+        [-1.0],
+        [1],
+    )
 
 
 def test_the_closing_edge_counts() -> None:
@@ -74,7 +98,11 @@ def test_arrays_of_crossings_cannot_be_written() -> None:
 @given(seeds)
 def test_all_readers_agree(seed: int) -> None:
     ropes = np.array([random_curve(seed), random_curve(seed + 1)])
-    assert label_many(ropes) == [label(rope) for rope in ropes] == [find_crossings(rope).code for rope in ropes]
+    assert (
+        label_many(ropes)
+        == [label(rope) for rope in ropes]
+        == [find_crossings(rope).code for rope in ropes]
+    )
     assert [count_crossings(rope) for rope in ropes] == [label(rope).nx for rope in ropes]
 
 
@@ -93,8 +121,13 @@ def test_both_strands_meet_at_the_position(seed: int) -> None:
     points = random_curve(seed)
     crossings = find_crossings(points)
     closed = np.vstack([points, points[:1]])
-    for places, heights in ((crossings.over_place, crossings.over_z), (crossings.under_place, crossings.under_z)):
-        at = np.array([np.interp(places, np.arange(101), closed[:, axis]) for axis in range(3)]).T.reshape(-1, 3)
+    for places, heights in (
+        (crossings.over_place, crossings.over_z),
+        (crossings.under_place, crossings.under_z),
+    ):
+        at = np.array(
+            [np.interp(places, np.arange(101), closed[:, axis]) for axis in range(3)]
+        ).T.reshape(-1, 3)
         np.testing.assert_allclose(at[:, :2], crossings.position, atol=1e-9)
         np.testing.assert_allclose(at[:, 2], heights, atol=1e-9)
 
@@ -159,7 +192,9 @@ def test_two_beads_on_one_spot_count_once() -> None:
 
 
 def test_a_strand_that_only_touches_a_bead_crosses_evenly() -> None:
-    corner = np.array([[0, 0, 0], [4, 0, 0], [4, 2, 0], [3, 2, 1], [2, 0, 1], [1, 2, 1], [0, 2, 0]], dtype=float)
+    corner = np.array(
+        [[0, 0, 0], [4, 0, 0], [4, 2, 0], [3, 2, 1], [2, 0, 1], [1, 2, 1], [0, 2, 0]], dtype=float
+    )
     for base in range(len(corner)):
         assert count_crossings(np.roll(corner, base, axis=0)) in (0, 2)
 
@@ -171,17 +206,32 @@ def runs_along_itself(points: np.ndarray) -> bool:
     for i in range(len(points)):
         for j in range(len(points)):
             reach = (start[j] - start[i]) @ along[i], (end[j] - start[i]) @ along[i]
-            parallel = np.linalg.det([along[i], along[j]]) == 0.0 and np.linalg.det([along[i], start[j] - start[i]]) == 0.0
-            if i != j and parallel and max(reach) > 0.0 and min(reach) < along[i] @ along[i] or not along[i].any():
+            parallel = (
+                np.linalg.det([along[i], along[j]]) == 0.0
+                and np.linalg.det([along[i], start[j] - start[i]]) == 0.0
+            )
+            if (
+                i != j
+                and parallel
+                and max(reach) > 0.0
+                and min(reach) < along[i] @ along[i]
+                or not along[i].any()
+            ):
                 return True
     return False
 
 
 @settings(max_examples=500, suppress_health_check=[HealthCheck.filter_too_much])
-@given(st.sampled_from([4, 30, 1000]).flatmap(grid_curves).filter(lambda points: not runs_along_itself(points)))
+@given(
+    st.sampled_from([4, 30, 1000])
+    .flatmap(grid_curves)
+    .filter(lambda points: not runs_along_itself(points))
+)
 def test_exact_ties_still_give_planar_codes(points: np.ndarray) -> None:
     crossings = find_crossings(points)
-    if visit_spacing(crossings, len(points)).visits > 1e-9:  # else three strands may meet in a point
+    if (
+        visit_spacing(crossings, len(points)).visits > 1e-9
+    ):  # else three strands may meet in a point
         assert is_planar(crossings.code)
 
 
@@ -189,8 +239,13 @@ near = st.integers(-3, 3).map(lambda ulps: 0.1 + ulps * 2.0**-56)
 
 
 @settings(max_examples=300)
-@given(st.lists(st.tuples(near, near), min_size=3, max_size=3), st.sampled_from([1.0, -1.0, 3.0, 0.7, 1e-12]))
-def test_sides_are_exact_where_rounding_would_decide(corners: list[tuple[float, float]], stretch: float) -> None:
+@given(
+    st.lists(st.tuples(near, near), min_size=3, max_size=3),
+    st.sampled_from([1.0, -1.0, 3.0, 0.7, 1e-12]),
+)
+def test_sides_are_exact_where_rounding_would_decide(
+    corners: list[tuple[float, float]], stretch: float
+) -> None:
     points = np.array(corners) * [1.0, stretch]
     (ax, ay), (bx, by), (cx, cy) = [[Fraction(value) for value in row] for row in points.tolist()]
     exact = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
@@ -199,7 +254,12 @@ def test_sides_are_exact_where_rounding_would_decide(corners: list[tuple[float, 
 
 @given(arrays(np.float64, (3, 2), elements=st.integers(0, 2).map(float)))
 def test_sides_do_not_depend_on_the_order_of_asking(points: np.ndarray) -> None:
-    assert side(points, 0, 1, 2) == side(points, 1, 2, 0) == -side(points, 1, 0, 2) == -side(points, 2, 1, 0)
+    assert (
+        side(points, 0, 1, 2)
+        == side(points, 1, 2, 0)
+        == -side(points, 1, 0, 2)
+        == -side(points, 2, 1, 0)
+    )
 
 
 @pytest.mark.parametrize("shape", [(2, 3), (3,), (4, 2), (1, 4, 3), (0, 3)])
@@ -244,6 +304,7 @@ def test_spacing_without_crossings_is_infinite() -> None:
 
 
 def test_many_crossings_are_all_found() -> None:
-    star = 2.0 * np.pi * np.arange(101) * 50 / 101  # every edge crosses all but itself and two neighbours
+    # every edge crosses all but itself and two neighbours
+    star = 2.0 * np.pi * np.arange(101) * 50 / 101
     points = np.column_stack([np.cos(star), np.sin(star), np.cos(7.0 * star)])
     assert count_crossings(points) == 101 * 98 // 2

@@ -23,7 +23,9 @@ seeds = st.integers(0, 2**32)
 
 
 def turned(points: NDArray[np.float64], turn: float) -> NDArray[np.float64]:
-    return points @ np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    return points @ np.array(
+        [[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
+    )
 
 
 @pytest.mark.parametrize(("nx", "count"), [(0, 1), (1, 2), (2, 8), (3, 46), (4, 344)])
@@ -42,19 +44,27 @@ def test_codes_of_a_knot_are_of_that_knot() -> None:
 
 def test_codes_come_in_order_and_without_chirality() -> None:
     codes = codes_of("0_1", 3)
-    assert list(codes) == sorted(codes, key=lambda code: code.visits) and all(code.chirality is None for code in codes)
+    assert list(codes) == sorted(codes, key=lambda code: code.visits) and all(
+        code.chirality is None for code in codes
+    )
 
 
 @given(st.integers(0, 29), st.floats(-np.pi, np.pi), st.tuples(*[st.floats(-2, 2)] * 3))
-def test_a_rope_turned_and_moved_is_no_distance_away(states: States, row: int, turn: float, shift: tuple[float, float, float]) -> None:
+def test_a_rope_turned_and_moved_is_no_distance_away(
+    states: States, row: int, turn: float, shift: tuple[float, float, float]
+) -> None:
     points = states.points[row]
     assert distances(points, (turned(points, turn) + shift)[None])[0] < 1e-7
 
 
 @given(st.integers(0, 29), st.integers(0, 29), st.floats(-np.pi, np.pi), st.floats(-2, 2))
-def test_distances_do_not_see_turns_and_shifts(states: States, row: int, other: int, turn: float, shift: float) -> None:
+def test_distances_do_not_see_turns_and_shifts(
+    states: States, row: int, other: int, turn: float, shift: float
+) -> None:
     one, two = states.points[row], states.points[other]
-    assert distances(one, (turned(two, turn) + shift)[None])[0] == pytest.approx(distances(one, two[None])[0], abs=1e-7)
+    assert distances(one, (turned(two, turn) + shift)[None])[0] == pytest.approx(
+        distances(one, two[None])[0], abs=1e-7
+    )
 
 
 def test_a_rope_is_no_distance_from_itself(states: States) -> None:
@@ -75,7 +85,10 @@ def test_a_distance_is_the_root_mean_square_over_beads(states: States) -> None:
 
 def test_no_turn_brings_ropes_nearer(states: States) -> None:
     one, other = states.points[3], states.points[9] - states.points[9].mean(axis=0)
-    tried = [np.sqrt(((one - one.mean(axis=0) - turned(other, turn)) ** 2).sum() / 100) for turn in np.linspace(0, 2 * np.pi, 2000)]
+    tried = [
+        np.sqrt(((one - one.mean(axis=0) - turned(other, turn)) ** 2).sum() / 100)
+        for turn in np.linspace(0, 2 * np.pi, 2000)
+    ]
     assert distances(one, other[None])[0] == pytest.approx(min(tried), abs=1e-5)
 
 
@@ -85,7 +98,9 @@ def test_reset_noise_makes_a_near_duplicate(states: States) -> None:
 
 
 def test_another_code_is_no_near_duplicate(states: States) -> None:
-    assert NEAR == 0.015 and not is_near_duplicate(states.points[0], [states.points[12], states.points[20]])
+    assert NEAR == 0.015 and not is_near_duplicate(
+        states.points[0], [states.points[12], states.points[20]]
+    )
 
 
 def test_the_first_state_is_a_duplicate_of_nothing(states: States) -> None:
@@ -99,7 +114,9 @@ def test_the_train_share_is_met_within_one_state(drawn: list[int], share: float,
 
 
 @given(kinds, shares, seeds)
-def test_the_train_share_of_each_code_is_met_within_one_state(drawn: list[int], share: float, seed: int) -> None:
+def test_the_train_share_of_each_code_is_met_within_one_state(
+    drawn: list[int], share: float, seed: int
+) -> None:
     out = split([EIGHT[k] for k in drawn], "state", share, np.random.default_rng(seed))
     for kind, count in Counter(drawn).items():
         train = sum(one == "train" for one, k in zip(out, drawn, strict=True) if k == kind)
@@ -109,19 +126,25 @@ def test_the_train_share_of_each_code_is_met_within_one_state(drawn: list[int], 
 @given(kinds, shares, seeds)
 def test_split_by_code_shares_no_code(drawn: list[int], share: float, seed: int) -> None:
     out = split([EIGHT[k] for k in drawn], "code", share, np.random.default_rng(seed))
-    train, test = ({k for one, k in zip(out, drawn, strict=True) if one == name} for name in ("train", "test"))
+    train, test = (
+        {k for one, k in zip(out, drawn, strict=True) if one == name} for name in ("train", "test")
+    )
     assert not train & test and abs(len(train) - share * len(set(drawn))) <= 0.5
 
 
 @given(kinds, st.sampled_from(("state", "code")), seeds)
 def test_a_split_is_the_same_for_the_same_seed(drawn: list[int], by: str, seed: int) -> None:
-    one, other = (split([EIGHT[k] for k in drawn], by, 0.5, np.random.default_rng(seed)) for _ in range(2))
+    one, other = (
+        split([EIGHT[k] for k in drawn], by, 0.5, np.random.default_rng(seed)) for _ in range(2)
+    )
     assert np.array_equal(one, other)
 
 
 def test_another_seed_splits_otherwise() -> None:
     codes = EIGHT * 5
-    assert not np.array_equal(*(split(codes, "state", 0.5, np.random.default_rng(seed)) for seed in (0, 1)))
+    assert not np.array_equal(
+        *(split(codes, "state", 0.5, np.random.default_rng(seed)) for seed in (0, 1))
+    )
 
 
 def test_codes_with_chirality_are_split_as_the_code_they_show() -> None:

@@ -1,4 +1,6 @@
-"""Curves that begin a rope as a knot, by name and from files; a file without a closed curve is refused in one line."""
+"""Curves that begin a rope as a knot, by name and from files; a file without a closed curve is
+refused in one line.
+"""
 
 from pathlib import Path
 
@@ -43,21 +45,32 @@ def test_a_file_is_certified_whatever_it_is_called(tmp_path: Path) -> None:
 
 
 def test_an_unknown_name_is_told_what_there_is() -> None:
-    with pytest.raises(InvalidCurveFile, match="no knot '9_42'; there is 0_1, 3_1, 4_1, 5_1, or a file"):
+    with pytest.raises(
+        InvalidCurveFile, match="no knot '9_42'; there is 0_1, 3_1, 4_1, 5_1, or a file"
+    ):
         knot_curve("9_42")
 
 
 @pytest.mark.parametrize("name", ["a.txt", "a.csv", "a.npy"])
-@pytest.mark.parametrize("content", [b"", b"# nothing\n", b"1 2 3\n4 5\n", b"one two three\n", bytes(range(256)), b"\x93NUMPY\x01"])
-def test_a_file_without_numbers_is_refused_in_one_line(tmp_path: Path, name: str, content: bytes) -> None:
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"# nothing\n", b"1 2 3\n4 5\n", b"one two three\n", bytes(range(256)), b"\x93NUMPY\x01"],
+)
+def test_a_file_without_numbers_is_refused_in_one_line(
+    tmp_path: Path, name: str, content: bytes
+) -> None:
     (tmp_path / name).write_bytes(content)
     with pytest.raises(InvalidCurveFile, match=f"{name} holds no curve: .") as caught:
         knot_curve(str(tmp_path / name))
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("array", [np.array(["a", "b"]), trefoil() + 1j, np.array([{}, 1], dtype=object)])
-def test_an_array_of_anything_but_real_numbers_is_refused(tmp_path: Path, array: np.ndarray) -> None:
+@pytest.mark.parametrize(
+    "array", [np.array(["a", "b"]), trefoil() + 1j, np.array([{}, 1], dtype=object)]
+)
+def test_an_array_of_anything_but_real_numbers_is_refused(
+    tmp_path: Path, array: np.ndarray
+) -> None:
     np.save(tmp_path / "a.npy", array)
     with pytest.raises(InvalidCurveFile, match="holds no curve"):
         knot_curve(str(tmp_path / "a.npy"))
@@ -80,7 +93,9 @@ def test_several_arrays_in_one_file_are_refused(tmp_path: Path) -> None:
         (np.float64(3), "an \\(n, 3\\) array"),
     ],
 )
-def test_what_is_no_closed_curve_is_refused_in_one_line(tmp_path: Path, curve: np.ndarray, problem: str) -> None:
+def test_what_is_no_closed_curve_is_refused_in_one_line(
+    tmp_path: Path, curve: np.ndarray, problem: str
+) -> None:
     np.save(tmp_path / "a.npy", curve)
     with pytest.raises(InvalidCurve, match=problem) as caught:
         knot_of(tmp_path / "a.npy")

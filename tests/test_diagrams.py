@@ -8,7 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from knotgym.topology.diagrams import NotPlanar, chiralities, drawn, faces, is_planar, parts, planar_codes, summands
+from knotgym.topology.diagrams import (
+    NotPlanar,
+    chiralities,
+    drawn,
+    faces,
+    is_planar,
+    parts,
+    planar_codes,
+    summands,
+)
 from knotgym.topology.gauss import GaussCode, UnknownChirality
 
 CODES = Path(__file__).parent / "codes"
@@ -20,7 +29,9 @@ planar = st.integers(0, 4).flatmap(lambda nx: st.sampled_from(list(planar_codes(
 @pytest.mark.parametrize("nx", range(5))
 def test_planar_codes_and_chiralities_are_the_listed_ones(nx: int) -> None:
     listed = json.loads((CODES / f"codes_n{nx}.json").read_text())["codes"]
-    assert {str(code): list(chiralities(code)) for code in planar_codes(nx)} == {text: entry["chirality"] for text, entry in listed.items()}
+    assert {str(code): list(chiralities(code)) for code in planar_codes(nx)} == {
+        text: entry["chirality"] for text, entry in listed.items()
+    }
 
 
 @pytest.mark.parametrize(("nx", "codes", "chiral"), [(5, 3616, 57472), (6, 37888, 857344)])
@@ -32,13 +43,19 @@ def test_longer_planar_codes_are_as_many_as_they_should(nx: int, codes: int, chi
 @given(planar)
 def test_no_other_pattern_is_planar(code: GaussCode) -> None:
     patterns = ("".join(letters) for letters in product("ac", repeat=code.nx))
-    assert tuple(pattern for pattern in patterns if is_planar(GaussCode(code.visits, pattern))) == chiralities(code)
+    assert tuple(
+        pattern for pattern in patterns if is_planar(GaussCode(code.visits, pattern))
+    ) == chiralities(code)
 
 
 @given(planar, st.integers(0, 7))
 def test_planarity_knows_no_base_direction_or_height(code: GaussCode, k: int) -> None:
     assert is_planar(code.rebased(k)) and is_planar(code.reversed()) and is_planar(code.mirrored())
-    assert is_planar(drawn(code).rebased(k)) and is_planar(drawn(code).reversed()) and is_planar(drawn(code).mirrored())
+    assert (
+        is_planar(drawn(code).rebased(k))
+        and is_planar(drawn(code).reversed())
+        and is_planar(drawn(code).mirrored())
+    )
 
 
 def test_abstract_codes_that_no_curve_shows_are_refused() -> None:

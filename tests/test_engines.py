@@ -1,4 +1,6 @@
-"""Engines: results in the order of the work, little of it under way, and the same bytes on a cluster whose workers die."""
+"""Engines: results in the order of the work, little of it under way, and the same bytes on a
+cluster whose workers die.
+"""
 
 import importlib.util
 import json
@@ -24,23 +26,54 @@ from knotgym.tasks import TaskConfig
 from .small_job import knotgym, typed
 from .test_main_job import SECONDS, WANTED, bytes_of, said
 
-with_dask = pytest.mark.skipif(importlib.util.find_spec("distributed") is None, reason="Dask distributed isn't installed")
-with_arrow = pytest.mark.skipif(importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed")
+with_dask = pytest.mark.skipif(
+    importlib.util.find_spec("distributed") is None, reason="Dask distributed isn't installed"
+)
+with_arrow = pytest.mark.skipif(
+    importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed"
+)
 
 Begin = Callable[[], "subprocess.Popen[bytes]"]
 
 
 @contextmanager
-def cluster(room: Path, workers: int, *options: str) -> Iterator[tuple[str, list["subprocess.Popen[bytes]"], Begin]]:
-    """A scheduler and its workers, each a process of its own: the address, the workers, and what starts another."""
+def cluster(
+    room: Path, workers: int, *options: str
+) -> Iterator[tuple[str, list["subprocess.Popen[bytes]"], Begin]]:
+    """A scheduler and its workers, each a process of its own: the address, the workers, and what
+    starts another.
+    """
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     file = room / "scheduler.json"
-    command = [sys.executable, "-m", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard"]
+    command = [
+        sys.executable,
+        "-m",
+        "distributed.cli.dask_scheduler",
+        "--host",
+        "127.0.0.1",
+        "--port",
+        "0",
+        "--no-dashboard",
+    ]
     processes = [subprocess.Popen([*command, "--scheduler-file", str(file)], **quiet, cwd=room)]
 
     def begin() -> "subprocess.Popen[bytes]":
-        words = ["--scheduler-file", str(file), "--nthreads", "1", "--no-nanny", "--no-dashboard", "--host", "127.0.0.1", *options]
-        processes.append(subprocess.Popen([sys.executable, "-m", "distributed.cli.dask_worker", *words], **quiet, cwd=room))
+        words = [
+            "--scheduler-file",
+            str(file),
+            "--nthreads",
+            "1",
+            "--no-nanny",
+            "--no-dashboard",
+            "--host",
+            "127.0.0.1",
+            *options,
+        ]
+        processes.append(
+            subprocess.Popen(
+                [sys.executable, "-m", "distributed.cli.dask_worker", *words], **quiet, cwd=room
+            )
+        )
         return processes[-1]
 
     try:
@@ -56,11 +89,32 @@ def cluster(room: Path, workers: int, *options: str) -> Iterator[tuple[str, list
             process.wait()
 
 
-def generated(out: Path, scheduler: str, killed: "subprocess.Popen[bytes]", after: Callable[[], object] = lambda: None) -> None:
+def generated(
+    out: Path,
+    scheduler: str,
+    killed: "subprocess.Popen[bytes]",
+    after: Callable[[], object] = lambda: None,
+) -> None:
     """The small main job on a cluster, one of whose workers is killed after the first cycle."""
-    run = subprocess.Popen(typed("generate", *WANTED, "--engine", "dask", "--scheduler", scheduler, "--out", out, "--quiet"))
+    run = subprocess.Popen(
+        typed(
+            "generate",
+            *WANTED,
+            "--engine",
+            "dask",
+            "--scheduler",
+            scheduler,
+            "--out",
+            out,
+            "--quiet",
+        )
+    )
     until = time.monotonic() + 2 * SECONDS
-    while not (out.parent / f".{out.name}.partial" / "job.pickle").exists() and run.poll() is None and time.monotonic() < until:
+    while (
+        not (out.parent / f".{out.name}.partial" / "job.pickle").exists()
+        and run.poll() is None
+        and time.monotonic() < until
+    ):
         time.sleep(0.02)
     assert run.poll() is None
     os.kill(killed.pid, signal.SIGKILL)
@@ -110,7 +164,10 @@ def _print_interruptible() -> None:
 
 def test_processes_leave_an_interruption_to_their_parent_from_their_first_moment_on() -> None:
     words = [sys.executable, "-c", f"from {__name__} import _print_interruptible as told; told()"]
-    assert subprocess.run(words, capture_output=True, text=True, timeout=SECONDS).stdout == "[False, False, True]\n"
+    assert (
+        subprocess.run(words, capture_output=True, text=True, timeout=SECONDS).stdout
+        == "[False, False, True]\n"
+    )
 
 
 @pytest.mark.parametrize(
@@ -122,20 +179,44 @@ def test_processes_leave_an_interruption_to_their_parent_from_their_first_moment
         (("dask", "tcp://a:1", 2), "--workers 2 is for --engine local"),
     ],
 )
-def test_options_that_do_not_go_together_are_refused(options: tuple[str, str, int], problem: str) -> None:
+def test_options_that_do_not_go_together_are_refused(
+    options: tuple[str, str, int], problem: str
+) -> None:
     with pytest.raises(InvalidEngine, match=problem):
         scheduler_of(*options)
 
 
 @pytest.mark.parametrize("command", ["generate", "collect", "images"])
-def test_a_wrong_engine_is_one_line_and_writes_nothing(command: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_wrong_engine_is_one_line_and_writes_nothing(
+    command: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     assert knotgym(command, "--engine", "mpi", "--out", tmp_path / "a") == 2
-    assert said(capfd) == ["knotgym: engine must be local or dask, got 'mpi'"] and list(tmp_path.iterdir()) == []
+    assert (
+        said(capfd) == ["knotgym: engine must be local or dask, got 'mpi'"]
+        and list(tmp_path.iterdir()) == []
+    )
 
 
-def test_without_dask_one_line_names_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+def test_without_dask_one_line_names_the_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    assert knotgym("generate", "--nx", 0, "--count", 1, "--engine", "dask", "--scheduler", "tcp://127.0.0.1:9", "--out", tmp_path / "a") == 2
+    assert (
+        knotgym(
+            "generate",
+            "--nx",
+            0,
+            "--count",
+            1,
+            "--engine",
+            "dask",
+            "--scheduler",
+            "tcp://127.0.0.1:9",
+            "--out",
+            tmp_path / "a",
+        )
+        == 2
+    )
     (line,) = said(capfd)
     assert "pip install 'knotgym[dask]'" in line
 
@@ -148,20 +229,54 @@ def test_a_scheduler_that_does_not_answer_is_one_line(
     from knotgym.runs import dask_executor as dask_engine
 
     monkeypatch.setattr(dask_engine, "CONNECT", 1.0)
-    assert knotgym("generate", "--nx", 0, "--count", 1, "--engine", "dask", "--scheduler", address, "--out", tmp_path / "a") == 2
+    assert (
+        knotgym(
+            "generate",
+            "--nx",
+            0,
+            "--count",
+            1,
+            "--engine",
+            "dask",
+            "--scheduler",
+            address,
+            "--out",
+            tmp_path / "a",
+        )
+        == 2
+    )
     (line,) = said(capfd)
     assert f"no Dask scheduler answers at {address}" in line
 
 
 @with_dask
-def test_a_worker_of_several_threads_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_worker_of_several_threads_is_refused(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     with cluster(tmp_path, 1, "--nthreads", "2") as (scheduler, _, _):
-        assert knotgym("generate", "--nx", 0, "--count", 1, "--engine", "dask", "--scheduler", scheduler, "--out", tmp_path / "a") == 2
+        assert (
+            knotgym(
+                "generate",
+                "--nx",
+                0,
+                "--count",
+                1,
+                "--engine",
+                "dask",
+                "--scheduler",
+                scheduler,
+                "--out",
+                tmp_path / "a",
+            )
+            == 2
+        )
     assert "has 2 threads" in said(capfd)[-1]
 
 
 @with_dask
-def test_a_cluster_that_loses_a_worker_makes_the_same_bytes(curated: Path, states_path: str, tmp_path: Path) -> None:
+def test_a_cluster_that_loses_a_worker_makes_the_same_bytes(
+    curated: Path, states_path: str, tmp_path: Path
+) -> None:
     settings = {"resume": False, "quiet": True, "console": Console()}
     task = TaskConfig(task="unknot", nx=1, states=states_path, observation="state", horizon=4)
     config = CollectConfig(task=task, policy=PolicyConfig(policy="scripted"), episodes=6)
@@ -176,7 +291,13 @@ def test_a_cluster_that_loses_a_worker_makes_the_same_bytes(curated: Path, state
 @with_dask
 @with_arrow
 def test_pictures_come_out_the_same_on_a_cluster(tmp_path: Path) -> None:
-    settings = {"archive": None, "states": None, "resume": False, "quiet": True, "console": Console()}
+    settings = {
+        "archive": None,
+        "states": None,
+        "resume": False,
+        "quiet": True,
+        "console": Console(),
+    }
     config = ImagesConfig(nx=(0, 1), count=12, pulls=4, stride=2, shard=5)
     with cluster(tmp_path, 2) as (scheduler, _, _):
         make(config, tmp_path / "there", workers=0, scheduler=scheduler, **settings)
@@ -185,15 +306,22 @@ def test_pictures_come_out_the_same_on_a_cluster(tmp_path: Path) -> None:
 
 
 @with_dask
-def test_a_scheduler_that_dies_is_one_line_and_the_run_goes_on_elsewhere(curated: Path, tmp_path: Path) -> None:
+def test_a_scheduler_that_dies_is_one_line_and_the_run_goes_on_elsewhere(
+    curated: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "nx0-1"
     with cluster(tmp_path, 1) as (scheduler, _, _):
-        words = typed("generate", *WANTED, "--engine", "dask", "--scheduler", scheduler, "--out", out)
+        words = typed(
+            "generate", *WANTED, "--engine", "dask", "--scheduler", scheduler, "--out", out
+        )
         run = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         while not (tmp_path / ".nx0-1.partial" / "job.pickle").exists() and run.poll() is None:
             time.sleep(0.02)
     error = run.communicate(timeout=SECONDS)[1]
-    assert run.returncode == 1 and error == "knotgym: the scheduler is gone; --resume goes on from there, on any engine\n"
+    assert (
+        run.returncode == 1
+        and error == "knotgym: the scheduler is gone; --resume goes on from there, on any engine\n"
+    )
     assert knotgym("generate", *WANTED, "--workers", 1, "--out", out, "--resume", "--quiet") == 0
     assert bytes_of(out) == bytes_of(curated)
 
@@ -201,7 +329,9 @@ def test_a_scheduler_that_dies_is_one_line_and_the_run_goes_on_elsewhere(curated
 @with_dask
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2, 4])
-def test_any_number_of_workers_makes_the_same_bytes_with_one_killed_and_another_come(workers: int, curated: Path, tmp_path: Path) -> None:
+def test_any_number_of_workers_makes_the_same_bytes_with_one_killed_and_another_come(
+    workers: int, curated: Path, tmp_path: Path
+) -> None:
     with cluster(tmp_path, workers) as (scheduler, began, begin):
         generated(tmp_path / "nx0-1", scheduler, began[0], begin)
     assert bytes_of(tmp_path / "nx0-1") == bytes_of(curated)

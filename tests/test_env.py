@@ -1,4 +1,6 @@
-"""One contract for every task and observation: Gymnasium's, and resets to exactly the state that was asked for."""
+"""One contract for every task and observation: Gymnasium's, and resets to exactly the state that
+was asked for.
+"""
 
 import json
 import pickle
@@ -27,7 +29,18 @@ from knotgym.topology.gauss import GaussCode
 TASKS = ("unknot", "tie", "convert")
 MODES = ("pixels", "state", "both")
 IDLE = np.zeros(6, dtype=np.float32)
-INFO = {"gauss_code", "gauss_code_chiral", "goal_gauss_code", "crossings", "is_success", "simulation_failed", "start", "goal", "bead", "force"}
+INFO = {
+    "gauss_code",
+    "gauss_code_chiral",
+    "goal_gauss_code",
+    "crossings",
+    "is_success",
+    "simulation_failed",
+    "start",
+    "goal",
+    "bead",
+    "force",
+}
 
 Make = Callable[..., KnotEnv]
 
@@ -48,7 +61,10 @@ def same(ours: Any, theirs: Any) -> bool:
 def rollout(env: gym.Env[Any, Any], seed: int, steps: int = 4) -> list[Any]:
     """All that an agent gets from an episode of seeded random actions."""
     rng = np.random.default_rng(seed)
-    return [env.reset(seed=seed), *(env.step(rng.uniform(-1, 1, 6).astype(np.float32)) for _ in range(steps))]
+    return [
+        env.reset(seed=seed),
+        *(env.step(rng.uniform(-1, 1, 6).astype(np.float32)) for _ in range(steps)),
+    ]
 
 
 def blow_up(env: KnotEnv) -> None:
@@ -74,17 +90,23 @@ def registered(states_path: str) -> Callable[..., gym.Env[Any, Any]]:
     """Make an environment by its id on the small state file."""
 
     def made(task: str = "unknot", **settings: Any) -> gym.Env[Any, Any]:
-        return gym.make(f"knotgym/{task.capitalize()}-v0", **{"states": states_path, "observation": "state", **settings})
+        return gym.make(
+            f"knotgym/{task.capitalize()}-v0",
+            **{"states": states_path, "observation": "state", **settings},
+        )
 
     return made
 
 
 @pytest.mark.parametrize("observation", MODES)
 @pytest.mark.parametrize("task", TASKS)
-def test_gymnasium_finds_no_fault(registered: Callable[..., gym.Env[Any, Any]], task: str, observation: str) -> None:
+def test_gymnasium_finds_no_fault(
+    registered: Callable[..., gym.Env[Any, Any]], task: str, observation: str
+) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        warnings.filterwarnings("ignore", message=".*(infinity|-infinity).*")  # coordinates have no bounds
+        # coordinates have no bounds
+        warnings.filterwarnings("ignore", message=".*(infinity|-infinity).*")
         check_env(registered(task, observation=observation).unwrapped)
 
 
@@ -106,11 +128,18 @@ def test_curated_states_serve_every_task_and_split(task: str, nx: int) -> None:
     for split in ("train", "test"):
         env = KnotEnv(task, nx=nx, split=split, observation="state")
         info = env.reset(seed=nx)[1]
-        assert info["crossings"] == env.config.start_nx and GaussCode.parse(info["goal_gauss_code"]).nx == env.config.goal_nx
+        assert (
+            info["crossings"] == env.config.start_nx
+            and GaussCode.parse(info["goal_gauss_code"]).nx == env.config.goal_nx
+        )
 
 
-@pytest.mark.parametrize(("task", "start", "goal"), [("unknot", 3, 0), ("tie", 0, 3), ("convert", 2, 3)])
-def test_a_task_starts_and_ends_at_its_crossing_numbers(make: Make, task: str, start: int, goal: int) -> None:
+@pytest.mark.parametrize(
+    ("task", "start", "goal"), [("unknot", 3, 0), ("tie", 0, 3), ("convert", 2, 3)]
+)
+def test_a_task_starts_and_ends_at_its_crossing_numbers(
+    make: Make, task: str, start: int, goal: int
+) -> None:
     env = make(task, nx=3)
     for seed in range(5):
         info = env.reset(seed=seed)[1]
@@ -141,7 +170,10 @@ def test_both_is_the_picture_and_the_state(make: Make) -> None:
 
 
 def test_the_perspective_camera_shows_another_picture(make: Make) -> None:
-    one, other = (make(nx=4, observation="pixels", camera=camera).reset(seed=0)[0] for camera in ("orthographic", "perspective"))
+    one, other = (
+        make(nx=4, observation="pixels", camera=camera).reset(seed=0)[0]
+        for camera in ("orthographic", "perspective")
+    )
     assert one.shape == other.shape and not np.array_equal(one, other)
 
 
@@ -189,9 +221,12 @@ def test_a_curl_pulled_open_is_a_success(make: Make, states: States) -> None:
     simulation, results = env.episodes.simulation, []
     while not results or not (results[-1][2] or results[-1][3]):
         points = simulation.points[0]
-        inner = int(np.argmin(np.linalg.norm(points[:, :2], axis=1)))  # the curl is inside; push it out over the rope
+        # the curl is inside; push it out over the rope
+        inner = int(np.argmin(np.linalg.norm(points[:, :2], axis=1)))
         force = points[inner] - points[(inner + 50) % 100]
-        results.append(env.step(simulation.actions([inner], (0.2 * force / np.abs(force).max())[None])[0]))
+        results.append(
+            env.step(simulation.actions([inner], (0.2 * force / np.abs(force).max())[None])[0])
+        )
     assert results[-1][1:4] == (5.0, True, False) and results[-1][4]["gauss_code"] == ""
     assert all(result[1:4] == (0.0, False, False) for result in results[:-1])
 
@@ -238,7 +273,9 @@ def test_a_reset_forgets_steps_held(make: Make) -> None:
 def test_chirality_does_not_count(make: Make) -> None:
     env = make("unknot", nx=3)
     env.reset(seed=0)
-    env.episodes.goals[0] = env.episodes.codes[0].reflected()  # the same visits, every letter the other
+    env.episodes.goals[0] = env.episodes.codes[
+        0
+    ].reflected()  # the same visits, every letter the other
     assert env.step(IDLE)[1:4] == (5.0, True, False)
 
 
@@ -249,7 +286,9 @@ def test_info_has_the_same_keys_and_types_at_every_step(make: Make) -> None:
     infos.append(env.step(IDLE)[-1])
     for info in infos:
         assert info.keys() == INFO
-        assert {key: type(value) for key, value in info.items()} == {key: type(value) for key, value in infos[0].items()}
+        assert {key: type(value) for key, value in info.items()} == {
+            key: type(value) for key, value in infos[0].items()
+        }
 
 
 def test_info_tells_the_pull(make: Make) -> None:
@@ -283,7 +322,9 @@ def test_what_an_agent_got_does_not_change_later(make: Make) -> None:
 
 @pytest.mark.parametrize("task", TASKS)
 @pytest.mark.parametrize("nx", [1, 2, 3, 4])
-def test_a_reset_keeps_the_code_that_was_asked_for(make: Make, states: States, task: str, nx: int) -> None:
+def test_a_reset_keeps_the_code_that_was_asked_for(
+    make: Make, states: States, task: str, nx: int
+) -> None:
     env = make(task, nx=nx)
     for seed in range(20):
         info = env.reset(seed=seed)[1]
@@ -322,7 +363,10 @@ def test_large_noise_keeps_the_code_too(make: Make, states: States) -> None:
     env = make(nx=3, reset_noise=0.5)
     for seed in range(5):
         info = env.reset(seed=seed)[1]
-        assert label(env.episodes.simulation.points[0]).chiral == states.gauss_code_chiral[info["start"]]
+        assert (
+            label(env.episodes.simulation.points[0]).chiral
+            == states.gauss_code_chiral[info["start"]]
+        )
 
 
 def test_options_pick_rows(make: Make, states: States) -> None:
@@ -331,17 +375,35 @@ def test_options_pick_rows(make: Make, states: States) -> None:
     for seed in range(3):
         info = env.reset(seed=seed, options={"start": start, "goal": goal})[1]
         assert (info["start"], info["goal"]) == (start, goal)
-        assert (info["gauss_code"], info["goal_gauss_code"]) == (states.gauss_code[start], states.gauss_code[goal])
+        assert (info["gauss_code"], info["goal_gauss_code"]) == (
+            states.gauss_code[start],
+            states.gauss_code[goal],
+        )
 
 
 def test_picking_the_row_that_is_drawn_changes_nothing(make: Make) -> None:
     env = make("convert", nx=3)
     drawn, info = env.reset(seed=0)
-    assert np.array_equal(env.reset(seed=0, options={"start": info["start"], "goal": info["goal"]})[0], drawn)
+    assert np.array_equal(
+        env.reset(seed=0, options={"start": info["start"], "goal": info["goal"]})[0], drawn
+    )
 
 
-@pytest.mark.parametrize("options", [{"start": 10_000}, {"start": -1}, {"goal": 0}, {"start": "6"}, {"start": 6.0}, {"start": True}, {"begin": 6}])
-def test_rows_that_cannot_be_had_are_refused_in_one_line(make: Make, options: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"start": 10_000},
+        {"start": -1},
+        {"goal": 0},
+        {"start": "6"},
+        {"start": 6.0},
+        {"start": True},
+        {"begin": 6},
+    ],
+)
+def test_rows_that_cannot_be_had_are_refused_in_one_line(
+    make: Make, options: dict[str, Any]
+) -> None:
     env = make("convert", nx=2)
     with pytest.raises(InvalidSetting, match=next(iter(options))) as caught:
         env.reset(seed=0, options=options)
@@ -377,7 +439,9 @@ def test_a_row_of_the_other_split_is_refused(make: Make, states: States) -> None
     ],
     ids=str,
 )
-def test_settings_that_cannot_be_had_are_refused_in_one_line(make: Make, settings: dict[str, Any], message: str) -> None:
+def test_settings_that_cannot_be_had_are_refused_in_one_line(
+    make: Make, settings: dict[str, Any], message: str
+) -> None:
     with pytest.raises(InvalidSetting, match=message) as caught:
         make(**settings)
     assert "\n" not in str(caught.value)
@@ -387,7 +451,9 @@ def test_crossings_that_no_file_has_are_refused_with_the_command_that_makes_them
     make: Make, states_path: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("knotgym.episode_batch.shipped", lambda: Path(states_path))
-    with pytest.raises(InvalidSetting, match="no states with nx = 6 in split 'train' of .*knotgym-generate --nx 6"):
+    with pytest.raises(
+        InvalidSetting, match="no states with nx = 6 in split 'train' of .*knotgym-generate --nx 6"
+    ):
         make("tie", nx=6)
 
 
@@ -396,7 +462,19 @@ def test_a_side_that_the_file_lacks_comes_from_the_one_that_ships(
 ) -> None:
     monkeypatch.setattr("knotgym.episode_batch.shipped", lambda: Path(states_path))
     only = states.nx == 3
-    columns = {name: getattr(states, name)[only] for name in ("qpos", "points", "image", "gauss_code", "gauss_code_chiral", "knot", "nx", "split")}
+    columns = {
+        name: getattr(states, name)[only]
+        for name in (
+            "qpos",
+            "points",
+            "image",
+            "gauss_code",
+            "gauss_code_chiral",
+            "knot",
+            "nx",
+            "split",
+        )
+    }
     write_states(tmp_path / "nx3.h5", States(**columns, attributes=states.attributes))
     env = make("tie", nx=3, states=str(tmp_path / "nx3.h5"))
     info = env.reset(seed=0)[1]
@@ -409,21 +487,29 @@ def test_a_missing_state_file_is_named(make: Make, tmp_path: Path) -> None:
         make(states=str(tmp_path / "absent.h5"))
 
 
-def test_a_truncated_state_file_is_refused_in_one_line(make: Make, states_path: str, tmp_path: Path) -> None:
+def test_a_truncated_state_file_is_refused_in_one_line(
+    make: Make, states_path: str, tmp_path: Path
+) -> None:
     (tmp_path / "half.h5").write_bytes(Path(states_path).read_bytes()[:50_000])
     with pytest.raises(InvalidStates, match="half.h5 isn't a whole state file") as caught:
         make(states=str(tmp_path / "half.h5"))
     assert "\n" not in str(caught.value)
 
 
-def test_states_of_another_rope_are_refused_in_one_line(make: Make, states: States, tmp_path: Path) -> None:
+def test_states_of_another_rope_are_refused_in_one_line(
+    make: Make, states: States, tmp_path: Path
+) -> None:
     write_states(tmp_path / "other.h5", replace(states, attributes={"rope": "0123456789abcdef"}))
-    with pytest.raises(InvalidSetting, match="made for rope model 0123456789abcdef, this version has ") as caught:
+    with pytest.raises(
+        InvalidSetting, match="made for rope model 0123456789abcdef, this version has "
+    ) as caught:
         make(states=str(tmp_path / "other.h5"))
     assert "\n" not in str(caught.value)
 
 
-def test_states_of_another_version_are_refused(make: Make, states_path: str, tmp_path: Path) -> None:
+def test_states_of_another_version_are_refused(
+    make: Make, states_path: str, tmp_path: Path
+) -> None:
     (tmp_path / "later.h5").write_bytes(Path(states_path).read_bytes())
     with h5py.File(tmp_path / "later.h5", "a") as file:
         file.attrs["format_version"] = 99
@@ -431,7 +517,18 @@ def test_states_of_another_version_are_refused(make: Make, states_path: str, tmp
         make(states=str(tmp_path / "later.h5"))
 
 
-@pytest.mark.parametrize("action", [np.full(6, np.nan), np.full(6, 1.5), np.full(6, np.inf), np.zeros(5), np.zeros((1, 6)), np.float32(0)], ids=repr)
+@pytest.mark.parametrize(
+    "action",
+    [
+        np.full(6, np.nan),
+        np.full(6, 1.5),
+        np.full(6, np.inf),
+        np.zeros(5),
+        np.zeros((1, 6)),
+        np.float32(0),
+    ],
+    ids=repr,
+)
 def test_bad_actions_are_refused_and_nothing_moves(make: Make, action: NDArray[Any]) -> None:
     env = make("tie")
     env.reset(seed=0)
@@ -439,11 +536,15 @@ def test_bad_actions_are_refused_and_nothing_moves(make: Make, action: NDArray[A
     with pytest.raises(InvalidAction) as caught:
         env.step(action)
     assert "\n" not in str(caught.value)
-    assert same(before, (env.episodes.simulation.states(), env.episodes.info(0), int(env.episodes.steps[0])))
+    assert same(
+        before, (env.episodes.simulation.states(), env.episodes.info(0), int(env.episodes.steps[0]))
+    )
 
 
 @pytest.mark.parametrize("observation", MODES)
-def test_a_blown_up_simulation_ends_the_episode_and_is_never_seen(make: Make, observation: str) -> None:
+def test_a_blown_up_simulation_ends_the_episode_and_is_never_seen(
+    make: Make, observation: str
+) -> None:
     env = make("tie", observation=observation)
     seen = env.reset(seed=0)[0]
     blow_up(env)
@@ -478,7 +579,9 @@ def test_splits_in_one_process_never_see_each_others_rows(make: Make, states: St
             assert states.split[info["start"]] == states.split[info["goal"]] == split
 
 
-def test_environments_in_one_process_do_not_share(make: Make, states: States, tmp_path: Path) -> None:
+def test_environments_in_one_process_do_not_share(
+    make: Make, states: States, tmp_path: Path
+) -> None:
     mirrored = states.points * [1, 1, -1]
     codes = [label(points) for points in mirrored]
     rope = make().episodes.simulation.rope
@@ -502,13 +605,20 @@ def test_environments_in_one_process_do_not_share(make: Make, states: States, tm
     rngs = [np.random.default_rng(0) for _ in settings]
     results = [[env.reset(seed=0) for env in together]]
     for _ in range(4):
-        results.append([env.step(rng.uniform(-1, 1, 6).astype(np.float32)) for env, rng in zip(together, rngs, strict=True)])
+        results.append(
+            [
+                env.step(rng.uniform(-1, 1, 6).astype(np.float32))
+                for env, rng in zip(together, rngs, strict=True)
+            ]
+        )
     assert same([list(one) for one in zip(*results, strict=True)], alone)
     assert not any(same(alone[0], one) for one in alone[1:])
 
 
 @pytest.mark.parametrize("observation", MODES)
-def test_a_pickled_environment_goes_on_as_the_first(registered: Callable[..., gym.Env[Any, Any]], observation: str) -> None:
+def test_a_pickled_environment_goes_on_as_the_first(
+    registered: Callable[..., gym.Env[Any, Any]], observation: str
+) -> None:
     env = registered("tie", observation=observation, horizon=6)
     rollout(env, 0, steps=3)
     again = pickle.loads(pickle.dumps(env))
@@ -520,7 +630,9 @@ def test_a_pickled_environment_goes_on_as_the_first(registered: Callable[..., gy
 
 
 def test_a_spec_survives_json(registered: Callable[..., gym.Env[Any, Any]]) -> None:
-    env = registered("convert", nx=3, split="test", observation="both", horizon=7, hold=2, reset_noise=0.01)
+    env = registered(
+        "convert", nx=3, split="test", observation="both", horizon=7, hold=2, reset_noise=0.01
+    )
     assert env.spec is not None
     again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
     assert again.unwrapped.config == env.unwrapped.config

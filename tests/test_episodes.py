@@ -1,4 +1,6 @@
-"""Trajectory data: episodes, hindsight, episode files, merging, Minari datasets, and the checks that they tell the truth."""
+"""Trajectory data: episodes, hindsight, episode files, merging, Minari datasets, and the checks
+that they tell the truth.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,14 @@ from knotgym.datasets.episode_reader import EpisodeReader, InvalidEpisodeFile
 from knotgym.datasets.episode_verification import replay, show_episodes, verify_episodes
 from knotgym.datasets.episode_writer import EpisodeWriter, merge
 from knotgym.datasets.minari_dataset import MinariMetadata, compact, metadata_of, publish
-from knotgym.datasets.trajectory import INFOS, Episode, InvalidEpisode, goals_reached, relabel_all, relabelled
+from knotgym.datasets.trajectory import (
+    INFOS,
+    Episode,
+    InvalidEpisode,
+    goals_reached,
+    relabel_all,
+    relabelled,
+)
 from knotgym.loaders import arrays
 from knotgym.tasks import TaskConfig
 
@@ -43,12 +52,20 @@ METADATA = MinariMetadata(
 
 
 def record(env: gym.Env[Any, Any], seed: int) -> tuple[Episode, list[Any]]:
-    """An episode of pulls at random beads, each kept up for a while, and what the environment showed."""
+    """An episode of pulls at random beads, each kept up for a while, and what the environment
+    showed.
+    """
     core: Any = env.unwrapped
     rng, simulation = np.random.default_rng(seed), core.episodes.simulation
     seen, info = env.reset(seed=seed)
     start_qpos = simulation.qpos()[0]
-    observations, infos, points, actions, outcomes = [seen], [info], [simulation.points[0].copy()], [], []
+    observations, infos, points, actions, outcomes = (
+        [seen],
+        [info],
+        [simulation.points[0].copy()],
+        [],
+        [],
+    )
     while not outcomes or not (outcomes[-1][1] or outcomes[-1][2]):
         if len(actions) % 8 == 0:
             bead = rng.integers(100)
@@ -62,8 +79,12 @@ def record(env: gym.Env[Any, Any], seed: int) -> tuple[Episode, list[Any]]:
         points.append(simulation.points[0].copy())
         actions.append(action)
         outcomes.append(outcome)
-    rewards, terminations, truncations = (np.array(column) for column in zip(*outcomes, strict=True))
-    columns: dict[str, Any] = {name: np.array([one[name] for one in infos]) for name in INFOS if name != "move"}
+    rewards, terminations, truncations = (
+        np.array(column) for column in zip(*outcomes, strict=True)
+    )
+    columns: dict[str, Any] = {
+        name: np.array([one[name] for one in infos]) for name in INFOS if name != "move"
+    }
     episode = Episode(
         start_qpos=start_qpos,
         points=np.array(points),
@@ -84,7 +105,9 @@ def record(env: gym.Env[Any, Any], seed: int) -> tuple[Episode, list[Any]]:
 
 @pytest.fixture(scope="module")
 def task(states_path: str) -> TaskConfig:
-    return TaskConfig(task="tie", nx=2, states=states_path, observation="both", horizon=20, image_size=48)
+    return TaskConfig(
+        task="tie", nx=2, states=states_path, observation="both", horizon=20, image_size=48
+    )
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +124,9 @@ def episodes(recorded: list[tuple[Episode, list[Any]]]) -> list[Episode]:
     return own + list(relabel_all(own, "all"))
 
 
-def write(path: Path, task: TaskConfig, episodes: dict[int, Episode], compact: bool = False) -> Path:
+def write(
+    path: Path, task: TaskConfig, episodes: dict[int, Episode], compact: bool = False
+) -> Path:
     with EpisodeWriter(path, task, compact=compact) as writer:
         for number, episode in episodes.items():
             writer.add(episode, number)
@@ -109,10 +134,14 @@ def write(path: Path, task: TaskConfig, episodes: dict[int, Episode], compact: b
 
 
 @pytest.fixture(scope="module")
-def root(tmp_path_factory: pytest.TempPathFactory, task: TaskConfig, episodes: list[Episode]) -> Path:
+def root(
+    tmp_path_factory: pytest.TempPathFactory, task: TaskConfig, episodes: list[Episode]
+) -> Path:
     """A place where Minari finds one dataset, merged from two shards."""
     room = tmp_path_factory.mktemp("minari")
-    shards = [write(room / f"{k}.h5", task, dict(list(enumerate(episodes))[k::2])) for k in range(2)]
+    shards = [
+        write(room / f"{k}.h5", task, dict(list(enumerate(episodes))[k::2])) for k in range(2)
+    ]
     publish(shards, METADATA, room / "root")
     return room / "root"
 
@@ -124,13 +153,24 @@ def sha(path: Path) -> str:
 # episodes and hindsight
 
 
-def test_the_recorded_episodes_are_of_unequal_lengths_and_of_both_ends(episodes: list[Episode]) -> None:
+def test_the_recorded_episodes_are_of_unequal_lengths_and_of_both_ends(
+    episodes: list[Episode],
+) -> None:
     assert len({len(one) for one in episodes}) > 4
     assert {bool(one.terminations[-1]) for one in episodes} == {True, False}
 
 
-@pytest.mark.parametrize(("name", "wrong"), [("actions", np.zeros((20, 5), np.float32)), ("actions", np.zeros((20, 6))), ("bead", np.zeros(20, int))])
-def test_an_episode_refuses_arrays_that_do_not_fit(episodes: list[Episode], name: str, wrong: Any) -> None:
+@pytest.mark.parametrize(
+    ("name", "wrong"),
+    [
+        ("actions", np.zeros((20, 5), np.float32)),
+        ("actions", np.zeros((20, 6))),
+        ("bead", np.zeros(20, int)),
+    ],
+)
+def test_an_episode_refuses_arrays_that_do_not_fit(
+    episodes: list[Episode], name: str, wrong: Any
+) -> None:
     with pytest.raises(InvalidEpisode, match=name):
         replace(episodes[0], **{name: wrong})
 
@@ -138,29 +178,44 @@ def test_an_episode_refuses_arrays_that_do_not_fit(episodes: list[Episode], name
 def test_a_digest_changes_with_any_bit(episodes: list[Episode]) -> None:
     points = episodes[0].points.copy()
     points[-1, -1, -1] = np.nextafter(points[-1, -1, -1], 1)
-    assert replace(episodes[0], points=points).digest() != episodes[0].digest() == replace(episodes[0]).digest()
+    assert (
+        replace(episodes[0], points=points).digest()
+        != episodes[0].digest()
+        == replace(episodes[0]).digest()
+    )
 
 
 def test_replay_is_exact(episodes: list[Episode], task: TaskConfig) -> None:
     assert replay(episodes, task) == [None] * len(episodes)
 
 
-def test_replay_says_where_the_rope_lies_elsewhere(episodes: list[Episode], task: TaskConfig) -> None:
+def test_replay_says_where_the_rope_lies_elsewhere(
+    episodes: list[Episode], task: TaskConfig
+) -> None:
     points = episodes[1].points.copy()
     points[5:] += 1e-16 + 1e-12
     assert replay([episodes[0], replace(episodes[1], points=points)], task) == [None, 5]
 
 
-def test_hindsight_cuts_where_a_code_is_reached_first(recorded: list[tuple[Episode, list[Any]]]) -> None:
+def test_hindsight_cuts_where_a_code_is_reached_first(
+    recorded: list[tuple[Episode, list[Any]]],
+) -> None:
     episode = next(episode for episode, _ in recorded if goals_reached(episode.gauss_code))
     step = goals_reached(episode.gauss_code)[-1]
     before = episode.digest()
     cut = relabelled(episode, step)
     assert episode.digest() == before
-    assert len(cut) == step and cut.goal_gauss_code == episode.gauss_code[step] not in episode.gauss_code[:step]
+    assert (
+        len(cut) == step
+        and cut.goal_gauss_code == episode.gauss_code[step] not in episode.gauss_code[:step]
+    )
     assert cut.rewards.tolist() == [0.0] * (step - 1) + [5.0]
     assert cut.terminations.tolist() == [False] * (step - 1) + [True] and not cut.truncations.any()
-    assert np.array_equal(cut.goal_points, cut.points[-1]) and "goal" not in cut.options and cut.relabelled
+    assert (
+        np.array_equal(cut.goal_points, cut.points[-1])
+        and "goal" not in cut.options
+        and cut.relabelled
+    )
 
 
 def test_hindsight_refuses_a_goal_that_was_reached_before() -> None:
@@ -175,12 +230,16 @@ def test_hindsight_refuses_a_step_that_reaches_nothing_new(episodes: list[Episod
 # files
 
 
-def test_what_is_written_comes_back(tmp_path: Path, task: TaskConfig, episodes: list[Episode]) -> None:
+def test_what_is_written_comes_back(
+    tmp_path: Path, task: TaskConfig, episodes: list[Episode]
+) -> None:
     path = write(tmp_path / "a.h5", task, dict(enumerate(episodes)))
     assert [one.digest() for one in EpisodeReader(path)] == [one.digest() for one in episodes]
 
 
-def test_stored_observations_are_the_environments_byte_for_byte(root: Path, recorded: list[tuple[Episode, list[Any]]]) -> None:
+def test_stored_observations_are_the_environments_byte_for_byte(
+    root: Path, recorded: list[tuple[Episode, list[Any]]]
+) -> None:
     reader = EpisodeReader(root / ID)
     for index, (_, observations) in enumerate(recorded):
         stored = reader.observations(index)
@@ -190,20 +249,35 @@ def test_stored_observations_are_the_environments_byte_for_byte(root: Path, reco
 
 
 def test_the_compact_form_draws_what_the_environment_showed(
-    tmp_path: Path, task: TaskConfig, episodes: list[Episode], recorded: list[tuple[Episode, list[Any]]]
+    tmp_path: Path,
+    task: TaskConfig,
+    episodes: list[Episode],
+    recorded: list[tuple[Episode, list[Any]]],
 ) -> None:
     reader = EpisodeReader(write(tmp_path / "a.h5", task, dict(enumerate(episodes)), compact=True))
     assert reader.stored == "none"
-    assert np.array_equal(reader.observations(3, slice(4, 6), observation="pixels"), np.array([one["pixels"] for one in recorded[3][1][4:6]]))
+    assert np.array_equal(
+        reader.observations(3, slice(4, 6), observation="pixels"),
+        np.array([one["pixels"] for one in recorded[3][1][4:6]]),
+    )
 
 
-def test_hindsight_shows_the_same_stored_as_drawn(tmp_path: Path, task: TaskConfig, episodes: list[Episode]) -> None:
-    files = [write(tmp_path / f"{small}.h5", task, {0: episodes[0]}, compact=small) for small in (True, False)]
-    drawn, stored = (EpisodeReader(path).observations(0, slice(0, 3), goal_step=5) for path in files)
+def test_hindsight_shows_the_same_stored_as_drawn(
+    tmp_path: Path, task: TaskConfig, episodes: list[Episode]
+) -> None:
+    files = [
+        write(tmp_path / f"{small}.h5", task, {0: episodes[0]}, compact=small)
+        for small in (True, False)
+    ]
+    drawn, stored = (
+        EpisodeReader(path).observations(0, slice(0, 3), goal_step=5) for path in files
+    )
     assert all(np.array_equal(drawn[name], stored[name]) for name in ("pixels", "state"))
 
 
-def test_an_error_leaves_nothing_under_the_final_name(tmp_path: Path, task: TaskConfig, episodes: list[Episode]) -> None:
+def test_an_error_leaves_nothing_under_the_final_name(
+    tmp_path: Path, task: TaskConfig, episodes: list[Episode]
+) -> None:
     with pytest.raises(RuntimeError), EpisodeWriter(tmp_path / "a.h5", task) as writer:
         writer.add(episodes[0])
         raise RuntimeError
@@ -212,37 +286,59 @@ def test_an_error_leaves_nothing_under_the_final_name(tmp_path: Path, task: Task
 
 def test_a_kill_leaves_nothing_under_the_final_name(tmp_path: Path) -> None:
     script = (
-        "import os\nfrom knotgym.datasets.episode_writer import EpisodeWriter\nfrom knotgym.tasks import TaskConfig\n"
-        f"with EpisodeWriter({str(tmp_path / 'a.h5')!r}, TaskConfig(task='tie')):\n    os.kill(os.getpid(), 9)"
+        "import os\nfrom knotgym.datasets.episode_writer import EpisodeWriter\nfrom knotgym.tasks"
+        f" import TaskConfig\nwith EpisodeWriter({str(tmp_path / 'a.h5')!r},"
+        " TaskConfig(task='tie')):\n    os.kill(os.getpid(), 9)"
     )
-    assert subprocess.run([sys.executable, "-c", script], cwd=Path(knotgym.__file__).parent.parent).returncode == -9
+    assert (
+        subprocess.run(
+            [sys.executable, "-c", script], cwd=Path(knotgym.__file__).parent.parent
+        ).returncode
+        == -9
+    )
     assert not (tmp_path / "a.h5").exists()
 
 
 @pytest.mark.parametrize("shards", [1, 2, 5])
-def test_merging_gives_the_same_bytes_whatever_the_shards(tmp_path: Path, root: Path, task: TaskConfig, episodes: list[Episode], shards: int) -> None:
+def test_merging_gives_the_same_bytes_whatever_the_shards(
+    tmp_path: Path, root: Path, task: TaskConfig, episodes: list[Episode], shards: int
+) -> None:
     numbered = list(enumerate(episodes))
-    sources = [write(tmp_path / f"{k}.h5", task, dict(reversed(numbered[k::shards]))) for k in range(shards)]
+    sources = [
+        write(tmp_path / f"{k}.h5", task, dict(reversed(numbered[k::shards])))
+        for k in range(shards)
+    ]
     again = publish(sources[::-1], METADATA, tmp_path / "root")
     for name in ("main_data.hdf5", "metadata.json"):
         assert sha(again / "data" / name) == sha(root / ID / "data" / name)
 
 
-def test_merging_closes_gaps_in_the_numbers(tmp_path: Path, task: TaskConfig, episodes: list[Episode]) -> None:
+def test_merging_closes_gaps_in_the_numbers(
+    tmp_path: Path, task: TaskConfig, episodes: list[Episode]
+) -> None:
     merge([write(tmp_path / "a.h5", task, {7: episodes[1], 3: episodes[0]})], tmp_path / "b.h5")
     reader = EpisodeReader(tmp_path / "b.h5")
-    assert reader.rows == [0, 1] and [one.digest() for one in reader] == [one.digest() for one in episodes[:2]]
+    assert reader.rows == [0, 1] and [one.digest() for one in reader] == [
+        one.digest() for one in episodes[:2]
+    ]
 
 
-def test_merging_refuses_two_episodes_of_one_number(tmp_path: Path, task: TaskConfig, episodes: list[Episode]) -> None:
+def test_merging_refuses_two_episodes_of_one_number(
+    tmp_path: Path, task: TaskConfig, episodes: list[Episode]
+) -> None:
     paths = [write(tmp_path / f"{k}.h5", task, {4: episodes[k]}) for k in range(2)]
     with pytest.raises(InvalidEpisodeFile, match="number 4"):
         merge(paths, tmp_path / "c.h5")
     merge(paths[::-1], tmp_path / "c.h5", concatenate=True)
-    assert [one.digest() for one in EpisodeReader(tmp_path / "c.h5")] == [episodes[1].digest(), episodes[0].digest()]
+    assert [one.digest() for one in EpisodeReader(tmp_path / "c.h5")] == [
+        episodes[1].digest(),
+        episodes[0].digest(),
+    ]
 
 
-def test_merging_refuses_files_of_different_tasks(tmp_path: Path, task: TaskConfig, episodes: list[Episode]) -> None:
+def test_merging_refuses_files_of_different_tasks(
+    tmp_path: Path, task: TaskConfig, episodes: list[Episode]
+) -> None:
     paths = [write(tmp_path / f"{nx}.h5", replace(task, nx=nx), {nx: episodes[0]}) for nx in (2, 3)]
     with pytest.raises(InvalidEpisodeFile, match="one task"):
         merge(paths, tmp_path / "c.h5")
@@ -250,7 +346,9 @@ def test_merging_refuses_files_of_different_tasks(tmp_path: Path, task: TaskConf
 
 def test_to_the_compact_form_and_back_gives_the_same_bytes(tmp_path: Path, root: Path) -> None:
     compact(root / ID, tmp_path / "small.h5")
-    assert (tmp_path / "small.h5").stat().st_size < (root / ID / "data" / "main_data.hdf5").stat().st_size
+    assert (tmp_path / "small.h5").stat().st_size < (
+        root / ID / "data" / "main_data.hdf5"
+    ).stat().st_size
     metadata = metadata_of(tmp_path / "small.h5")
     assert metadata == METADATA
     again = publish([tmp_path / "small.h5"], METADATA, tmp_path / "root")
@@ -262,7 +360,9 @@ def test_to_other_observations_and_back_gives_the_same_bytes(tmp_path: Path, roo
     merge([root / ID], tmp_path / "state.h5", store="state")
     assert EpisodeReader(tmp_path / "state.h5").task.observation == "state"
     publish([tmp_path / "state.h5"], METADATA, tmp_path / "root", store="both")
-    assert sha(tmp_path / "root" / ID / "data" / "main_data.hdf5") == sha(root / ID / "data" / "main_data.hdf5")
+    assert sha(tmp_path / "root" / ID / "data" / "main_data.hdf5") == sha(
+        root / ID / "data" / "main_data.hdf5"
+    )
 
 
 def test_a_dataset_is_replaced_only_when_asked(root: Path, tmp_path: Path) -> None:
@@ -302,7 +402,9 @@ def dataset(root: Path, monkeypatch: pytest.MonkeyPatch) -> minari.MinariDataset
     return minari.load_dataset(ID)
 
 
-def test_minari_iterates_what_was_written(dataset: minari.MinariDataset, episodes: list[Episode]) -> None:
+def test_minari_iterates_what_was_written(
+    dataset: minari.MinariDataset, episodes: list[Episode]
+) -> None:
     assert (dataset.total_episodes, dataset.total_steps) == (len(episodes), sum(map(len, episodes)))
     for read, episode in zip(dataset.iterate_episodes(), episodes, strict=True):
         for name in ("actions", "rewards", "terminations", "truncations"):
@@ -310,44 +412,88 @@ def test_minari_iterates_what_was_written(dataset: minari.MinariDataset, episode
         assert sorted(read.infos) == sorted(INFOS)
         for name in INFOS:
             right = getattr(episode, name)
-            assert np.array_equal([text.decode() for text in read.infos[name]] if right.dtype.kind == "U" else read.infos[name], right)
-        assert dataset.observation_space.contains({name: array[-1] for name, array in read.observations.items()})
+            assert np.array_equal(
+                (
+                    [text.decode() for text in read.infos[name]]
+                    if right.dtype.kind == "U"
+                    else read.infos[name]
+                ),
+                right,
+            )
+        assert dataset.observation_space.contains(
+            {name: array[-1] for name, array in read.observations.items()}
+        )
 
 
-def test_loaders_keep_to_the_episodes_that_minari_chose(dataset: minari.MinariDataset, episodes: list[Episode]) -> None:
+def test_loaders_keep_to_the_episodes_that_minari_chose(
+    dataset: minari.MinariDataset, episodes: list[Episode]
+) -> None:
     chosen = dataset.filter_episodes(lambda episode: len(episode) < 15)
     right = [episode.actions for episode in episodes if len(episode) < 15]
-    assert right and np.array_equal(arrays(chosen, observation="state")["actions"], np.concatenate(right))
+    assert right and np.array_equal(
+        arrays(chosen, observation="state")["actions"], np.concatenate(right)
+    )
 
 
 def test_minari_samples(dataset: minari.MinariDataset) -> None:
     assert len(list(dataset.sample_episodes(4))) == 4
 
 
-def test_minari_keeps_seeds_and_options(dataset: minari.MinariDataset, episodes: list[Episode]) -> None:
-    for said, episode in zip(dataset.storage.get_episode_metadata(range(len(episodes))), episodes, strict=True):
-        assert (said["seed"], said["options"], said["policy"]) == (episode.seed, episode.options, "random")
-        assert (said["total_steps"], said["goal_gauss_code"]) == (len(episode), episode.goal_gauss_code)
+def test_minari_keeps_seeds_and_options(
+    dataset: minari.MinariDataset, episodes: list[Episode]
+) -> None:
+    for said, episode in zip(
+        dataset.storage.get_episode_metadata(range(len(episodes))), episodes, strict=True
+    ):
+        assert (said["seed"], said["options"], said["policy"]) == (
+            episode.seed,
+            episode.options,
+            "random",
+        )
+        assert (said["total_steps"], said["goal_gauss_code"]) == (
+            len(episode),
+            episode.goal_gauss_code,
+        )
 
 
-def test_the_recovered_environment_shows_the_same_again(dataset: minari.MinariDataset, task: TaskConfig) -> None:
+def test_the_recovered_environment_shows_the_same_again(
+    dataset: minari.MinariDataset, task: TaskConfig
+) -> None:
     env: Any = dataset.recover_environment()
     assert env.unwrapped.config == task
-    assert dataset.recover_environment(eval_env=True).unwrapped.config == replace(task, split="test")
+    assert dataset.recover_environment(eval_env=True).unwrapped.config == replace(
+        task, split="test"
+    )
     read, said = dataset[2], next(iter(dataset.storage.get_episode_metadata([2])))
-    shown = [env.reset(seed=said["seed"], options={name: int(row) for name, row in said["options"].items()})[0]]
+    shown = [
+        env.reset(
+            seed=said["seed"], options={name: int(row) for name, row in said["options"].items()}
+        )[0]
+    ]
     rewards = []
     for action in read.actions:
         seen, reward, *_ = env.step(action)
         shown.append(seen)
         rewards.append(reward)
     assert rewards == read.rewards.tolist()
-    assert all(np.array_equal(np.array([one[name] for one in shown]), read.observations[name]) for name in shown[0])
+    assert all(
+        np.array_equal(np.array([one[name] for one in shown]), read.observations[name])
+        for name in shown[0]
+    )
 
 
-def test_minari_recovers_the_environment_in_a_process_that_never_imported_knotgym(root: Path) -> None:
-    script = f"import minari, sys\nenv = minari.load_dataset({ID!r}).recover_environment()\nassert env.reset()[0]['pixels'].shape == (48, 96, 3)"
-    where = {"MINARI_DATASETS_PATH": str(root), "PATH": "", "PYTHONPATH": str(Path(knotgym.__file__).parent.parent)}
+def test_minari_recovers_the_environment_in_a_process_that_never_imported_knotgym(
+    root: Path,
+) -> None:
+    script = (
+        f"import minari, sys\nenv = minari.load_dataset({ID!r}).recover_environment()\nassert"
+        " env.reset()[0]['pixels'].shape == (48, 96, 3)"
+    )
+    where = {
+        "MINARI_DATASETS_PATH": str(root),
+        "PATH": "",
+        "PYTHONPATH": str(Path(knotgym.__file__).parent.parent),
+    }
     subprocess.run([sys.executable, "-c", script], env=where, check=True)
 
 
@@ -363,7 +509,10 @@ def test_scores_are_normalized_by_the_references(dataset: minari.MinariDataset) 
 
 def test_the_metadata_names_what_minari_names(root: Path) -> None:
     entries = json.loads((root / ID / "data" / "metadata.json").read_text())
-    assert entries["author"] == ["Ada", "Bob"] and entries["code_permalink"] == "https://example.org/code"
+    assert (
+        entries["author"] == ["Ada", "Bob"]
+        and entries["code_permalink"] == "https://example.org/code"
+    )
     assert entries["jpeg_encoding"] is False and entries["minari_version"] == minari.__version__
     assert entries["algorithm_name"] == "random" and entries["num_episodes_average_score"] == 64
     size = sum(file.stat().st_size for file in (root / ID / "data").iterdir()) / 1e6
@@ -385,7 +534,11 @@ def test_what_was_written_has_no_fault(root: Path) -> None:
 
 def test_show_counts_episodes_steps_and_successes(root: Path, episodes: list[Episode]) -> None:
     summary = show_episodes(root / ID)
-    assert (summary["episodes"], summary["steps"], summary["dataset_id"]) == (len(episodes), sum(map(len, episodes)), ID)
+    assert (summary["episodes"], summary["steps"], summary["dataset_id"]) == (
+        len(episodes),
+        sum(map(len, episodes)),
+        ID,
+    )
     assert summary["successes"] == summary["relabelled"] == len(episodes) - 7
     json.dumps(summary)
 
@@ -408,12 +561,17 @@ def set_last(name: str, value: Any) -> Callable[[h5py.Group], None]:
         (set_last("rope/points", np.nan), "points holds a number that isn't finite"),
         (set_last("observations/pixels", 7), "step 20: the stored pixels"),
         (set_last("observations/state", 7.0), "step 20: the stored state"),
-        (lambda group: group["rope/start_qpos"].write_direct(np.ones(421)), "step 0: the rope doesn't lie"),
+        (
+            lambda group: group["rope/start_qpos"].write_direct(np.ones(421)),
+            "step 0: the rope doesn't lie",
+        ),
         (lambda group: group.attrs.modify("policy", "expert"), "digest"),
         (lambda group: group.pop("actions"), "actions"),
     ],
 )
-def test_verification_names_the_fault(tmp_path: Path, task: TaskConfig, episodes: list[Episode], change: Any, said: str) -> None:
+def test_verification_names_the_fault(
+    tmp_path: Path, task: TaskConfig, episodes: list[Episode], change: Any, said: str
+) -> None:
     path = write(tmp_path / "a.h5", task, dict(enumerate(episodes[:2])))
     with h5py.File(path, "r+") as file:
         change(file["episode_1"])

@@ -8,43 +8,91 @@ from rich.console import Console
 
 from knotgym.control.planner import PlannerConfig
 from knotgym.control.policies import PolicyConfig
-from knotgym.generate.episodes.evaluate import EvaluateConfig, InvalidEvaluation, evaluate, report, run, wilson
+from knotgym.generate.episodes.evaluate import (
+    EvaluateConfig,
+    InvalidEvaluation,
+    evaluate,
+    report,
+    run,
+    wilson,
+)
 from knotgym.runs.executors import InProcess
 from knotgym.tasks import TaskConfig
 
 
 def config(states_path: str, **settings: object) -> EvaluateConfig:
     task = TaskConfig(task="unknot", states=states_path, observation="state", horizon=5)
-    fields = {"policies": (PolicyConfig(policy="random"),), "tasks": ("unknot",), "nx": (1,), "episodes": 9, "task": task}
+    fields = {
+        "policies": (PolicyConfig(policy="random"),),
+        "tasks": ("unknot",),
+        "nx": (1,),
+        "episodes": 9,
+        "task": task,
+    }
     return EvaluateConfig(**{**fields, **settings})
 
 
-@pytest.mark.parametrize(("successes", "trials", "low", "high"), [(0, 10, 0.0, 0.2775), (5, 10, 0.2366, 0.7634), (10, 10, 0.7225, 1.0)])
-def test_wilson_s_interval_is_the_textbook_s(successes: int, trials: int, low: float, high: float) -> None:
+@pytest.mark.parametrize(
+    ("successes", "trials", "low", "high"),
+    [(0, 10, 0.0, 0.2775), (5, 10, 0.2366, 0.7634), (10, 10, 0.7225, 1.0)],
+)
+def test_wilson_s_interval_is_the_textbook_s(
+    successes: int, trials: int, low: float, high: float
+) -> None:
     assert wilson(successes, trials) == pytest.approx((low, high), abs=1e-4)
 
 
 def test_every_setup_gets_its_row_in_order(states_path: str) -> None:
-    results, _ = evaluate(config(states_path, tasks=("unknot", "tie"), nx=(1, 2), splits=("train", "test"), episodes=1), InProcess())
+    results, _ = evaluate(
+        config(
+            states_path, tasks=("unknot", "tie"), nx=(1, 2), splits=("train", "test"), episodes=1
+        ),
+        InProcess(),
+    )
     found = [(one.task, one.split, one.nx) for one in results]
-    assert found == [(task, split, nx) for task in ("unknot", "tie") for split in ("train", "test") for nx in (1, 2)]
+    assert found == [
+        (task, split, nx)
+        for task in ("unknot", "tie")
+        for split in ("train", "test")
+        for nx in (1, 2)
+    ]
 
 
 def test_an_expert_beats_random_and_says_what_planning_took(states_path: str) -> None:
-    policies = (PolicyConfig(policy="random"), PolicyConfig(policy="expert", planner=PlannerConfig(budget=1000, slots=4)))
-    (worse, better), _ = evaluate(config(states_path, policies=policies, episodes=5, task=TaskConfig(task="unknot", states=states_path)), InProcess())
+    policies = (
+        PolicyConfig(policy="random"),
+        PolicyConfig(policy="expert", planner=PlannerConfig(budget=1000, slots=4)),
+    )
+    (worse, better), _ = evaluate(
+        config(
+            states_path,
+            policies=policies,
+            episodes=5,
+            task=TaskConfig(task="unknot", states=states_path),
+        ),
+        InProcess(),
+    )
     assert better.success_rate > worse.success_rate and better.success_rate > 0.8
     assert better.planned_actions > 0 == worse.planned_actions
-    assert better.mean_return == pytest.approx(5 * better.success_rate - 5 * (1 - better.success_rate))
+    assert better.mean_return == pytest.approx(
+        5 * better.success_rate - 5 * (1 - better.success_rate)
+    )
     assert better.steps is not None and better.steps < 50
 
 
-def test_the_file_holds_the_rate_the_interval_and_the_settings(states_path: str, tmp_path: Path) -> None:
+def test_the_file_holds_the_rate_the_interval_and_the_settings(
+    states_path: str, tmp_path: Path
+) -> None:
     made = config(states_path)
-    results = run(made, workers=1, out=tmp_path / "r.json", video=None, quiet=True, console=Console())
+    results = run(
+        made, workers=1, out=tmp_path / "r.json", video=None, quiet=True, console=Console()
+    )
     held = json.loads((tmp_path / "r.json").read_text())
     assert held == json.loads(json.dumps(report(made, results)))
-    assert 0 <= held["success_rate"] <= 1 and held["interval"][0] <= held["success_rate"] <= held["interval"][1]
+    assert (
+        0 <= held["success_rate"] <= 1
+        and held["interval"][0] <= held["success_rate"] <= held["interval"][1]
+    )
     assert held["settings"]["seed"] == 0 and held["settings"]["policies"][0]["policy"] == "random"
 
 
@@ -52,12 +100,23 @@ def test_workers_do_not_change_the_result(states_path: str) -> None:
     from knotgym.runs.executors import engine
 
     with engine(2) as pool:
-        assert evaluate(config(states_path), pool)[0] == evaluate(config(states_path), InProcess())[0]
+        assert (
+            evaluate(config(states_path), pool)[0] == evaluate(config(states_path), InProcess())[0]
+        )
 
 
 @pytest.mark.parametrize("name", ["film.gif", "film.mp4"])
-def test_a_film_shows_every_state_of_its_episodes(name: str, states_path: str, tmp_path: Path) -> None:
-    run(config(states_path, episodes=1, filmed=1), workers=1, out=None, video=tmp_path / name, quiet=True, console=Console())
+def test_a_film_shows_every_state_of_its_episodes(
+    name: str, states_path: str, tmp_path: Path
+) -> None:
+    run(
+        config(states_path, episodes=1, filmed=1),
+        workers=1,
+        out=None,
+        video=tmp_path / name,
+        quiet=True,
+        console=Console(),
+    )
     film = cv2.VideoCapture(str(tmp_path / name))
     frames = []
     while (read := film.read())[0]:
@@ -66,23 +125,50 @@ def test_a_film_shows_every_state_of_its_episodes(name: str, states_path: str, t
 
 
 @pytest.mark.parametrize("settings", [{"episodes": 0}, {"seed": -1}, {"nx": ()}, {"policies": ()}])
-def test_settings_that_make_no_sense_are_refused(settings: dict[str, object], states_path: str) -> None:
+def test_settings_that_make_no_sense_are_refused(
+    settings: dict[str, object], states_path: str
+) -> None:
     with pytest.raises(InvalidEvaluation):
         config(states_path, **settings)
 
 
-def test_the_command_prints_the_matrix(states_path: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_prints_the_matrix(
+    states_path: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     from knotgym.cli.main import main
 
-    words = ["evaluate", "--task", "unknot", "--nx", "1,2", "--split", "train,test", "--episodes", "1", "--states", states_path]
+    words = [
+        "evaluate",
+        "--task",
+        "unknot",
+        "--nx",
+        "1,2",
+        "--split",
+        "train,test",
+        "--episodes",
+        "1",
+        "--states",
+        states_path,
+    ]
     with pytest.raises(SystemExit) as left:
         main([*words, "--horizon", "2", "--workers", "1"])
     assert left.value.code == 0
     assert "success, %" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("words", [["--nx", "9"], ["--policy", "x.onnx"], ["--video", "film.avi"], ["--episodes", "0"], ["--task", "tie,knit"]])
-def test_a_mistake_is_one_line_and_status_2(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--nx", "9"],
+        ["--policy", "x.onnx"],
+        ["--video", "film.avi"],
+        ["--episodes", "0"],
+        ["--task", "tie,knit"],
+    ],
+)
+def test_a_mistake_is_one_line_and_status_2(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
     from knotgym.cli.main import main
 
     with pytest.raises(SystemExit) as left:

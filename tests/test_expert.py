@@ -34,7 +34,10 @@ def kinks() -> Transitions:
     return table
 
 
-@given(st.sampled_from([code for nx in range(4) for code in codes_of("0_1", nx)]), st.tuples(*[st.booleans()] * 3))
+@given(
+    st.sampled_from([code for nx in range(4) for code in codes_of("0_1", nx)]),
+    st.tuples(*[st.booleans()] * 3),
+)
 def test_a_spin_undoes_itself(code: GaussCode, spin: tuple[bool, bool, bool]) -> None:
     assert spun(spun(code, spin), spin) == code
 
@@ -56,7 +59,9 @@ def test_the_distance_is_one_over_the_doubted_chance() -> None:
 
 def test_every_member_of_a_class_is_as_far_as_the_goal_turned_with_it() -> None:
     atlas = Atlas(kinks())
-    assert atlas.distances(GaussCode.parse("1-,1+"))(FLAT) == atlas.distances(GaussCode.parse("1+,1-"))(FLAT)
+    assert atlas.distances(GaussCode.parse("1-,1+"))(FLAT) == atlas.distances(
+        GaussCode.parse("1+,1-")
+    )(FLAT)
 
 
 def test_steps_come_with_grips_turned_for_the_rope_at_hand() -> None:
@@ -110,17 +115,26 @@ def test_the_reason_names_the_move(before: str, after: str, said: str) -> None:
 def test_the_atlas_that_ships_knows_a_way_to_every_code_of_up_to_four_crossings() -> None:
     atlas = shipped_atlas()
     some = {1: 1, 2: 1, 3: 8, 4: 90}  # every so many: a goal takes a tenth of a second
-    lost = [str(code) for nx, step in some.items() for code in codes_of("0_1", nx)[::step] if FLAT not in atlas.distances(code).far]
+    lost = [
+        str(code)
+        for nx, step in some.items()
+        for code in codes_of("0_1", nx)[::step]
+        if FLAT not in atlas.distances(code).far
+    ]
     assert lost == []
 
 
 def test_a_plan_that_is_solved_ends_in_the_goal_when_acted_out(states_path: str) -> None:
-    episodes = Episodes(TaskConfig(task="unknot", nx=1, states=states_path, split="test", observation="state"))
+    episodes = Episodes(
+        TaskConfig(task="unknot", nx=1, states=states_path, split="test", observation="state")
+    )
     episodes.begin(0, np.random.default_rng(3))
     config = PlannerConfig(budget=2000, slots=4)
     start = episodes.simulation.states([0])[0]
     goal = GaussCode(())
-    found = plan(Simulation(4), start, goal, shipped_atlas(), config, np.random.default_rng(0), steps=50)
+    found = plan(
+        Simulation(4), start, goal, shipped_atlas(), config, np.random.default_rng(0), steps=50
+    )
     assert found.solved and len(found.actions) == len(found.moves) <= 50
     for action in found.actions:
         episodes.simulation.act(action[None])
@@ -134,7 +148,9 @@ def test_a_plan_holds_the_goal_as_long_as_asked(states_path: str) -> None:
     expert.begin(episodes, 0, np.random.default_rng(1))
     ended = False
     while not ended:
-        _, terminated, truncated = episodes.step(expert.act(episodes, np.array([0])).actions, np.array([0]))
+        _, terminated, truncated = episodes.step(
+            expert.act(episodes, np.array([0])).actions, np.array([0])
+        )
         ended = bool(terminated[0] or truncated[0])
     assert episodes.info(0)["is_success"] and episodes.held[0] == 3
 
@@ -142,19 +158,38 @@ def test_a_plan_holds_the_goal_as_long_as_asked(states_path: str) -> None:
 def test_without_counts_the_crossings_guide() -> None:
     simulation = Simulation(4)
     start = simulation.states([0])[0]
-    found = plan(simulation, start, KINK.plain, Atlas(Transitions()), PlannerConfig(budget=2000, slots=4), np.random.default_rng(0), steps=50)
+    found = plan(
+        simulation,
+        start,
+        KINK.plain,
+        Atlas(Transitions()),
+        PlannerConfig(budget=2000, slots=4),
+        np.random.default_rng(0),
+        steps=50,
+    )
     assert found.solved
 
 
 def test_planning_keeps_its_budget_and_says_what_it_spent() -> None:
     simulation = Simulation(4)
     goal = codes_of("0_1", 4)[0]
-    found = plan(simulation, simulation.states([0])[0], goal, shipped_atlas(), PlannerConfig(budget=30, slots=4), np.random.default_rng(0), steps=50)
+    found = plan(
+        simulation,
+        simulation.states([0])[0],
+        goal,
+        shipped_atlas(),
+        PlannerConfig(budget=30, slots=4),
+        np.random.default_rng(0),
+        steps=50,
+    )
     assert not found.solved and found.spent == 28
 
 
 def test_with_its_budget_gone_the_expert_goes_on_without_looking_ahead(states_path: str) -> None:
-    episodes, expert = Episodes(TaskConfig(task="tie", nx=4, states=states_path, observation="state")), Expert(PlannerConfig(budget=0))
+    episodes, expert = (
+        Episodes(TaskConfig(task="tie", nx=4, states=states_path, observation="state")),
+        Expert(PlannerConfig(budget=0)),
+    )
     episodes.begin(0, np.random.default_rng(0))
     expert.begin(episodes, 0, np.random.default_rng(1))
     choice = expert.act(episodes, np.array([0]))
@@ -162,7 +197,17 @@ def test_with_its_budget_gone_the_expert_goes_on_without_looking_ahead(states_pa
     assert expert.effort(0).actions == 0
 
 
-@pytest.mark.parametrize("settings", [{"budget": -1}, {"slots": 0}, {"guided": 2.0}, {"greed": -1.0}, {"patience": 0.0}, {"kept": 0}])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"budget": -1},
+        {"slots": 0},
+        {"guided": 2.0},
+        {"greed": -1.0},
+        {"patience": 0.0},
+        {"kept": 0},
+    ],
+)
 def test_settings_no_planner_can_have_are_refused(settings: dict[str, object]) -> None:
     with pytest.raises(InvalidPlanner):
         PlannerConfig(**settings)

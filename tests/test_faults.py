@@ -1,6 +1,8 @@
-"""What can go wrong while a run writes: each goes on or says in one line what happened, and --resume completes to the same bytes.
+"""What can go wrong while a run writes: each goes on or says in one line what happened, and
+--resume completes to the same bytes.
 
-Kills of the main job and of a collection are in test_main_job and test_collect, those of a cluster's workers in test_engines.
+Kills of the main job and of a collection are in test_main_job and test_collect, those of a
+cluster's workers in test_engines.
 """
 
 import contextlib
@@ -18,19 +20,43 @@ import pytest
 from .small_job import knotgym, typed
 from .test_main_job import SECONDS, WANTED, begun, bytes_of, held, said
 
-with_arrow = pytest.mark.skipif(importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed")
+with_arrow = pytest.mark.skipif(
+    importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed"
+)
 
 # command, words, the folder below --out, the files whose bytes are compared
 GENERATE = ("generate", *WANTED)
-COLLECT = ("collect", "--task", "unknot", "--nx", 1, "--policy", "random", "--horizon", 10, "--episodes", 16)
+COLLECT = (
+    "collect",
+    "--task",
+    "unknot",
+    "--nx",
+    1,
+    "--policy",
+    "random",
+    "--horizon",
+    10,
+    "--episodes",
+    16,
+)
 IMAGES = ("images", "--nx", "0,1", "--count", 40)
-COMMANDS = [pytest.param(GENERATE, id="generate"), pytest.param(COLLECT, id="collect"), pytest.param(IMAGES, id="images", marks=with_arrow)]
+COMMANDS = [
+    pytest.param(GENERATE, id="generate"),
+    pytest.param(COLLECT, id="collect"),
+    pytest.param(IMAGES, id="images", marks=with_arrow),
+]
 RESUMED = "goes on from the last cycle"
 
 
 def made(folder: Path) -> dict[str, str]:
-    """SHA-256 of every finished file but the report of a collection, which tells how long planning took."""
-    return {name: digest for name, digest in bytes_of(folder).items() if ".partial/" not in name and not name.endswith("collection.json")}
+    """SHA-256 of every finished file but the report of a collection, which tells how long planning
+    took.
+    """
+    return {
+        name: digest
+        for name, digest in bytes_of(folder).items()
+        if ".partial/" not in name and not name.endswith("collection.json")
+    }
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +74,10 @@ def unbroken(tmp_path_factory: pytest.TempPathFactory, curated: Path) -> dict[st
 def mounted(folder: Path, megabytes: float) -> Iterator[None]:
     """A small disk of its own at a folder; skips where this user may not mount one."""
     folder.mkdir()
-    if subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={int(1024 * megabytes)}k", "tmpfs", str(folder)], capture_output=True).returncode:
+    if subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", f"size={int(1024 * megabytes)}k", "tmpfs", str(folder)],
+        capture_output=True,
+    ).returncode:
         pytest.skip("no disk can be mounted here")
     try:
         yield
@@ -62,18 +91,30 @@ def remounted(folder: Path, options: str) -> None:
 
 def run(*words: object, **options: object) -> "subprocess.CompletedProcess[str]":
     """A command in a process of its own."""
-    return subprocess.run(typed(*words), capture_output=True, text=True, timeout=4 * SECONDS, **options)  # type: ignore[call-overload]
+    return subprocess.run(
+        typed(*words), capture_output=True, text=True, timeout=4 * SECONDS, **options
+    )  # type: ignore[call-overload]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_full_disk_is_one_line_and_room_makes_it_go_on(command: tuple[object, ...], unbroken: dict[str, dict[str, str]], tmp_path: Path) -> None:
+def test_a_full_disk_is_one_line_and_room_makes_it_go_on(
+    command: tuple[object, ...], unbroken: dict[str, dict[str, str]], tmp_path: Path
+) -> None:
     disk = tmp_path / "disk"
     with mounted(disk, 0.25):
         out = disk / "a"
         full = run(*command, "--workers", 1, "--quiet", "--out", out)
-        assert full.returncode == 1 and full.stderr.startswith("knotgym: No space left on device") and full.stderr.count("\n") == 1
+        assert (
+            full.returncode == 1
+            and full.stderr.startswith("knotgym: No space left on device")
+            and full.stderr.count("\n") == 1
+        )
         assert [
-            path for path in disk.rglob("*") if path.is_dir() and (path / "data").is_dir() and not any(".partial" in part for part in path.parts)
+            path
+            for path in disk.rglob("*")
+            if path.is_dir()
+            and (path / "data").is_dir()
+            and not any(".partial" in part for part in path.parts)
         ] == []
         remounted(disk, "size=128m")
         assert run(*command, "--workers", 1, "--quiet", "--out", out, "--resume").returncode == 0
@@ -82,7 +123,10 @@ def test_a_full_disk_is_one_line_and_room_makes_it_go_on(command: tuple[object, 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_limit_on_files_is_one_line(
-    command: tuple[object, ...], unbroken: dict[str, dict[str, str]], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    command: tuple[object, ...],
+    unbroken: dict[str, dict[str, str]],
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
@@ -95,7 +139,9 @@ def test_a_limit_on_files_is_one_line(
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_read_only_target_is_one_line(command: tuple[object, ...], tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_read_only_target_is_one_line(
+    command: tuple[object, ...], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     with mounted(tmp_path / "disk", 8):
         remounted(tmp_path / "disk", "ro")
         assert knotgym(*command, "--workers", 1, "--quiet", "--out", tmp_path / "disk" / "a") == 1
@@ -105,7 +151,10 @@ def test_a_read_only_target_is_one_line(command: tuple[object, ...], tmp_path: P
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_second_run_is_refused_and_a_stale_lock_is_not_in_the_way(
-    command: tuple[object, ...], unbroken: dict[str, dict[str, str]], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    command: tuple[object, ...],
+    unbroken: dict[str, dict[str, str]],
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     name = "random-v0" if command[0] == "collect" else "a"
     room = tmp_path / "a" / "knotgym" / "unknot-nx1" if command[0] == "collect" else tmp_path
@@ -120,20 +169,31 @@ def test_a_second_run_is_refused_and_a_stale_lock_is_not_in_the_way(
 
 def children(process: int) -> list[int]:
     """The processes that descend from one, the youngest last."""
-    own = [int(word) for word in Path(f"/proc/{process}/task/{process}/children").read_text().split()]
+    own = [
+        int(word) for word in Path(f"/proc/{process}/task/{process}/children").read_text().split()
+    ]
     return own + [below for child in own for below in children(child)]
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc")
-def test_a_worker_that_dies_is_one_line_and_the_rest_is_kept(unbroken: dict[str, dict[str, str]], tmp_path: Path) -> None:
+def test_a_worker_that_dies_is_one_line_and_the_rest_is_kept(
+    unbroken: dict[str, dict[str, str]], tmp_path: Path
+) -> None:
     words = typed(*COLLECT, "--workers", 2, "--quiet", "--out", tmp_path / "a")
     broken = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     until = time.monotonic() + SECONDS
-    while not list(tmp_path.rglob("shard-*.json")) and broken.poll() is None and time.monotonic() < until:
+    while (
+        not list(tmp_path.rglob("shard-*.json"))
+        and broken.poll() is None
+        and time.monotonic() < until
+    ):
         time.sleep(0.005)
     os.kill(children(broken.pid)[-1], signal.SIGKILL)
     error = broken.communicate(timeout=SECONDS)[1]
-    assert broken.returncode == 1 and error == f"knotgym: a worker died, perhaps for want of memory; --resume {RESUMED}\n"
+    assert (
+        broken.returncode == 1
+        and error == f"knotgym: a worker died, perhaps for want of memory; --resume {RESUMED}\n"
+    )
     assert knotgym(*COLLECT, "--workers", 1, "--quiet", "--out", tmp_path / "a", "--resume") == 0
     assert made(tmp_path / "a") == unbroken["collect"]
 
@@ -141,7 +201,9 @@ def test_a_worker_that_dies_is_one_line_and_the_rest_is_kept(unbroken: dict[str,
 @pytest.mark.parametrize("command", COMMANDS)
 def test_asked_to_stop_twice_it_says_so_once(command: tuple[object, ...], tmp_path: Path) -> None:
     words = typed(*command, "--workers", 2, "--quiet", "--out", tmp_path / "a")
-    stopped = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    stopped = subprocess.Popen(
+        words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
     until = time.monotonic() + SECONDS
     while not list(tmp_path.rglob("lock")) and stopped.poll() is None and time.monotonic() < until:
         time.sleep(0.005)
@@ -149,7 +211,10 @@ def test_asked_to_stop_twice_it_says_so_once(command: tuple[object, ...], tmp_pa
         os.killpg(stopped.pid, signal.SIGINT)
         time.sleep(0.01)
     error = stopped.communicate(timeout=SECONDS)[1]
-    assert stopped.returncode == 130 and error == f"knotgym: interrupted; nothing half-written is left, --resume {RESUMED}\n"
+    assert (
+        stopped.returncode == 130
+        and error == f"knotgym: interrupted; nothing half-written is left, --resume {RESUMED}\n"
+    )
 
 
 def test_a_spoilt_checkpoint_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -174,16 +239,24 @@ def interrupted(command: tuple[object, ...], out: Path, sign: str, count: int) -
     """Kill a run once `count` files of this name are there."""
     going = subprocess.Popen(typed(*command, "--workers", 1, "--quiet", "--out", out))
     until = time.monotonic() + SECONDS
-    while len(list(out.parent.rglob(sign))) < count and going.poll() is None and time.monotonic() < until:
+    while (
+        len(list(out.parent.rglob(sign))) < count
+        and going.poll() is None
+        and time.monotonic() < until
+    ):
         time.sleep(0.005)
     assert going.poll() is None
     going.kill()
     going.wait()
 
 
-def test_spoilt_shards_of_a_collection_are_made_anew(unbroken: dict[str, dict[str, str]], tmp_path: Path) -> None:
+def test_spoilt_shards_of_a_collection_are_made_anew(
+    unbroken: dict[str, dict[str, str]], tmp_path: Path
+) -> None:
     interrupted(COLLECT, tmp_path / "a", "shard-*.json", 2)
-    first, second = (next(tmp_path.rglob(f"shard-00000{k}.{kind}")) for k, kind in ((0, "h5"), (1, "json")))
+    first, second = (
+        next(tmp_path.rglob(f"shard-00000{k}.{kind}")) for k, kind in ((0, "h5"), (1, "json"))
+    )
     spoil(first)
     second.write_text("{")
     assert knotgym(*COLLECT, "--workers", 1, "--quiet", "--out", tmp_path / "a", "--resume") == 0
@@ -205,4 +278,6 @@ def test_spoilt_walks_and_shards_of_pictures_are_made_anew(
     spoil(next(tmp_path.rglob("*.npz")))
     spoil(next(tmp_path.rglob("*.parquet")))
     assert knotgym(*IMAGES, "--workers", 1, "--quiet", "--out", tmp_path / "a", "--resume") == 0
-    assert made(tmp_path / "a") == unbroken["images"] and [path.name for path in tmp_path.iterdir()] == ["a"]
+    assert made(tmp_path / "a") == unbroken["images"] and [
+        path.name for path in tmp_path.iterdir()
+    ] == ["a"]

@@ -67,7 +67,9 @@ def test_a_folder_stays_when_nothing_was_written(tmp_path: Path) -> None:
     assert (tmp_path / "set" / "old.txt").read_text() == "old"
 
 
-def test_a_relative_path_is_written_where_it_points(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_relative_path_is_written_where_it_points(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     with whole("a.txt") as part:
         part.write_text("whole")
@@ -95,9 +97,13 @@ def test_two_writers_of_one_name_leave_one_of_the_two(tmp_path: Path) -> None:
     with whole(tmp_path / "a.txt") as one, whole(tmp_path / "a.txt") as other:
         one.write_text("one")
         other.write_text("other")
-    assert (tmp_path / "a.txt").read_text() in ("one", "other") and len(list(tmp_path.iterdir())) == 1
+    assert (tmp_path / "a.txt").read_text() in ("one", "other") and len(
+        list(tmp_path.iterdir())
+    ) == 1
 
 
 def test_sha256_is_of_the_bytes(tmp_path: Path) -> None:
     (tmp_path / "a").write_bytes(b"abc")
-    assert sha256(tmp_path / "a") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    assert (
+        sha256(tmp_path / "a") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    )

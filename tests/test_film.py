@@ -1,4 +1,6 @@
-"""Films are written whole or not at all; the dataset commands show, draw, replay, merge and convert what is there."""
+"""Films are written whole or not at all; the dataset commands show, draw, replay, merge and convert
+what is there.
+"""
 
 import shutil
 from collections.abc import Iterator
@@ -110,7 +112,9 @@ def test_the_gallery_command_draws_the_gallery_again(curated: Path, tmp_path: Pa
     assert (tmp_path / "a.png").read_bytes() == (curated / "gallery.png").read_bytes()
 
 
-def test_the_gallery_command_leaves_a_file_that_is_there_alone(curated: Path, tmp_path: Path) -> None:
+def test_the_gallery_command_leaves_a_file_that_is_there_alone(
+    curated: Path, tmp_path: Path
+) -> None:
     (tmp_path / "a.png").write_text("mine")
     assert knotgym("dataset", "gallery", curated, "--out", tmp_path / "a.png") == 2
     assert (tmp_path / "a.png").read_text() == "mine"
@@ -119,7 +123,9 @@ def test_the_gallery_command_leaves_a_file_that_is_there_alone(curated: Path, tm
 # Show.
 
 
-def test_show_counts_states_codes_and_rejections(curated: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_show_counts_states_codes_and_rejections(
+    curated: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     assert knotgym("dataset", "show", curated) == 0
     told = capfd.readouterr().out
     assert "8 states" in told and "noise_survival" in told and "instances made; rejected" in told
@@ -128,10 +134,16 @@ def test_show_counts_states_codes_and_rejections(curated: Path, capfd: pytest.Ca
 def test_show_sums_up_trajectories(curated: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert knotgym("dataset", "show", curated / WAYS) == 0
     told = {line.split()[0]: line for line in capfd.readouterr().out.splitlines()}
-    assert told["episodes"].split()[1] == "4" and told["successes"].split()[1] == "4" and "ways" in told["policies"]
+    assert (
+        told["episodes"].split()[1] == "4"
+        and told["successes"].split()[1] == "4"
+        and "ways" in told["policies"]
+    )
 
 
-def test_show_finds_a_dataset_by_its_id(curated: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+def test_show_finds_a_dataset_by_its_id(
+    curated: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(curated / "minari"))
     assert knotgym("dataset", "show", "knotgym/tie-nx1/ways-v0") == 0
     assert "knotgym/tie-nx1/ways-v0" in capfd.readouterr().out
@@ -140,7 +152,12 @@ def test_show_finds_a_dataset_by_its_id(curated: Path, monkeypatch: pytest.Monke
 def test_growth_is_told_in_a_dozen_rows_the_last_among_them() -> None:
     rows = [{"steps": 100 * k, "known": {"3": k}, "accepted": {"3": k // 2}} for k in range(1, 500)]
     told = growth({"growth": rows})
-    assert len(told) <= 12 and told[0] == rows[0] and told[-1] == rows[-1] and told == sorted(told, key=lambda one: one["steps"])
+    assert (
+        len(told) <= 12
+        and told[0] == rows[0]
+        and told[-1] == rows[-1]
+        and told == sorted(told, key=lambda one: one["steps"])
+    )
     assert growth({"growth": rows[:5]}) == rows[:5] and growth({}) == []
 
 
@@ -150,16 +167,23 @@ def test_a_summary_counts_what_is_there(curated: Path) -> None:
     assert (one["states"], one["codes"], one["train"], one["test"]) == (4, 2, 2, 2)
     assert one["positive_crossings"] + one["negative_crossings"] == 4
     assert one["positive_crossings"] == sum("c" in text for text in states.gauss_code_chiral)
-    assert one["actions_to_reach"][0] == states.source["steps"][4:].min() and one["actions_to_reach"][2] == states.source["steps"][4:].max()
+    assert (
+        one["actions_to_reach"][0] == states.source["steps"][4:].min()
+        and one["actions_to_reach"][2] == states.source["steps"][4:].max()
+    )
 
 
-def test_show_counts_states_whose_way_is_not_known(states_path: str, capfd: pytest.CaptureFixture[str]) -> None:
+def test_show_counts_states_whose_way_is_not_known(
+    states_path: str, capfd: pytest.CaptureFixture[str]
+) -> None:
     assert knotgym("dataset", "show", states_path) == 0 and "30 states" in capfd.readouterr().out
 
 
 @pytest.mark.parametrize("command", ["show", "verify", "replay"])
 @pytest.mark.parametrize("name", ["absent", "text.h5", "foreign.h5"])
-def test_what_is_no_dataset_is_refused_in_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str], command: str, name: str) -> None:
+def test_what_is_no_dataset_is_refused_in_one_line(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], command: str, name: str
+) -> None:
     (tmp_path / "text.h5").write_text("not HDF5")
     with opened(tmp_path / "foreign.h5") as file:
         file["x"] = 1.0
@@ -173,7 +197,9 @@ def test_what_is_no_dataset_is_refused_in_one_line(tmp_path: Path, capfd: pytest
 
 
 @pytest.mark.parametrize("kind", ["states", "trajectories"])
-def test_a_replay_is_filmed_from_the_start_to_the_state(curated: Path, tmp_path: Path, kind: str) -> None:
+def test_a_replay_is_filmed_from_the_start_to_the_state(
+    curated: Path, tmp_path: Path, kind: str
+) -> None:
     states = read_states(curated / "states.h5")
     source, row = (curated, 5) if kind == "states" else (curated / WAYS, 1)
     assert knotgym("dataset", "replay", source, "--row", row, "--out", tmp_path / "a.mp4") == 0
@@ -187,20 +213,35 @@ def test_the_last_frame_shows_the_state_beside_itself(curated: Path, tmp_path: P
     while (frame := film.read())[0]:
         frames.append(frame[1][1:384:3, 1::3, ::-1])
     right = np.concatenate([draw(points)] * 2, axis=1)
-    assert np.abs(frames[-1].astype(float) - right).mean() < 6 < np.abs(frames[0].astype(float) - right).mean() + 6
+    assert (
+        np.abs(frames[-1].astype(float) - right).mean()
+        < 6
+        < np.abs(frames[0].astype(float) - right).mean() + 6
+    )
 
 
 @pytest.mark.parametrize("name", ["start_qpos", "actions"])
-def test_a_replay_that_ends_elsewhere_is_told_and_not_filmed(curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], name: str) -> None:
+def test_a_replay_that_ends_elsewhere_is_told_and_not_filmed(
+    curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], name: str
+) -> None:
     shutil.copy(curated / "states.h5", tmp_path / "states.h5")
     with opened(tmp_path / "states.h5") as file:
-        file["source"][name][(5, 3) if name == "start_qpos" else (5, 0, 3)] += 1e-3  # the force, of an action
-    assert knotgym("dataset", "replay", tmp_path / "states.h5", "--row", 5, "--out", tmp_path / "a.gif") != 0
+        file["source"][name][(5, 3) if name == "start_qpos" else (5, 0, 3)] += (
+            1e-3  # the force, of an action
+        )
+    assert (
+        knotgym(
+            "dataset", "replay", tmp_path / "states.h5", "--row", 5, "--out", tmp_path / "a.gif"
+        )
+        != 0
+    )
     (line,) = capfd.readouterr().err.splitlines()
     assert "row 5 of" in line and "ends elsewhere" in line and not (tmp_path / "a.gif").exists()
 
 
-def test_states_without_provenance_cannot_be_replayed(states_path: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_states_without_provenance_cannot_be_replayed(
+    states_path: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     assert knotgym("dataset", "replay", states_path, "--out", tmp_path / "a.gif") == 2
     (line,) = capfd.readouterr().err.splitlines()
     assert "doesn't say how its states were made" in line
@@ -214,7 +255,9 @@ def test_states_without_provenance_cannot_be_replayed(states_path: str, tmp_path
         ("--out {}/a.avi", "a video ends in .gif or .mp4"),
     ],
 )
-def test_a_replay_of_what_cannot_be_is_refused(curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], options: str, problem: str) -> None:
+def test_a_replay_of_what_cannot_be_is_refused(
+    curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], options: str, problem: str
+) -> None:
     words = ["--out", str(tmp_path / "a.gif"), *options.format(tmp_path).split()]
     assert knotgym("dataset", "replay", curated, *words) == 2
     (line,) = capfd.readouterr().err.splitlines()
@@ -226,8 +269,13 @@ def test_a_replay_of_what_cannot_be_is_refused(curated: Path, tmp_path: Path, ca
 
 def cut(states: States, kept: NDArray[np.bool_]) -> States:
     """Some of the rows."""
-    columns = {name: value[kept] for name, value in vars(states).items() if isinstance(value, np.ndarray)}
-    groups = {name: {key: value[kept] for key, value in getattr(states, name).items()} for name in ("quality", "source")}
+    columns = {
+        name: value[kept] for name, value in vars(states).items() if isinstance(value, np.ndarray)
+    }
+    groups = {
+        name: {key: value[kept] for key, value in getattr(states, name).items()}
+        for name in ("quality", "source")
+    }
     return replace(states, **columns, **groups)
 
 
@@ -237,46 +285,82 @@ def rows(states: States) -> list[bytes]:
 
 def test_merged_states_are_those_of_both_in_order_of_nx(curated: Path, tmp_path: Path) -> None:
     whole = read_states(curated / "states.h5")
-    assert knotgym("dataset", "merge", curated, curated / "states.h5", "--out", tmp_path / "m.h5") == 0
+    assert (
+        knotgym("dataset", "merge", curated, curated / "states.h5", "--out", tmp_path / "m.h5") == 0
+    )
     merged = read_states(tmp_path / "m.h5")
-    assert merged.nx.tolist() == [0] * 8 + [1] * 8 and rows(merged) == 2 * rows(whole)[:4] + 2 * rows(whole)[4:]
-    assert merged.image is not None and whole.image is not None and np.array_equal(merged.image[:4], whole.image[:4])
-    assert merged.source.keys() == whole.source.keys() and merged.quality.keys() == whole.quality.keys()
+    assert (
+        merged.nx.tolist() == [0] * 8 + [1] * 8
+        and rows(merged) == 2 * rows(whole)[:4] + 2 * rows(whole)[4:]
+    )
+    assert (
+        merged.image is not None
+        and whole.image is not None
+        and np.array_equal(merged.image[:4], whole.image[:4])
+    )
+    assert (
+        merged.source.keys() == whole.source.keys()
+        and merged.quality.keys() == whole.quality.keys()
+    )
 
 
 def test_two_halves_merged_are_the_whole(curated: Path, tmp_path: Path) -> None:
     whole = read_states(curated / "states.h5")
     for nx in (1, 0):
         write_states(tmp_path / f"{nx}.h5", cut(whole, whole.nx == nx))
-    assert knotgym("dataset", "merge", tmp_path / "1.h5", tmp_path / "0.h5", "--out", tmp_path / "m.h5") == 0
+    assert (
+        knotgym(
+            "dataset", "merge", tmp_path / "1.h5", tmp_path / "0.h5", "--out", tmp_path / "m.h5"
+        )
+        == 0
+    )
     merged = read_states(tmp_path / "m.h5")
-    assert rows(merged) == rows(whole) and np.array_equal(merged.image, whole.image) and list(state_faults(merged)) == []
+    assert (
+        rows(merged) == rows(whole)
+        and np.array_equal(merged.image, whole.image)
+        and list(state_faults(merged)) == []
+    )
 
 
-def test_states_with_other_columns_do_not_go_together(curated: Path, states_path: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_states_with_other_columns_do_not_go_together(
+    curated: Path, states_path: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     assert knotgym("dataset", "merge", curated, states_path, "--out", tmp_path / "m.h5") == 2
-    assert "different quality or source columns" in capfd.readouterr().err and not (tmp_path / "m.h5").exists()
+    assert (
+        "different quality or source columns" in capfd.readouterr().err
+        and not (tmp_path / "m.h5").exists()
+    )
 
 
-def test_states_and_trajectories_do_not_go_into_one_file(curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_states_and_trajectories_do_not_go_into_one_file(
+    curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     assert knotgym("dataset", "merge", curated, curated / WAYS, "--out", tmp_path / "m.h5") == 2
     assert len(capfd.readouterr().err.splitlines()) == 1 and not (tmp_path / "m.h5").exists()
 
 
 def test_merged_trajectories_hold_every_episode(curated: Path, tmp_path: Path) -> None:
-    assert knotgym("dataset", "merge", curated / WAYS, curated / WAYS, "--out", tmp_path / "m.h5") == 0
+    assert (
+        knotgym("dataset", "merge", curated / WAYS, curated / WAYS, "--out", tmp_path / "m.h5") == 0
+    )
     assert len(EpisodeReader(tmp_path / "m.h5")) == 8
 
 
-def test_exported_trajectories_are_the_same_without_pictures(curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_exported_trajectories_are_the_same_without_pictures(
+    curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     assert knotgym("dataset", "export", curated / WAYS, "--out", tmp_path / "e.h5") == 0
     compact, whole = EpisodeReader(tmp_path / "e.h5"), EpisodeReader(curated / WAYS)
-    assert compact.stored == "none" and [one.digest() for one in compact] == [one.digest() for one in whole]
+    assert compact.stored == "none" and [one.digest() for one in compact] == [
+        one.digest() for one in whole
+    ]
     assert knotgym("dataset", "verify", tmp_path / "e.h5") == 0
 
 
 @pytest.mark.parametrize("command", ["merge", "export", "replay"])
-def test_a_file_that_is_there_is_not_written_over(curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], command: str) -> None:
+def test_a_file_that_is_there_is_not_written_over(
+    curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], command: str
+) -> None:
     mine = tmp_path / ("a.gif" if command == "replay" else "a.h5")
     mine.write_text("mine")
     assert knotgym("dataset", command, curated / WAYS, "--out", mine) == 2

@@ -1,4 +1,6 @@
-"""Perception tables: what `knotgym images` writes, that it is true, that `verify` finds what is not, and how it is read."""
+"""Perception tables: what `knotgym images` writes, that it is true, that `verify` finds what is
+not, and how it is read.
+"""
 
 import importlib.metadata
 import importlib.util
@@ -17,7 +19,18 @@ from rich.console import Console
 from knotgym.cli.main import main
 from knotgym.datasets import image_table as tables
 from knotgym.datasets.image_rows import Row, record
-from knotgym.datasets.image_table import COLUMNS, SPLITS, InvalidImages, MissingArrow, decode, encode, read_rows, read_table, shards, write_rows
+from knotgym.datasets.image_table import (
+    COLUMNS,
+    SPLITS,
+    InvalidImages,
+    MissingArrow,
+    decode,
+    encode,
+    read_rows,
+    read_table,
+    shards,
+    write_rows,
+)
 from knotgym.datasets.image_verification import image_faults, row_faults
 from knotgym.datasets.near_duplicates import NEAR, distances
 from knotgym.difficulty import grade
@@ -38,9 +51,19 @@ from knotgym.topology.symmetry import Symmetry
 
 from .conftest import curled
 
-pytestmark = pytest.mark.skipif(importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed")
+pytestmark = pytest.mark.skipif(
+    importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed"
+)
 
-CONFIG = ImagesConfig(nx=(0, 1, 2), count=36, test_share=0.2, pulls=4, stride=2, shard=10, appearance=AppearanceConfig(vary=VARIED, sizes=(64, 128)))
+CONFIG = ImagesConfig(
+    nx=(0, 1, 2),
+    count=36,
+    test_share=0.2,
+    pulls=4,
+    stride=2,
+    shard=10,
+    appearance=AppearanceConfig(vary=VARIED, sizes=(64, 128)),
+)
 
 
 def made(out: Path, config: ImagesConfig = CONFIG, **options: Any) -> Path:
@@ -55,7 +78,11 @@ def _pixel_altered(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
 
 
 @pytest.fixture(scope="module")
@@ -117,7 +144,10 @@ def test_another_job_is_not_resumed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("spoil", "named"),
     [
-        (lambda row: row.update(gauss_code=str(GaussCode.parse(row["gauss_code"]).mirrored())), "gauss_code is"),
+        (
+            lambda row: row.update(gauss_code=str(GaussCode.parse(row["gauss_code"]).mirrored())),
+            "gauss_code is",
+        ),
         (lambda row: row["crossings"][0].update(sign=-row["crossings"][0]["sign"]), "crossings is"),
         (lambda row: row.update(nx=9), "nx is"),
         (lambda row: row.update(knot="3_1"), "knot is"),
@@ -125,13 +155,24 @@ def test_another_job_is_not_resumed(tmp_path: Path) -> None:
         (lambda row: row.update(split="validation"), "split is"),
         (lambda row: row.update(accepted=not row["accepted"]), "accepted is"),
         (lambda row: row["quality"].update(margin=1.0), "quality.margin"),
-        (lambda row: row["appearance"].update(turn=row["appearance"]["turn"] + 0.1), "image is not"),
-        (lambda row: row.update(image=encode(_pixel_altered(decode(row["image"])))), "image is not"),
+        (
+            lambda row: row["appearance"].update(turn=row["appearance"]["turn"] + 0.1),
+            "image is not",
+        ),
+        (
+            lambda row: row.update(image=encode(_pixel_altered(decode(row["image"])))),
+            "image is not",
+        ),
         (lambda row: row["crossings"][0].update(x=0.0), "crossings is"),
-        (lambda row: row.update(points=(np.array(row["points"]) * float("nan")).tolist()), "not finite"),
+        (
+            lambda row: row.update(points=(np.array(row["points"]) * float("nan")).tolist()),
+            "not finite",
+        ),
     ],
 )
-def test_a_spoilt_row_is_found(rows: list[dict[str, Any]], spoil: Callable[[dict[str, Any]], None], named: str) -> None:
+def test_a_spoilt_row_is_found(
+    rows: list[dict[str, Any]], spoil: Callable[[dict[str, Any]], None], named: str
+) -> None:
     row = json.loads(json.dumps({**next(row for row in rows if row["nx"] == 2), "image": None}))
     row["image"] = next(row for row in rows if row["nx"] == 2)["image"]
     assert list(row_faults(row)) == []
@@ -139,17 +180,28 @@ def test_a_spoilt_row_is_found(rows: list[dict[str, Any]], spoil: Callable[[dict
     assert any(named in fault for fault in row_faults(row))
 
 
-def test_a_leak_between_splits_is_found(folder: Path, rows: list[dict[str, Any]], tmp_path: Path) -> None:
+def test_a_leak_between_splits_is_found(
+    folder: Path, rows: list[dict[str, Any]], tmp_path: Path
+) -> None:
     copy = tmp_path / "copy"
     shutil.copytree(folder, copy)
     test, train = shards(copy, "test")[0], next(row for row in rows if row["split"] == "train")
     write_rows(test, [{**row, "split": "test"} for row in [*read_rows(test), train]])
     found = "\n".join(image_faults(copy, workers=1))
-    assert "SHA-256 differs" in found and "near-duplicates" in found and "is in splits" in found and "the same number" in found
+    assert (
+        "SHA-256 differs" in found
+        and "near-duplicates" in found
+        and "is in splits" in found
+        and "the same number" in found
+    )
 
 
-def test_a_near_duplicate_in_another_split_is_found(rows: list[dict[str, Any]], tmp_path: Path) -> None:
-    """The planted row is true in every other way: a training row's rope turned, moved and shaken, with labels, picture and family of its own."""
+def test_a_near_duplicate_in_another_split_is_found(
+    rows: list[dict[str, Any]], tmp_path: Path
+) -> None:
+    """The planted row is true in every other way: a training row's rope turned, moved and shaken,
+    with labels, picture and family of its own.
+    """
     train = next(row for row in rows if row["split"] == "train" and row["nx"] == 1)
     points = Symmetry(turn=1.0).configuration(np.array(train["points"]).reshape(-1, 3))
     points = points + (0.1, 0, 0) + np.random.default_rng(0).normal(0, 0.001, points.shape)
@@ -194,7 +246,9 @@ def test_pictures_come_back_as_they_were_written() -> None:
     assert np.array_equal(decode(encode(image)), image)
 
 
-def test_without_pyarrow_one_line_names_the_extra(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+def test_without_pyarrow_one_line_names_the_extra(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(MissingArrow, match="huggingface"):
         read_table(folder)
@@ -220,7 +274,9 @@ def test_without_pyarrow_one_line_names_the_extra(folder: Path, tmp_path: Path, 
         ["--archive", "a.h5", "--states", "b.h5"],
     ],
 )
-def test_a_mistake_is_one_line_and_status_2(arguments: list[str], tmp_path: Path, capsys: Any) -> None:
+def test_a_mistake_is_one_line_and_status_2(
+    arguments: list[str], tmp_path: Path, capsys: Any
+) -> None:
     with pytest.raises(SystemExit) as left:
         main(["images", "--out", str(tmp_path / "x"), "--quiet", *arguments])
     said = capsys.readouterr().err
@@ -229,7 +285,10 @@ def test_a_mistake_is_one_line_and_status_2(arguments: list[str], tmp_path: Path
 
 
 def test_show_and_verify_know_a_table(folder: Path, capsys: Any) -> None:
-    for command in (["dataset", "show", str(folder)], ["dataset", "verify", str(shards(folder)[0])]):
+    for command in (
+        ["dataset", "show", str(folder)],
+        ["dataset", "verify", str(shards(folder)[0])],
+    ):
         with pytest.raises(SystemExit) as left:
             main(command)
         assert left.value.code == 0
@@ -256,7 +315,9 @@ def test_a_walk_begun_in_another_gap_shows_the_code_foretold(nx: int, rope: Rope
     for option in _options(found.code):
         base = int(np.ceil(places[option.gap - 1])) % 100
         roll = (-base if option.reverse else base) % 100
-        moved = Symmetry(switch=option.switch, reverse=option.reverse, roll=roll).configuration(points)
+        moved = Symmetry(switch=option.switch, reverse=option.reverse, roll=roll).configuration(
+            points
+        )
         assert label(moved).plain == option.shown
 
 
@@ -270,7 +331,9 @@ def test_opening_up_keeps_the_code_and_the_rope(rope: Rope) -> None:
     points = rope.from_curve(curled(3, 0.3))
     opened = relaxed(points, 10, rope)
     assert opened is not None and label(opened) == label(points)
-    assert np.allclose(np.linalg.norm(np.roll(opened, -1, axis=0) - opened, axis=1), rope.config.bead_length)
+    assert np.allclose(
+        np.linalg.norm(np.roll(opened, -1, axis=0) - opened, axis=1), rope.config.bead_length
+    )
 
 
 def test_a_grade_is_that_of_the_worst_measure(rope: Rope) -> None:
@@ -292,7 +355,9 @@ def test_the_code_shown_is_the_one_of_the_points(rows: list[dict[str, Any]]) -> 
         assert label(points).chiral == row["gauss_code_chiral"]
 
 
-def test_a_loader_without_its_library_names_the_extra(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_loader_without_its_library_names_the_extra(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     for kind, module in (("torch", "torch"), ("huggingface", "datasets")):
         with monkeypatch.context() as patch:
             patch.setitem(sys.modules, module, None)
@@ -300,7 +365,9 @@ def test_a_loader_without_its_library_names_the_extra(folder: Path, monkeypatch:
                 load(folder, kind=kind)
 
 
-def test_a_checkouts_own_folder_is_not_mistaken_for_hugging_faces_library(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_checkouts_own_folder_is_not_mistaken_for_hugging_faces_library(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "datasets", tables)
     with pytest.raises(MissingExtra, match="checkout"):
         load(folder, kind="huggingface")
@@ -323,8 +390,15 @@ def test_torch_reads_pictures_and_padded_labels(folder: Path, rows: list[dict[st
     for item, row in zip(data, rows, strict=True):
         assert np.array_equal(np.moveaxis(item["image"].numpy(), 0, -1), decode(row["image"]))
         visits = [visit for visit in item["visits"].tolist() if visit]
-        assert ",".join(f"{abs(visit)}{'+' if visit > 0 else '-'}" for visit in visits) == row["gauss_code"]
-        assert item["nx"] == row["nx"] and item["visits"].shape == (8,) and item["crossings"].shape == (4, 4)
+        assert (
+            ",".join(f"{abs(visit)}{'+' if visit > 0 else '-'}" for visit in visits)
+            == row["gauss_code"]
+        )
+        assert (
+            item["nx"] == row["nx"]
+            and item["visits"].shape == (8,)
+            and item["crossings"].shape == (4, 4)
+        )
     small = [k for k, item in enumerate(data) if item["image"].shape[-1] == 64]
     seen = [batch["image"] for batch in DataLoader(Subset(data, small), 4, num_workers=2)]
     assert sum(map(len, seen)) == len(small)
@@ -341,11 +415,15 @@ def _installed(distribution: str) -> bool:
 
 @pytest.fixture
 def hugging_face(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Hugging Face's library, with a cache that goes away; not the checkout's folder of that name, which `python -m pytest` would find first."""
+    """Hugging Face's library, with a cache that goes away; not the checkout's folder of that name,
+    which `python -m pytest` would find first.
+    """
     if not _installed("datasets"):
         pytest.skip("Hugging Face's datasets isn't installed")
     checkout = Path(__file__).parents[1]
-    monkeypatch.setattr(sys, "path", [place for place in sys.path if Path(place).resolve() != checkout])
+    monkeypatch.setattr(
+        sys, "path", [place for place in sys.path if Path(place).resolve() != checkout]
+    )
     library = importlib.import_module("datasets")
     monkeypatch.setattr(library.config, "HF_DATASETS_CACHE", tmp_path / "cache")
     return library
@@ -353,21 +431,30 @@ def hugging_face(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 @pytest.mark.clients
 @pytest.mark.parametrize("way", ["our loader", "the card", "data files", "one split"])
-def test_hugging_face_reads_every_column_of_every_split(way: str, folder: Path, rows: list[dict[str, Any]], hugging_face: Any) -> None:
-    wanted = {split.replace("-", "_"): [row for row in rows if row["split"] == split] for split in SPLITS}
+def test_hugging_face_reads_every_column_of_every_split(
+    way: str, folder: Path, rows: list[dict[str, Any]], hugging_face: Any
+) -> None:
+    wanted = {
+        split.replace("-", "_"): [row for row in rows if row["split"] == split] for split in SPLITS
+    }
     wanted = {name: own for name, own in wanted.items() if own}
     if way == "our loader":
         found = load(folder, kind="huggingface")
     elif way == "the card":
         found = hugging_face.load_dataset(str(folder))
     elif way == "data files":
-        found = hugging_face.load_dataset("parquet", data_files={name: str(folder / "data" / f"{name}-*.parquet") for name in wanted})
+        found = hugging_face.load_dataset(
+            "parquet",
+            data_files={name: str(folder / "data" / f"{name}-*.parquet") for name in wanted},
+        )
     else:
         wanted = {"train": wanted["train"]}
         found = {"train": load(folder, "train", "huggingface")}
     assert set(found) == set(wanted)
     for name, own in wanted.items():
-        assert set(found[name].features) == set(COLUMNS) and isinstance(found[name].features["image"], hugging_face.Image)
+        assert set(found[name].features) == set(COLUMNS) and isinstance(
+            found[name].features["image"], hugging_face.Image
+        )
         for seen, row in zip(found[name], own, strict=True):
             assert np.array_equal(np.asarray(seen.pop("image")), decode(row["image"]))
             assert seen == {column: value for column, value in row.items() if column != "image"}

@@ -1,4 +1,6 @@
-"""Instances show the code that was ordered, can be made again bit for bit, and say why if they are rejected."""
+"""Instances show the code that was ordered, can be made again bit for bit, and say why if they are
+rejected.
+"""
 
 import pickle
 from collections.abc import Sequence
@@ -28,15 +30,30 @@ Made = Sequence[tuple[Order, Instance]]
 def orders(archive: Archive, config: InstanceConfig = INSTANCE) -> list[Order]:
     """One order for every code with chirality that the archive knows, up to two crossings."""
     start = Rope().loop()
-    codes = [code for nx in range(3) for plain in archive.codes(nx) for code in archive.handed(plain)]
-    return [Order(config, code, tuple(archive.leading_to(code)), start, (0, 2, code.nx, k, 0)) for k, code in enumerate(codes)]
+    codes = [
+        code for nx in range(3) for plain in archive.codes(nx) for code in archive.handed(plain)
+    ]
+    return [
+        Order(config, code, tuple(archive.leading_to(code)), start, (0, 2, code.nx, k, 0))
+        for k, code in enumerate(codes)
+    ]
 
 
 def same(one: Instance, other: Instance) -> bool:
     """Whether two instances are the same in every bit."""
-    arrays = all(np.array_equal(getattr(one, name), getattr(other, name)) for name in ("start_qpos", "actions", "points", "qpos"))
-    mine, others = ([getattr(each.quality, field.name) for field in fields(each.quality)] for each in (one, other))
-    return arrays and np.array_equal(mine, others, equal_nan=True) and (one.code, one.faults, one.seed) == (other.code, other.faults, other.seed)
+    arrays = all(
+        np.array_equal(getattr(one, name), getattr(other, name))
+        for name in ("start_qpos", "actions", "points", "qpos")
+    )
+    mine, others = (
+        [getattr(each.quality, field.name) for field in fields(each.quality)]
+        for each in (one, other)
+    )
+    return (
+        arrays
+        and np.array_equal(mine, others, equal_nan=True)
+        and (one.code, one.faults, one.seed) == (other.code, other.faults, other.seed)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -76,7 +93,9 @@ def test_its_start_and_actions_end_in_it_bit_for_bit(followed: Made, rope: Rope)
         simulation.lay(one.start_qpos[None])
         assert np.array_equal(simulation.points[0], one.points[0])
         for action, points in zip(one.actions, one.points[1:], strict=True):
-            assert simulation.act(action[None]).all() and np.array_equal(simulation.points[0], points)
+            assert simulation.act(action[None]).all() and np.array_equal(
+                simulation.points[0], points
+            )
         assert np.array_equal(simulation.qpos()[0], one.qpos)
 
 
@@ -92,7 +111,10 @@ def test_the_last_pulls_have_no_force(followed: Made) -> None:
 
 def test_it_starts_as_the_plain_loop(followed: Made) -> None:
     for _, one in followed:
-        assert label(one.points[0]).nx == 0 and np.linalg.norm(one.points[0][:, :2], axis=1).std() < 1e-3
+        assert (
+            label(one.points[0]).nx == 0
+            and np.linalg.norm(one.points[0][:, :2], axis=1).std() < 1e-3
+        )
 
 
 def test_the_order_seed_goes_with_the_instance(made: Made) -> None:
@@ -108,7 +130,9 @@ def test_quality_is_that_of_the_last_state(followed: Made) -> None:
 def test_an_instance_is_accepted_if_and_only_if_nothing_is_at_fault(followed: Made) -> None:
     for order, one in followed:
         right = order.config.limits.faults(one.quality, one.code.nx)
-        assert [fault for fault in one.faults if fault in {field.name for field in fields(Limits)}] == right
+        assert [
+            fault for fault in one.faults if fault in {field.name for field in fields(Limits)}
+        ] == right
 
 
 def test_a_code_lost_on_the_way_to_rest_is_a_fault(followed: Made) -> None:
@@ -146,12 +170,26 @@ def test_variants_of_one_way_end_in_different_places(followed: Made) -> None:
 def test_a_code_held_longer_before_the_end_is_told(rope: Rope) -> None:
     loop, kink = rope.loop(), rope.from_curve(curled(1, 0.4))
     code = label(kink)
-    held = [np.stack([loop] + [kink if shown == "x" else loop for shown in row]) for row in ("..x.xx", "xx.x", "x.x", "xxx", "...")]
-    assert [instances._shown_longest_last(points, code) for points in held] == [True, False, False, True, True]
+    held = [
+        np.stack([loop] + [kink if shown == "x" else loop for shown in row])
+        for row in ("..x.xx", "xx.x", "x.x", "xxx", "...")
+    ]
+    assert [instances._shown_longest_last(points, code) for points in held] == [
+        True,
+        False,
+        False,
+        True,
+        True,
+    ]
 
 
-def test_what_goes_back_to_the_archive_is_reached_from_the_plain_loop_and_better_than_what_was_there(followed: Made, rope: Rope) -> None:
-    simulation, better = Simulation(1, rope), [(order, one) for order, one in followed if one.elites]
+def test_what_goes_back_to_the_archive_is_reached_from_the_plain_loop_and_better_than_before(
+    followed: Made, rope: Rope
+) -> None:
+    simulation, better = (
+        Simulation(1, rope),
+        [(order, one) for order, one in followed if one.elites],
+    )
     for order, one in better:
         elite = one.elites[0]
         assert elite.exact and mirror_images(elite.code) == mirror_images(one.code)
@@ -159,9 +197,15 @@ def test_what_goes_back_to_the_archive_is_reached_from_the_plain_loop_and_better
         simulation.lay(rope.qpos(rope.loop())[None])
         for bead, force in zip(elite.way.beads, elite.way.forces, strict=True):
             pull(simulation, np.array([bead]), force[None])
-        assert np.array_equal(simulation.states()[0], elite.state) and label(simulation.points[0]) == elite.code
+        assert (
+            np.array_equal(simulation.states()[0], elite.state)
+            and label(simulation.points[0]) == elite.code
+        )
     assert better
 
 
 def test_every_configuration_on_the_way_is_finite(followed: Made) -> None:
-    assert all(np.isfinite(one.points).all() and len(one.points) == len(one.actions) + 1 for _, one in followed)
+    assert all(
+        np.isfinite(one.points).all() and len(one.points) == len(one.actions) + 1
+        for _, one in followed
+    )

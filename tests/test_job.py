@@ -16,7 +16,15 @@ from knotgym.generate.states import job as jobs
 from knotgym.generate.states.archive import Archive
 from knotgym.generate.states.candidates import Instance, Order, make
 from knotgym.generate.states.code_frequencies import frequencies
-from knotgym.generate.states.job import GenerateConfig, InvalidJob, Job, NotEnough, run, search_config, start_of
+from knotgym.generate.states.job import (
+    GenerateConfig,
+    InvalidJob,
+    Job,
+    NotEnough,
+    run,
+    search_config,
+    start_of,
+)
 from knotgym.generate.states.search import new_archive
 from knotgym.generate.states.targeted_search import reach
 from knotgym.quality import Limits
@@ -30,7 +38,9 @@ from .small_job import AIM, INSTANCE, WAVE, small
 
 
 def config(**changes: Any) -> GenerateConfig:
-    return replace(GenerateConfig(nx=(0, 1), count=4, wave=WAVE, instance=INSTANCE, planner=AIM), **changes)
+    return replace(
+        GenerateConfig(nx=(0, 1), count=4, wave=WAVE, instance=INSTANCE, planner=AIM), **changes
+    )
 
 
 def done(job: Job) -> Job:
@@ -52,7 +62,10 @@ def accepted(job: Job) -> Iterator[tuple[int, Instance]]:
 
 def signature(job: Job) -> list[object]:
     """What a job came to, every bit of it, but for the time it took."""
-    took = [(nx, one.code, one.seed, one.qpos.tobytes(), one.actions.tobytes()) for nx, one in accepted(job)]
+    took = [
+        (nx, one.code, one.seed, one.qpos.tobytes(), one.actions.tobytes())
+        for nx, one in accepted(job)
+    ]
     return [took, job.rejected, job.tried, job.cycle, job.actions, job.archive.growth]
 
 
@@ -90,7 +103,9 @@ def test_natural_balance_is_for_the_unknot() -> None:
         Job.begin(config(knot="3_1", nx=(3,), balance="natural"))
 
 
-def test_a_curve_with_more_crossings_than_asked_for_begins_a_job_all_the_same(tmp_path: Path) -> None:
+def test_a_curve_with_more_crossings_than_asked_for_begins_a_job_all_the_same(
+    tmp_path: Path,
+) -> None:
     np.save(tmp_path / "curled.npy", curled(4))
     odd = config(knot=str(tmp_path / "curled.npy"), nx=(1,), count=1)
     job = Job.begin(odd)
@@ -111,7 +126,9 @@ def test_an_archive_of_another_rope_is_refused() -> None:
         Job.begin(config(), heavy)
 
 
-def test_a_loaded_archive_of_another_search_is_gone_on_from(searched: Archive, tmp_path: Path) -> None:
+def test_a_loaded_archive_of_another_search_is_gone_on_from(
+    searched: Archive, tmp_path: Path
+) -> None:
     searched.save(tmp_path / "archive.h5")
     job = Job.begin(config(seed=9, nx=(2,)), Archive.load(tmp_path / "archive.h5"))
     assert len(job.archive.codes(2)) == len(searched.codes(2))
@@ -154,7 +171,9 @@ def test_a_copy_is_rejected_as_a_near_duplicate(finished: Job) -> None:
 
 def test_what_an_instance_brings_home_goes_into_the_archive(searched: Archive) -> None:
     job = Job.begin(config(nx=(1,), wave=8), deepcopy(searched))
-    better = next(one for one in map(make, (order for _, order in jobs._orders(job, {}))) if one.elites)
+    better = next(
+        one for one in map(make, (order for _, order in jobs._orders(job, {}))) if one.elites
+    )
     jobs._judge(job, 1, better)
     assert any(one is better.elites[0] for one in job.archive.leading_to(better.code))
     assert all(not one.elites for one in job.accepted[1])
@@ -192,26 +211,48 @@ def test_orders_are_for_codes_that_lack_states(searched: Archive) -> None:
 
 def test_codes_are_ordered_with_each_chirality_in_turn(searched: Archive) -> None:
     job = Job.begin(config(nx=(1,), wave=8), searched)
-    assert Counter(order.code.chiral for _, order in jobs._orders(job, {})) == {text: 2 for text in ("1+a,1-a", "1+c,1-c", "1-a,1+a", "1-c,1+c")}
+    assert Counter(order.code.chiral for _, order in jobs._orders(job, {})) == {
+        text: 2 for text in ("1+a,1-a", "1+c,1-c", "1-a,1+a", "1-c,1+c")
+    }
 
 
 def test_what_cannot_be_accepted_ends_with_a_line_that_says_so() -> None:
-    hopeless = config(nx=(0,), count=1, attempts=4, wave=4, instance=replace(INSTANCE, limits=Limits(crossing_angle=91.0)))
-    with pytest.raises(NotEnough, match="0 of 1 states with nx = 0 accepted in 4 attempts; use --resume and more --attempts"):
+    hopeless = config(
+        nx=(0,),
+        count=1,
+        attempts=4,
+        wave=4,
+        instance=replace(INSTANCE, limits=Limits(crossing_angle=91.0)),
+    )
+    with pytest.raises(
+        NotEnough,
+        match="0 of 1 states with nx = 0 accepted in 4 attempts; use --resume and more --attempts",
+    ):
         done(Job.begin(hopeless))
 
 
 def test_a_job_stops_after_its_cycles_with_what_there_is() -> None:
     job = done(Job.begin(config(nx=(1, 2), count=40, cycles=2)))
     assert job.cycle == len(job.growth) == 2 and 0 < len(job.accepted[1]) < 40
-    assert job.growth[-1]["accepted"] == {str(nx): len(instances) for nx, instances in job.accepted.items()}
+    assert job.growth[-1]["accepted"] == {
+        str(nx): len(instances) for nx, instances in job.accepted.items()
+    }
     assert job.growth[-1]["known"] == {str(nx): len(job.archive.codes(nx)) for nx in (1, 2)}
-    assert job.growth[-1]["steps"] == job.steps() > job.growth[0]["steps"] > job.archive.growth[0]["actions"]
+    assert (
+        job.growth[-1]["steps"]
+        == job.steps()
+        > job.growth[0]["steps"]
+        > job.archive.growth[0]["actions"]
+    )
 
 
 def test_cycles_that_accept_nothing_end_with_a_line_that_says_so() -> None:
-    hopeless = config(nx=(0,), count=1, cycles=1, instance=replace(INSTANCE, limits=Limits(crossing_angle=91.0)))
-    with pytest.raises(NotEnough, match="no state accepted in 1 cycles; use --resume and more --cycles"):
+    hopeless = config(
+        nx=(0,), count=1, cycles=1, instance=replace(INSTANCE, limits=Limits(crossing_angle=91.0))
+    )
+    with pytest.raises(
+        NotEnough, match="no state accepted in 1 cycles; use --resume and more --cycles"
+    ):
         done(Job.begin(hopeless))
 
 
@@ -224,19 +265,29 @@ def test_codes_not_surely_known_are_aimed_at_those_aimed_at_least_first() -> Non
     job = Job.begin(config(nx=(2,), every_code=1))
     search = search_config(job.config)
     first, second = jobs._targets(job, search), jobs._targets(job, search)
-    assert [one.goal for one in first] == [one.goal for one in second] == list(job.shares[2])[: jobs.AIMS]
-    assert len({one.seed for one in first + second}) == 2 * len(first) and set(job.aimed.values()) == {2}
+    assert (
+        [one.goal for one in first]
+        == [one.goal for one in second]
+        == list(job.shares[2])[: jobs.AIMS]
+    )
+    assert len({one.seed for one in first + second}) == 2 * len(first) and set(
+        job.aimed.values()
+    ) == {2}
     for elite in reach(first[0]).elites:
         job.archive.offer(elite)
     assert job.archive.sure(next(iter(job.archive.handed(first[0].goal))))
     assert first[0].goal not in [one.goal for one in jobs._targets(job, search)]
 
 
-def test_a_code_that_only_a_long_way_leads_to_is_aimed_at_after_those_that_lack_states(finished: Job) -> None:
+def test_a_code_that_only_a_long_way_leads_to_is_aimed_at_after_those_that_lack_states(
+    finished: Job,
+) -> None:
     job = Job.begin(config(nx=(2,), every_code=1))
     search, code = search_config(job.config), next(iter(job.shares[2]))
     elite = next(one for one in reach(jobs._targets(job, search)[0]).elites if one.exact)
-    rests = Way(np.zeros(search.longest, dtype=np.int16), np.zeros((search.longest, 3), dtype=np.float32))
+    rests = Way(
+        np.zeros(search.longest, dtype=np.int16), np.zeros((search.longest, 3), dtype=np.float32)
+    )
     job.archive.offer(replace(elite, way=elite.way + rests))
     job.accepted[2].append(replace(finished.accepted[1][0], code=elite.code))
     assert any(map(job.archive.sure, job.archive.handed(code)))
@@ -261,7 +312,9 @@ def test_a_code_whose_instances_all_fail_is_aimed_at_again_and_they_set_out_from
 
 
 def test_an_aim_is_a_way_that_can_be_gone_again(rope: Rope) -> None:
-    target = jobs._targets(Job.begin(config(nx=(2,), every_code=1)), search_config(config(nx=(2,))))[0]
+    target = jobs._targets(
+        Job.begin(config(nx=(2,), every_code=1)), search_config(config(nx=(2,)))
+    )[0]
     shot, again = reach(target), reach(target)
     assert shot.spent == again.spent > len(shot.elites[0].way) > 0
     simulation = Simulation(1, rope)
@@ -274,7 +327,9 @@ def test_an_aim_is_a_way_that_can_be_gone_again(rope: Rope) -> None:
 
 
 def test_an_aim_that_fails_says_what_it_spent() -> None:
-    target = jobs._targets(Job.begin(config(nx=(4,), every_code=1)), search_config(config(nx=(4,))))[0]
+    target = jobs._targets(
+        Job.begin(config(nx=(4,), every_code=1)), search_config(config(nx=(4,)))
+    )[0]
     assert reach(target._replace(planner=PlannerConfig(budget=16))) == ((), 16)
 
 
@@ -289,4 +344,6 @@ def test_a_random_policy_meets_the_same_codes_again() -> None:
 
 
 def test_the_start_of_a_job_is_the_loop_or_the_curve_of_its_knot(rope: Rope) -> None:
-    assert np.array_equal(start_of(config()), rope.loop()) and not np.allclose(start_of(config(knot="3_1")), rope.loop())
+    assert np.array_equal(start_of(config()), rope.loop()) and not np.allclose(
+        start_of(config(knot="3_1")), rope.loop()
+    )

@@ -18,7 +18,8 @@ from knotgym.topology.reidemeister import simplify, without_bigons
 CODES = Path(__file__).parent / "codes"
 TREFOIL = GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c")
 
-# Dowker-Thistlethwaite notation of the prime knots in Rolfsen's table: visit 2 i - 1 meets visit notation[i].
+# Dowker-Thistlethwaite notation of the prime knots in Rolfsen's table: visit 2 i - 1 meets visit
+# notation[i].
 DOWKER = {
     "3_1": (4, 6, 2),
     "4_1": (4, 6, 8, 2),
@@ -60,7 +61,9 @@ def pretzel(*columns: int) -> GaussCode:
 
 def tied(code: GaussCode, other: GaussCode) -> GaussCode:
     """The connected sum."""
-    visits = code.visits + tuple(visit + code.nx if visit > 0 else visit - code.nx for visit in other.visits)
+    visits = code.visits + tuple(
+        visit + code.nx if visit > 0 else visit - code.nx for visit in other.visits
+    )
     return GaussCode(visits, (code.chirality or "") + (other.chirality or ""))
 
 
@@ -73,7 +76,9 @@ def kinked(code: GaussCode, rng: np.random.Generator) -> GaussCode:
 
 
 def poked(code: GaussCode, rng: np.random.Generator) -> GaussCode:
-    """Reidemeister's second move: across a face, a finger of one edge is laid over or under another edge."""
+    """Reidemeister's second move: across a face, a finger of one edge is laid over or under another
+    edge.
+    """
     wide = [face for face in faces(code) if len({dart // 2 for dart in face}) > 1]
     face = wide[int(rng.integers(len(wide)))]
     while True:
@@ -83,11 +88,20 @@ def poked(code: GaussCode, rng: np.random.Generator) -> GaussCode:
     new = code.nx + 1
     height = 1 if rng.integers(2) else -1
     over, under = [height * new, height * (new + 1)], [-height * (new + 1), -height * new]
-    pieces = {finger // 2: over if finger % 2 == 0 else over[::-1], wall // 2: under if wall % 2 == 0 else under[::-1]}
-    positive = (finger + wall) % 2 == 0  # along both darts the finger goes out to the left and comes in from the left
+    pieces = {
+        finger // 2: over if finger % 2 == 0 else over[::-1],
+        wall // 2: under if wall % 2 == 0 else under[::-1],
+    }
+    positive = (
+        finger + wall
+    ) % 2 == 0  # along both darts the finger goes out to the left and comes in from the left
     if height < 0:
         positive = not positive
-    letters = {**dict(enumerate(code.chirality or "", 1)), new: "c" if positive else "a", new + 1: "a" if positive else "c"}
+    letters = {
+        **dict(enumerate(code.chirality or "", 1)),
+        new: "c" if positive else "a",
+        new + 1: "a" if positive else "c",
+    }
     visits: list[int] = []
     for edge, visit in enumerate(code.visits):
         visits += [visit, *pieces.get(edge, [])]
@@ -109,18 +123,24 @@ def rotation(rng: np.random.Generator) -> np.ndarray:
 def torus_knot(p: int, q: int, beads: int = 100) -> np.ndarray:
     angle = np.linspace(0.0, 2.0 * np.pi, beads, endpoint=False)
     radius = 2.0 + np.cos(q * angle)
-    return np.column_stack([radius * np.cos(p * angle), radius * np.sin(p * angle), -np.sin(q * angle)])
+    return np.column_stack(
+        [radius * np.cos(p * angle), radius * np.sin(p * angle), -np.sin(q * angle)]
+    )
 
 
 def figure_eight(beads: int = 100) -> np.ndarray:
     angle = np.linspace(0.0, 2.0 * np.pi, beads, endpoint=False)
     radius = 2.0 + np.cos(2.0 * angle)
-    return np.column_stack([radius * np.cos(3.0 * angle), radius * np.sin(3.0 * angle), np.sin(4.0 * angle)])
+    return np.column_stack(
+        [radius * np.cos(3.0 * angle), radius * np.sin(3.0 * angle), np.sin(4.0 * angle)]
+    )
 
 
 def lissajous_52(beads: int = 200) -> np.ndarray:
     angle = np.linspace(0.0, 2.0 * np.pi, beads, endpoint=False)
-    return np.column_stack([np.cos(3.0 * angle + 0.7), np.cos(2.0 * angle + 0.2), np.cos(7.0 * angle)])
+    return np.column_stack(
+        [np.cos(3.0 * angle + 0.7), np.cos(2.0 * angle + 0.2), np.cos(7.0 * angle)]
+    )
 
 
 @pytest.mark.parametrize("nx", range(5))
@@ -128,7 +148,9 @@ def test_types_of_short_codes_are_the_listed_ones(nx: int) -> None:
     listed = json.loads((CODES / f"codes_n{nx}.json").read_text())["codes"]
     codes = {GaussCode.parse(text): entry["knot"] for text, entry in listed.items()}
     assert {code: knot_type(code) for code in codes} == codes
-    assert {code for code in codes if is_unknot(code)} == {code for code, knot in codes.items() if knot == "0_1"}
+    assert {code for code in codes if is_unknot(code)} == {
+        code for code, knot in codes.items() if knot == "0_1"
+    }
 
 
 def test_codes_of_five_crossings_show_3034_unknots() -> None:
@@ -138,7 +160,9 @@ def test_codes_of_five_crossings_show_3034_unknots() -> None:
 
 def test_all_handedness_patterns_of_a_code_agree_on_the_unknot() -> None:
     for code in list(planar_codes(5))[::7]:
-        assert {is_unknot(GaussCode(code.visits, letters)) for letters in chiralities(code)} == {is_unknot(code)}
+        assert {is_unknot(GaussCode(code.visits, letters)) for letters in chiralities(code)} == {
+            is_unknot(code)
+        }
 
 
 @pytest.mark.parametrize("name", DOWKER)
@@ -155,14 +179,23 @@ def test_moves_do_not_change_the_name(name: str, seed: int) -> None:
     assert knot_type(moved(from_dowker(DOWKER[name]), rng, 6)) == name
 
 
-@pytest.mark.parametrize(("one", "other", "name"), [("3_1", "3_1", "3_1#3_1"), ("4_1", "3_1", "3_1#4_1"), ("5_2", "7_7", "5_2#7_7")])
+@pytest.mark.parametrize(
+    ("one", "other", "name"),
+    [("3_1", "3_1", "3_1#3_1"), ("4_1", "3_1", "3_1#4_1"), ("5_2", "7_7", "5_2#7_7")],
+)
 def test_sums_are_named_by_their_summands(one: str, other: str, name: str) -> None:
     assert knot_type(tied(from_dowker(DOWKER[one]), from_dowker(DOWKER[other]))) == name
 
 
 @pytest.mark.parametrize(
     ("points", "name"),
-    [(torus_knot(2, 3), "3_1"), (torus_knot(3, 2), "3_1"), (torus_knot(2, 5), "5_1"), (torus_knot(2, 7), "7_1"), (torus_knot(1, 4), "0_1")]
+    [
+        (torus_knot(2, 3), "3_1"),
+        (torus_knot(3, 2), "3_1"),
+        (torus_knot(2, 5), "5_1"),
+        (torus_knot(2, 7), "7_1"),
+        (torus_knot(1, 4), "0_1"),
+    ]
     + [(figure_eight(), "4_1"), (lissajous_52(), "5_2")],
     ids=["T(2,3)", "T(3,2)", "T(2,5)", "T(2,7)", "T(1,4)", "figure-eight", "Lissajous(3,2,7)"],
 )
@@ -244,7 +277,11 @@ def test_the_alexander_polynomial_of_a_knot_is_symmetric_and_one_at_one() -> Non
 
 
 def test_trefoils_are_told_from_their_mirror_images() -> None:
-    assert (handedness(TREFOIL), handedness(TREFOIL.mirrored()), handedness(TREFOIL.reversed())) == (1, -1, 1)
+    assert (
+        handedness(TREFOIL),
+        handedness(TREFOIL.mirrored()),
+        handedness(TREFOIL.reversed()),
+    ) == (1, -1, 1)
 
 
 def test_the_figure_eight_and_the_unknot_have_no_hand() -> None:
@@ -281,7 +318,16 @@ def test_a_knot_with_trivial_alexander_polynomial_is_still_knotted() -> None:
     assert not is_unknot(knot)
 
 
-@pytest.mark.parametrize(("columns", "name"), [((1, 1, 1), "3_1"), ((1, 1, 3), "5_2"), ((1, 3, 3), "7_4"), ((-1, 1, 9), "0_1"), ((-3, 3, 1), "6_1")])
+@pytest.mark.parametrize(
+    ("columns", "name"),
+    [
+        ((1, 1, 1), "3_1"),
+        ((1, 1, 3), "5_2"),
+        ((1, 3, 3), "7_4"),
+        ((-1, 1, 9), "0_1"),
+        ((-3, 3, 1), "6_1"),
+    ],
+)
 def test_pretzel_knots_are_named(columns: tuple[int, int, int], name: str) -> None:
     assert knot_type(pretzel(*columns)) == name
 

@@ -1,4 +1,6 @@
-"""Loaders tell the truth: a dataset whose every number says its episode and step comes out of each one aligned, its ends in place."""
+"""Loaders tell the truth: a dataset whose every number says its episode and step comes out of each
+one aligned, its ends in place.
+"""
 
 from __future__ import annotations
 
@@ -17,15 +19,28 @@ from numpy.typing import NDArray
 import knotgym
 from knotgym.datasets.episode_writer import EpisodeWriter, merge
 from knotgym.datasets.trajectory import Episode
-from knotgym.loaders import MissingExtra, Transitions, arrays, to_d3rlpy, to_tensordict, torch_dataset
+from knotgym.loaders import (
+    MissingExtra,
+    Transitions,
+    arrays,
+    to_d3rlpy,
+    to_tensordict,
+    torch_dataset,
+)
 from knotgym.rendering.observations import observe
 from knotgym.rendering.picture import PictureConfig
 from knotgym.tasks import TaskConfig
 
 clients = pytest.mark.clients
-no_torch = pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="torch isn't installed")
-no_d3rlpy = pytest.mark.skipif(importlib.util.find_spec("d3rlpy") is None, reason="d3rlpy isn't installed")
-no_torchrl = pytest.mark.skipif(importlib.util.find_spec("torchrl") is None, reason="torchrl isn't installed")
+no_torch = pytest.mark.skipif(
+    importlib.util.find_spec("torch") is None, reason="torch isn't installed"
+)
+no_d3rlpy = pytest.mark.skipif(
+    importlib.util.find_spec("d3rlpy") is None, reason="d3rlpy isn't installed"
+)
+no_torchrl = pytest.mark.skipif(
+    importlib.util.find_spec("torchrl") is None, reason="torchrl isn't installed"
+)
 
 # (steps, terminated) of 50 episodes; 1 step is the shortest there is, 70 more than a chunk holds
 EPISODES = [((7 * k * k + 3 * k) % 23 + 1, k % 3 != 0) for k in range(49)] + [(70, False)]
@@ -42,7 +57,14 @@ def coded(k: int) -> Episode:
     shape = np.stack([np.cos(angle), np.sin(angle), 0.01 * np.sin(3 * angle)], axis=1)
     turn = 0.01 * number
     across = shape[:, 0] * (0.1 + 0.001 * k)
-    points = np.stack([across * np.cos(turn[:, None]), across * np.sin(turn[:, None]), np.broadcast_to(shape[:, 2], (length + 1, 100))], axis=2)
+    points = np.stack(
+        [
+            across * np.cos(turn[:, None]),
+            across * np.sin(turn[:, None]),
+            np.broadcast_to(shape[:, 2], (length + 1, 100)),
+        ],
+        axis=2,
+    )
     points[:, :, 1] += shape[:, 1] * 0.05
     points[:, 0, 0] = number
     points[:, 1, 0] = -number
@@ -50,7 +72,9 @@ def coded(k: int) -> Episode:
         start_qpos=np.full(421, 1000.0 * k),
         points=points,
         goal_points=np.full((100, 3), -1.0 * k),
-        actions=np.stack([np.full(length, k / 64), states[:-1] / 128, *np.zeros((4, length))], axis=1).astype(np.float32),
+        actions=np.stack(
+            [np.full(length, k / 64), states[:-1] / 128, *np.zeros((4, length))], axis=1
+        ).astype(np.float32),
         rewards=number[:-1] + 0.5,
         terminations=last & terminated,
         truncations=last & (not terminated),
@@ -75,7 +99,9 @@ STEPS = np.concatenate([np.arange(length) for length, _ in EPISODES])
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The 50 episodes, from writer through shards and merging, as state observations, compact, and as small pictures."""
+    """The 50 episodes, from writer through shards and merging, as state observations, compact, and
+    as small pictures.
+    """
     room = tmp_path_factory.mktemp("coded")
     for k in range(3):
         with EpisodeWriter(room / f"shard{k}.h5", TASK) as writer:
@@ -84,7 +110,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     shards = [room / f"shard{k}.h5" for k in range(3)]
     merge(shards, room / "state.h5")
     merge(shards, room / "compact.h5", store="none")
-    with EpisodeWriter(room / "both.h5", replace(TASK, observation="both", image_size=16)) as writer:
+    with EpisodeWriter(
+        room / "both.h5", replace(TASK, observation="both", image_size=16)
+    ) as writer:
         for episode in ALL[:9]:
             writer.add(episode)
     return room
@@ -95,10 +123,20 @@ def path(request: pytest.FixtureRequest, folder: Path) -> Path:
     return folder / str(request.param)
 
 
-def state_of(owner: NDArray[Any], step: NDArray[Any], goal_step: NDArray[Any] | None = None) -> NDArray[np.float32]:
+def state_of(
+    owner: NDArray[Any], step: NDArray[Any], goal_step: NDArray[Any] | None = None
+) -> NDArray[np.float32]:
     """What the state observation must be, from the definition."""
-    goals = [ALL[k].goal_points if goal_step is None else ALL[k].points[goal_step[i]] for i, k in enumerate(owner)]
-    return np.array([np.concatenate([ALL[k].points[t].ravel(), g.ravel()]) for k, t, g in zip(owner, step, goals, strict=True)]).astype(np.float32)
+    goals = [
+        ALL[k].goal_points if goal_step is None else ALL[k].points[goal_step[i]]
+        for i, k in enumerate(owner)
+    ]
+    return np.array(
+        [
+            np.concatenate([ALL[k].points[t].ravel(), g.ravel()])
+            for k, t, g in zip(owner, step, goals, strict=True)
+        ]
+    ).astype(np.float32)
 
 
 def test_arrays_are_aligned(path: Path) -> None:
@@ -107,7 +145,9 @@ def test_arrays_are_aligned(path: Path) -> None:
     assert np.array_equal(held["observations"], state_of(OWNERS, STEPS))
     assert np.array_equal(held["next_observations"], state_of(OWNERS, STEPS + 1))
     assert np.array_equal(held["rewards"], 1000 * OWNERS + STEPS + 0.5)
-    assert np.array_equal(held["actions"][:, 0] * 64, OWNERS) and np.array_equal(held["actions"][:, 1] * 128, STEPS)
+    assert np.array_equal(held["actions"][:, 0] * 64, OWNERS) and np.array_equal(
+        held["actions"][:, 1] * 128, STEPS
+    )
 
 
 def test_arrays_end_where_the_episodes_end(path: Path) -> None:
@@ -134,7 +174,9 @@ def test_arrays_of_pictures_are_what_the_environment_shows(folder: Path) -> None
 def test_pictures_of_another_size_are_drawn(folder: Path) -> None:
     held = arrays(folder / "compact.h5", observation="pixels", picture=SMALL)
     for row in (0, 5, 40, N - 1):
-        right = observe(ALL[OWNERS[row]].points[[STEPS[row]]], ALL[OWNERS[row]].goal_points, "pixels", SMALL)[0]
+        right = observe(
+            ALL[OWNERS[row]].points[[STEPS[row]]], ALL[OWNERS[row]].goal_points, "pixels", SMALL
+        )[0]
         assert np.array_equal(held["observations"][row], right)
 
 
@@ -143,7 +185,10 @@ def test_hindsight_to_the_last_code_makes_the_last_state_the_goal(path: Path) ->
     lengths = np.array([length for length, _ in EPISODES])
     assert np.array_equal(held["observations"], state_of(OWNERS, STEPS, lengths[OWNERS]))
     assert np.array_equal(held["next_observations"], state_of(OWNERS, STEPS + 1, lengths[OWNERS]))
-    assert np.array_equal(held["terminals"], lengths[OWNERS] == STEPS + 1) and not held["timeouts"].any()
+    assert (
+        np.array_equal(held["terminals"], lengths[OWNERS] == STEPS + 1)
+        and not held["timeouts"].any()
+    )
     assert np.array_equal(held["rewards"], 5.0 * held["terminals"])
 
 
@@ -161,7 +206,9 @@ def test_hindsight_to_every_code_gives_one_segment_a_code(folder: Path) -> None:
 
 def test_a_transition_knows_its_segment_and_step(folder: Path) -> None:
     found = Transitions(folder / "state.h5")
-    assert [found.place(i) for i in range(N)] == list(zip(OWNERS.tolist(), STEPS.tolist(), strict=True))
+    assert [found.place(i) for i in range(N)] == list(
+        zip(OWNERS.tolist(), STEPS.tolist(), strict=True)
+    )
 
 
 def test_an_empty_dataset_loads_empty(tmp_path: Path) -> None:
@@ -178,17 +225,33 @@ def test_transitions_pickle_and_read_on(folder: Path) -> None:
     assert np.array_equal(again.observations(3), found.observations(3))
 
 
-@pytest.mark.parametrize(("load", "missing"), [(torch_dataset, "torch"), (to_d3rlpy, "d3rlpy"), (to_tensordict, "tensordict")])
-def test_a_missing_library_says_how_to_install_it(folder: Path, monkeypatch: pytest.MonkeyPatch, load: Any, missing: str) -> None:
+@pytest.mark.parametrize(
+    ("load", "missing"),
+    [(torch_dataset, "torch"), (to_d3rlpy, "d3rlpy"), (to_tensordict, "tensordict")],
+)
+def test_a_missing_library_says_how_to_install_it(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, load: Any, missing: str
+) -> None:
     monkeypatch.setitem(sys.modules, missing, None)
-    with pytest.raises(MissingExtra, match=rf"needs {missing}, which isn't installed; install it: .*pip install"):
+    with pytest.raises(
+        MissingExtra, match=rf"needs {missing}, which isn't installed; install it: .*pip install"
+    ):
         load(folder / "state.h5")
 
 
 def test_importing_the_loaders_imports_no_simulator_and_no_learner() -> None:
     unwanted = {"mujoco", "torch", "dask", "cv2", "minari", "d3rlpy"}
-    script = f"import sys, knotgym.loaders; print(sorted({{name.split('.')[0] for name in sys.modules}} & {unwanted}))"
-    found = subprocess.run([sys.executable, "-c", script], cwd=Path(knotgym.__file__).parent.parent, capture_output=True, text=True, check=True)
+    script = (
+        "import sys, knotgym.loaders; print(sorted({name.split('.')[0] for name in sys.modules}"
+        f" & {unwanted}))"
+    )
+    found = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=Path(knotgym.__file__).parent.parent,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert found.stdout.strip() == "[]"
 
 
@@ -206,10 +269,16 @@ def test_torch_transitions_are_aligned_with_any_number_of_workers(path: Path, wo
     seen = list(torch.utils.data.DataLoader(data, batch_size=17, num_workers=workers))
     held = {name: torch.cat([batch[name] for batch in seen]).numpy() for name in seen[0]}
     assert isinstance(data, torch.utils.data.Dataset) and len(data) == N
-    assert np.array_equal(held["observation"], state_of(OWNERS, STEPS)) and np.array_equal(held["next_observation"], state_of(OWNERS, STEPS + 1))
-    assert np.array_equal(held["reward"], 1000 * OWNERS + STEPS + 0.5) and np.array_equal(held["action"][:, 1] * 128, STEPS)
+    assert np.array_equal(held["observation"], state_of(OWNERS, STEPS)) and np.array_equal(
+        held["next_observation"], state_of(OWNERS, STEPS + 1)
+    )
+    assert np.array_equal(held["reward"], 1000 * OWNERS + STEPS + 0.5) and np.array_equal(
+        held["action"][:, 1] * 128, STEPS
+    )
     right = arrays(path)
-    assert np.array_equal(held["terminal"], right["terminals"]) and np.array_equal(held["timeout"], right["timeouts"])
+    assert np.array_equal(held["terminal"], right["terminals"]) and np.array_equal(
+        held["timeout"], right["timeouts"]
+    )
 
 
 @clients
@@ -217,8 +286,15 @@ def test_torch_transitions_are_aligned_with_any_number_of_workers(path: Path, wo
 def test_torch_workers_started_afresh_read_too(folder: Path) -> None:
     import torch
 
-    loader = torch.utils.data.DataLoader(torch_dataset(folder / "state.h5"), batch_size=100, num_workers=2, multiprocessing_context="spawn")
-    assert np.array_equal(torch.cat([batch["reward"] for batch in loader]).numpy(), 1000 * OWNERS + STEPS + 0.5)
+    loader = torch.utils.data.DataLoader(
+        torch_dataset(folder / "state.h5"),
+        batch_size=100,
+        num_workers=2,
+        multiprocessing_context="spawn",
+    )
+    assert np.array_equal(
+        torch.cat([batch["reward"] for batch in loader]).numpy(), 1000 * OWNERS + STEPS + 0.5
+    )
 
 
 @clients
@@ -229,7 +305,10 @@ def test_torch_frames_hold_every_state_once(folder: Path) -> None:
     assert [(item["episode"], item["step"]) for item in data] == places
     for index, (k, step) in enumerate(places):
         right = observe(ALL[k].points[[step]], ALL[k].goal_points, "both", SMALL)
-        assert all(np.array_equal(data[index]["observation"][name].numpy(), right[name][0]) for name in right)
+        assert all(
+            np.array_equal(data[index]["observation"][name].numpy(), right[name][0])
+            for name in right
+        )
         assert data[index]["gauss_code"] == f"code {k} {step}"
 
 
@@ -238,7 +317,10 @@ def test_torch_frames_hold_every_state_once(folder: Path) -> None:
 def test_torch_episodes_are_whole(folder: Path) -> None:
     data = torch_dataset(folder / "state.h5", kind="episodes")
     for k in (0, 17, 49):
-        assert np.array_equal(data[k]["observations"].numpy(), state_of(np.full(len(ALL[k]) + 1, k), np.arange(len(ALL[k]) + 1)))
+        assert np.array_equal(
+            data[k]["observations"].numpy(),
+            state_of(np.full(len(ALL[k]) + 1, k), np.arange(len(ALL[k]) + 1)),
+        )
         assert np.array_equal(data[k]["rewards"].numpy(), ALL[k].rewards.astype(np.float32))
         assert bool(data[k]["terminals"][-1]) is EPISODES[k][1]
 
@@ -247,12 +329,22 @@ def test_torch_episodes_are_whole(folder: Path) -> None:
 @no_d3rlpy
 def test_d3rlpy_holds_every_transition(folder: Path) -> None:
     buffer = to_d3rlpy(folder / "state.h5")
-    found = [(k, buffer.transition_picker(episode, step)) for k, episode in enumerate(buffer.episodes) for step in range(episode.transition_count)]
+    found = [
+        (k, buffer.transition_picker(episode, step))
+        for k, episode in enumerate(buffer.episodes)
+        for step in range(episode.transition_count)
+    ]
     assert len(found) == buffer.transition_count == N
     right = arrays(folder / "state.h5")
     for row, (k, one) in enumerate(found):
-        assert k == OWNERS[row] and np.array_equal(one.observation, right["observations"][row]) and np.array_equal(one.action, right["actions"][row])
-        assert one.reward[0] == right["rewards"][row] and bool(one.terminal) is bool(right["terminals"][row])
+        assert (
+            k == OWNERS[row]
+            and np.array_equal(one.observation, right["observations"][row])
+            and np.array_equal(one.action, right["actions"][row])
+        )
+        assert one.reward[0] == right["rewards"][row] and bool(one.terminal) is bool(
+            right["terminals"][row]
+        )
         assert one.terminal or np.array_equal(one.next_observation, right["next_observations"][row])
 
 
@@ -261,7 +353,10 @@ def test_d3rlpy_holds_every_transition(folder: Path) -> None:
 def test_d3rlpy_pictures_are_channels_first(folder: Path) -> None:
     buffer = to_d3rlpy(folder / "both.h5", observation="pixels")
     assert buffer.episodes[0].observations.shape[1:] == (3, 16, 32)
-    assert np.array_equal(np.moveaxis(buffer.episodes[2].observations[1], 0, -1), observe(ALL[2].points[[1]], ALL[2].goal_points, "pixels", SMALL)[0])
+    assert np.array_equal(
+        np.moveaxis(buffer.episodes[2].observations[1], 0, -1),
+        observe(ALL[2].points[[1]], ALL[2].goal_points, "pixels", SMALL)[0],
+    )
 
 
 @clients
@@ -274,7 +369,13 @@ def test_d3rlpy_trains_an_epoch(folder: Path, tmp_path: Path, algorithm: str) ->
     learner = config.create(device="cpu")
     steps = N // 32
     logged = d3rlpy.logging.NoopAdapterFactory()
-    history = learner.fit(to_d3rlpy(folder / "state.h5"), n_steps=steps, n_steps_per_epoch=steps, logger_adapter=logged, show_progress=False)
+    history = learner.fit(
+        to_d3rlpy(folder / "state.h5"),
+        n_steps=steps,
+        n_steps_per_epoch=steps,
+        logger_adapter=logged,
+        show_progress=False,
+    )
     assert len(history) == 1 and all(np.isfinite(loss) for loss in history[0][1].values())
     assert learner.predict(state_of(np.array([3]), np.array([0]))).shape == (1, 6)
 
@@ -287,9 +388,13 @@ def test_a_tensordict_holds_every_transition(path: Path) -> None:
     assert np.array_equal(held["observation"].numpy(), right["observations"]) and np.array_equal(
         held["next", "observation"].numpy(), right["next_observations"]
     )
-    assert np.array_equal(held["action"].numpy(), right["actions"]) and np.array_equal(held["next", "reward"].numpy()[:, 0], right["rewards"])
+    assert np.array_equal(held["action"].numpy(), right["actions"]) and np.array_equal(
+        held["next", "reward"].numpy()[:, 0], right["rewards"]
+    )
     assert np.array_equal(held["next", "terminated"].numpy()[:, 0], right["terminals"])
-    assert np.array_equal(held["next", "done"].numpy()[:, 0], right["terminals"] | right["timeouts"])
+    assert np.array_equal(
+        held["next", "done"].numpy()[:, 0], right["terminals"] | right["timeouts"]
+    )
     assert np.array_equal(held["episode"].numpy(), OWNERS) and not held["done"].any()
 
 
@@ -306,9 +411,16 @@ def test_torchrl_samples_aligned_batches(folder: Path) -> None:
     batch = buffer.sample()
     rows = batch["next", "reward"][:, 0].numpy() - 0.5
     right = state_of((rows // 1000).astype(int), (rows % 1000).astype(int))
-    assert np.array_equal(batch["state"].numpy(), right) and batch["pixels"].shape == (32, 16, 32, 3)
+    assert np.array_equal(batch["state"].numpy(), right) and batch["pixels"].shape == (
+        32,
+        16,
+        32,
+        3,
+    )
     sampler = SliceSampler(slice_len=2, traj_key="episode", strict_length=True)
-    slices = TensorDictReplayBuffer(storage=LazyMemmapStorage(len(held)), sampler=sampler, batch_size=16)
+    slices = TensorDictReplayBuffer(
+        storage=LazyMemmapStorage(len(held)), sampler=sampler, batch_size=16
+    )
     slices.extend(held)
     reward = slices.sample()["next", "reward"].reshape(8, 2)
     assert torch.equal(reward[:, 1], reward[:, 0] + 1)

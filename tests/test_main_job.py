@@ -1,4 +1,6 @@
-"""`knotgym generate` from end to end: what it leaves, the same bytes however it was run, and nothing after a mistake or a kill."""
+"""`knotgym generate` from end to end: what it leaves, the same bytes however it was run, and
+nothing after a mistake or a kill.
+"""
 
 import contextlib
 import fcntl
@@ -51,7 +53,9 @@ SECONDS = 120  # in which anything here must have happened
 
 def bytes_of(folder: Path) -> dict[str, str]:
     """SHA-256 of every file."""
-    return {str(path.relative_to(folder)): sha256(path) for path in folder.rglob("*") if path.is_file()}
+    return {
+        str(path.relative_to(folder)): sha256(path) for path in folder.rglob("*") if path.is_file()
+    }
 
 
 def said(capfd: pytest.CaptureFixture[str]) -> list[str]:
@@ -62,7 +66,11 @@ def said(capfd: pytest.CaptureFixture[str]) -> list[str]:
 def begun(out: Path, *arguments: object, saved: bool) -> "subprocess.Popen[str]":
     """A run in another process group, once it holds its folder, or once it has saved a cycle."""
     run = subprocess.Popen(
-        typed("generate", *WANTED, *arguments, "--out", out), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        typed("generate", *WANTED, *arguments, "--out", out),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
     )
     sign = out.parent / f".{out.name}.partial" / ("job.pickle" if saved else "lock")
     until = time.monotonic() + SECONDS
@@ -95,45 +103,79 @@ def manifest(curated: Path) -> dict[str, Any]:
 
 
 def test_the_folder_holds_what_the_contract_lists(curated: Path) -> None:
-    assert {path.name for path in curated.iterdir()} == {"states.h5", "minari", "gallery.png", "README.md", "manifest.json", "archive.h5"}
+    assert {path.name for path in curated.iterdir()} == {
+        "states.h5",
+        "minari",
+        "gallery.png",
+        "README.md",
+        "manifest.json",
+        "archive.h5",
+    }
 
 
 def test_nothing_stands_beside_the_folder(curated: Path) -> None:
     assert [path.name for path in curated.parent.iterdir()] == ["nx0-1"]
 
 
-def test_the_manifest_lists_every_other_file_with_its_checksum(curated: Path, manifest: dict[str, Any]) -> None:
+def test_the_manifest_lists_every_other_file_with_its_checksum(
+    curated: Path, manifest: dict[str, Any]
+) -> None:
     found = bytes_of(curated)
     del found["manifest.json"]
     assert manifest["files"] == found
 
 
-def test_the_whole_configuration_is_written_thrice(manifest: dict[str, Any], states: States, curated: Path) -> None:
-    assert manifest["config"] == json.loads(states.attributes["config"]) and manifest["config"]["nx"] == [0, 1]
+def test_the_whole_configuration_is_written_thrice(
+    manifest: dict[str, Any], states: States, curated: Path
+) -> None:
+    assert manifest["config"] == json.loads(states.attributes["config"]) and manifest["config"][
+        "nx"
+    ] == [0, 1]
     assert '"split_by": "state"' in (curated / "README.md").read_text()
 
 
 def test_versions_and_the_rope_are_written_with_the_states(states: States, rope: Rope) -> None:
     attributes = states.attributes
-    assert (attributes["knotgym"], attributes["rope"], attributes["mujoco"]) == (package.__version__, rope.config.fingerprint, mujoco.__version__)
+    assert (attributes["knotgym"], attributes["rope"], attributes["mujoco"]) == (
+        package.__version__,
+        rope.config.fingerprint,
+        mujoco.__version__,
+    )
 
 
-def test_there_are_as_many_states_as_asked_for_of_as_many_codes_as_there_are(states: States) -> None:
-    assert states.nx.tolist() == [0] * 4 + [1] * 4 and sorted(states.gauss_code[4:]) == ["1+,1-", "1+,1-", "1-,1+", "1-,1+"]
+def test_there_are_as_many_states_as_asked_for_of_as_many_codes_as_there_are(
+    states: States,
+) -> None:
+    assert states.nx.tolist() == [0] * 4 + [1] * 4 and sorted(states.gauss_code[4:]) == [
+        "1+,1-",
+        "1+,1-",
+        "1-,1+",
+        "1-,1+",
+    ]
 
 
 def test_both_splits_are_there_for_every_nx(states: States) -> None:
-    assert [len(states.rows(nx, split)) for nx in (0, 1) for split in ("train", "test")] == [2, 2, 2, 2]
+    assert [len(states.rows(nx, split)) for nx in (0, 1) for split in ("train", "test")] == [
+        2,
+        2,
+        2,
+        2,
+    ]
 
 
 def test_labels_are_what_both_labellers_read(states: States) -> None:
-    for points, plain, chiral in zip(states.points, states.gauss_code, states.gauss_code_chiral, strict=True):
+    for points, plain, chiral in zip(
+        states.points, states.gauss_code, states.gauss_code_chiral, strict=True
+    ):
         code = label(points)
         assert (str(code), code.chiral) == (plain, chiral) and pyknotid_code(points) == code
 
 
 def test_pictures_are_those_of_the_points(states: States) -> None:
-    assert states.image is not None and all(np.array_equal(image, draw(points)) for image, points in zip(states.image, states.points, strict=True))
+    assert states.image is not None and all(
+        np.array_equal(image, draw(points))
+        for image, points in zip(states.image, states.points, strict=True)
+    )
 
 
 def test_every_provenance_ends_in_its_row_bit_for_bit(states: States) -> None:
@@ -142,7 +184,9 @@ def test_every_provenance_ends_in_its_row_bit_for_bit(states: States) -> None:
         simulation.lay(states.source["start_qpos"][row][None])
         for action in states.source["actions"][row, : states.source["steps"][row]]:
             assert simulation.act(action[None]).all()
-        assert np.array_equal(simulation.qpos()[0], states.qpos[row]) and np.array_equal(simulation.points[0], states.points[row])
+        assert np.array_equal(simulation.qpos()[0], states.qpos[row]) and np.array_equal(
+            simulation.points[0], states.points[row]
+        )
 
 
 def test_no_two_states_are_near_duplicates(states: States) -> None:
@@ -152,14 +196,19 @@ def test_no_two_states_are_near_duplicates(states: States) -> None:
 
 
 def test_rows_name_their_own_trajectory(states: States) -> None:
-    assert states.source["trajectory"].tolist() == [0, 1, 2, 3] * 2 and len({tuple(seed) for seed in states.source["seed"]}) == 8
+    assert (
+        states.source["trajectory"].tolist() == [0, 1, 2, 3] * 2
+        and len({tuple(seed) for seed in states.source["seed"]}) == 8
+    )
 
 
 def test_every_measure_is_within_its_limit(states: States, manifest: dict[str, Any]) -> None:
     limits = manifest["config"]["instance"]["limits"]
     for name, bound in limits.items():
         if name in ("excess_crossing_number", "total_curvature"):
-            assert (states.quality[name] <= bound * (states.nx + 1 if name == "total_curvature" else 1)).all(), name
+            assert (
+                states.quality[name] <= bound * (states.nx + 1 if name == "total_curvature" else 1)
+            ).all(), name
         else:
             assert (states.quality[name] >= bound).all(), name
 
@@ -193,24 +242,37 @@ def test_the_environment_resets_from_the_states(curated: Path, states: States, s
         assert info["gauss_code"] == "" and info["goal_gauss_code"] in goals
 
 
-@pytest.mark.parametrize(("name", "nx"), [("knotgym/unknot-nx1/ways-v0", 0), ("knotgym/tie-nx1/ways-v0", 1)])
-def test_minari_loads_the_trajectories(curated: Path, states: States, monkeypatch: pytest.MonkeyPatch, name: str, nx: int) -> None:
+@pytest.mark.parametrize(
+    ("name", "nx"), [("knotgym/unknot-nx1/ways-v0", 0), ("knotgym/tie-nx1/ways-v0", 1)]
+)
+def test_minari_loads_the_trajectories(
+    curated: Path, states: States, monkeypatch: pytest.MonkeyPatch, name: str, nx: int
+) -> None:
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(curated / "minari"))
     dataset = minari.load_dataset(name)
     assert dataset.total_episodes == 4
-    for row, episode in zip(np.flatnonzero(states.nx == nx), dataset.iterate_episodes(), strict=True):
+    for row, episode in zip(
+        np.flatnonzero(states.nx == nx), dataset.iterate_episodes(), strict=True
+    ):
         steps = states.source["steps"][row]
         assert np.array_equal(episode.actions, states.source["actions"][row, :steps])
-        assert episode.terminations.tolist() == [False] * (steps - 1) + [True] and not episode.truncations.any()
+        assert (
+            episode.terminations.tolist() == [False] * (steps - 1) + [True]
+            and not episode.truncations.any()
+        )
         assert np.array_equal(episode.observations["pixels"][-1, :, :128], states.image[row])
 
 
 @pytest.mark.parametrize("name", ["knotgym/unknot-nx1/ways-v0", "knotgym/tie-nx1/ways-v0"])
-def test_minari_does_with_the_trajectories_all_that_it_does(curated: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+def test_minari_does_with_the_trajectories_all_that_it_does(
+    curated: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
     check_minari(curated / "minari", name, monkeypatch)
 
 
-def test_the_recovered_environment_resets_from_the_states_of_the_job(curated: Path, states: States, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_recovered_environment_resets_from_the_states_of_the_job(
+    curated: Path, states: States, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(curated / "minari"))
     env = minari.load_dataset("knotgym/tie-nx1/ways-v0").recover_environment()
     for row in states.rows(1, "train"):
@@ -220,20 +282,41 @@ def test_the_recovered_environment_resets_from_the_states_of_the_job(curated: Pa
 
 
 def test_verify_finds_no_fault(curated: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert knotgym("dataset", "verify", curated) == 0 and capfd.readouterr().out.splitlines()[-1] == "no faults"
+    assert (
+        knotgym("dataset", "verify", curated) == 0
+        and capfd.readouterr().out.splitlines()[-1] == "no faults"
+    )
 
 
 @pytest.fixture(scope="module")
 def coded(curated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder made from another's archive, its splits without a code in common."""
     out = tmp_path_factory.mktemp("coded") / "a"
-    options = ("--nx", 1, "--count", 2, "--split-by", "code", "--seed", 5, "--archive", curated / "archive.h5", "--workers", 1, "--out", out)
+    options = (
+        "--nx",
+        1,
+        "--count",
+        2,
+        "--split-by",
+        "code",
+        "--seed",
+        5,
+        "--archive",
+        curated / "archive.h5",
+        "--workers",
+        1,
+        "--out",
+        out,
+    )
     assert knotgym("generate", *options) == 0
     return out
 
 
 def test_its_archive_can_be_gone_on_from(curated: Path, coded: Path) -> None:
-    before, after = Archive.load(curated / "archive.h5").growth, Archive.load(coded / "archive.h5").growth
+    before, after = (
+        Archive.load(curated / "archive.h5").growth,
+        Archive.load(coded / "archive.h5").growth,
+    )
     assert after[: len(before)] == before and len(after) > len(before)
 
 
@@ -263,7 +346,9 @@ def test_two_workers_leave_the_same_bytes_as_one(curated: Path, tmp_path: Path) 
 
 @pytest.fixture(scope="module")
 def killed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where a run was killed after its first cycle; none of its workers lives on (they would hold its output open)."""
+    """Where a run was killed after its first cycle; none of its workers lives on (they would hold
+    its output open).
+    """
     out = tmp_path_factory.mktemp("killed") / "nx0-1"
     run = begun(out, "--workers", 2, saved=True)
     os.kill(run.pid, signal.SIGKILL)
@@ -277,41 +362,76 @@ def test_a_killed_run_leaves_nothing_under_the_final_name(killed: Path) -> None:
 
 def test_other_options_cannot_resume_it(killed: Path, capfd: pytest.CaptureFixture[str]) -> None:
     before = bytes_of(killed.parent)
-    for options in (("--nx", "0,1", "--count", 5), (*WANTED, "--seed", 1), ("--nx", 1, "--count", 4), (*WANTED, "--split-by", "code")):
+    for options in (
+        ("--nx", "0,1", "--count", 5),
+        (*WANTED, "--seed", 1),
+        ("--nx", 1, "--count", 4),
+        (*WANTED, "--split-by", "code"),
+    ):
         assert knotgym("generate", *options, "--workers", 1, "--out", killed, "--resume") == 2
         (line,) = said(capfd)
         assert "holds another job than the one asked for" in line
     assert bytes_of(killed.parent) == before
 
 
-def test_resumed_it_ends_in_the_same_bytes_as_an_unbroken_run(killed: Path, curated: Path, tmp_path: Path) -> None:
+def test_resumed_it_ends_in_the_same_bytes_as_an_unbroken_run(
+    killed: Path, curated: Path, tmp_path: Path
+) -> None:
     shutil.copytree(killed.parent / ".nx0-1.partial", tmp_path / ".nx0-1.partial")
-    assert knotgym("generate", *WANTED, "--workers", 1, "--out", tmp_path / "nx0-1", "--resume", "--quiet") == 0
-    assert bytes_of(tmp_path / "nx0-1") == bytes_of(curated) and [path.name for path in tmp_path.iterdir()] == ["nx0-1"]
+    assert (
+        knotgym(
+            "generate", *WANTED, "--workers", 1, "--out", tmp_path / "nx0-1", "--resume", "--quiet"
+        )
+        == 0
+    )
+    assert bytes_of(tmp_path / "nx0-1") == bytes_of(curated) and [
+        path.name for path in tmp_path.iterdir()
+    ] == ["nx0-1"]
 
 
-def test_without_resume_it_begins_anew_and_tells_in_plain_lines(killed: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_without_resume_it_begins_anew_and_tells_in_plain_lines(
+    killed: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     shutil.copytree(killed.parent / ".nx0-1.partial", tmp_path / ".a.partial")
-    assert knotgym("generate", "--nx", 0, "--count", 1, "--workers", 1, "--out", tmp_path / "a") == 0
-    assert len(read_states(tmp_path / "a" / "states.h5")) == 1 and not (tmp_path / ".a.partial").exists()
+    assert (
+        knotgym("generate", "--nx", 0, "--count", 1, "--workers", 1, "--out", tmp_path / "a") == 0
+    )
+    assert (
+        len(read_states(tmp_path / "a" / "states.h5")) == 1
+        and not (tmp_path / ".a.partial").exists()
+    )
     told = capfd.readouterr().out
-    assert "states accepted 1 of 1; distinct codes 1" in told and "1 states of 1 codes" in told and "\x1b" not in told
+    assert (
+        "states accepted 1 of 1; distinct codes 1" in told
+        and "1 states of 1 codes" in told
+        and "\x1b" not in told
+    )
 
 
 def test_a_finished_run_is_resumed_to_itself(curated: Path, tmp_path: Path) -> None:
     shutil.copytree(curated, tmp_path / "a")
     (tmp_path / ".a.partial").mkdir()  # as if killed right after the folder took its name
     assert knotgym("generate", *WANTED, "--workers", 1, "--out", tmp_path / "a", "--resume") == 0
-    assert bytes_of(tmp_path / "a") == bytes_of(curated) and [path.name for path in tmp_path.iterdir()] == ["a"]
+    assert bytes_of(tmp_path / "a") == bytes_of(curated) and [
+        path.name for path in tmp_path.iterdir()
+    ] == ["a"]
 
 
-@pytest.mark.parametrize(("number", "group", "workers"), [(signal.SIGINT, True, 2), (signal.SIGTERM, False, 1)])
-def test_an_interrupted_run_says_one_line_and_leaves_nothing(tmp_path: Path, number: signal.Signals, group: bool, workers: int) -> None:
+@pytest.mark.parametrize(
+    ("number", "group", "workers"), [(signal.SIGINT, True, 2), (signal.SIGTERM, False, 1)]
+)
+def test_an_interrupted_run_says_one_line_and_leaves_nothing(
+    tmp_path: Path, number: signal.Signals, group: bool, workers: int
+) -> None:
     run = begun(tmp_path / "a", "--workers", workers, saved=False)
     (os.killpg if group else os.kill)(run.pid, number)
     _, error = run.communicate(timeout=SECONDS)
     assert run.returncode == 130
-    assert error == "knotgym: interrupted; nothing half-written is left, --resume goes on from the last cycle\n"
+    assert (
+        error
+        == "knotgym: interrupted; nothing half-written is left, --resume goes on from the last"
+        " cycle\n"
+    )
     assert [path.name for path in tmp_path.iterdir()] == [".a.partial"]
 
 
@@ -320,7 +440,9 @@ def test_an_error_in_a_worker_comes_out_as_it_is() -> None:
         list(pool.map(int, ["one", "two"]))
 
 
-def test_a_worker_that_dies_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_worker_that_dies_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     class Deadly:
         def map(self, function: object, work: Iterable[object], /) -> Iterator[object]:
             raise BrokenProcessPool
@@ -331,13 +453,17 @@ def test_a_worker_that_dies_is_one_line(tmp_path: Path, monkeypatch: pytest.Monk
 
     monkeypatch.setattr(main_job, "engine", deadly)
     assert knotgym("generate", "--nx", 0, "--count", 1, "--out", tmp_path / "a") == 1
-    assert said(capfd) == ["knotgym: a worker died, perhaps for want of memory; --resume goes on from the last cycle"]
+    assert said(capfd) == [
+        "knotgym: a worker died, perhaps for want of memory; --resume goes on from the last cycle"
+    ]
 
 
 # What is refused.
 
 
-def test_a_second_run_into_the_same_folder_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_second_run_into_the_same_folder_is_refused(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     with held(tmp_path / ".a.partial"):
         for more in ((), ("--resume",)):
             assert knotgym("generate", *WANTED, "--workers", 1, "--out", tmp_path / "a", *more) == 2
@@ -345,12 +471,16 @@ def test_a_second_run_into_the_same_folder_is_refused(tmp_path: Path, capfd: pyt
         assert [path.name for path in tmp_path.rglob("*")] == [".a.partial", "lock"]
 
 
-def test_a_folder_that_is_there_is_not_touched(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_that_is_there_is_not_touched(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "mine.txt").write_text("mine")
     for more in ((), ("--resume",)):
         assert knotgym("generate", *WANTED, "--out", tmp_path / "a", *more) == 2
-        assert said(capfd) == [f"knotgym: {tmp_path / 'a'} is there already; choose another --out, or remove it"]
+        assert said(capfd) == [
+            f"knotgym: {tmp_path / 'a'} is there already; choose another --out, or remove it"
+        ]
     assert [path.name for path in tmp_path.rglob("*")] == ["a", "mine.txt"]
 
 
@@ -392,20 +522,32 @@ def mistaken(tmp_path: Path) -> Path:
         ("--balance odd", 'balance must be "even" or "natural", got \'odd\''),
         ("--knot 9_42", "no knot '9_42'; there is 0_1, 3_1, 4_1, 5_1, or a file"),
         ("--knot 3_1 --nx 2", "no diagram of 3_1 has 2 crossings"),
-        ("--knot 3_1 --balance natural", "natural balance is known for ropes that start as a plain loop"),
+        (
+            "--knot 3_1 --balance natural",
+            "natural balance is known for ropes that start as a plain loop",
+        ),
         ("--knot {}/three.txt", "a closed rope needs at least 4 different points, got 3"),
         ("--knot {}/open.txt", "the curve isn't closed"),
         ("--knot {}/empty.npy", "empty.npy holds no curve"),
         ("--archive {}/absent.h5", "no archive at"),
         ("--archive {}/text.h5", "text.h5 isn't a whole archive"),
-        ("--archive {}/foreign.h5", "foreign.h5 isn't an archive of format 'knotgym-archive' version 2"),
+        (
+            "--archive {}/foreign.h5",
+            "foreign.h5 isn't an archive of format 'knotgym-archive' version 2",
+        ),
         ("--archive {}/knotted.h5", "the archive's ways begin at another curve"),
     ],
 )
 def test_a_mistake_is_one_line_and_writes_nothing(
     mistaken: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], options: str, problem: str
 ) -> None:
-    words = ["--out", str(tmp_path / "made" / "a"), "--workers", "1", *options.format(mistaken).split()]
+    words = [
+        "--out",
+        str(tmp_path / "made" / "a"),
+        "--workers",
+        "1",
+        *options.format(mistaken).split(),
+    ]
     assert knotgym("generate", *words) == 2
     (line,) = said(capfd)
     assert line.startswith("knotgym: ") and problem in line
@@ -422,11 +564,16 @@ def test_too_few_attempts_are_a_failure_that_can_be_resumed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     def run(*_: object) -> None:
-        raise NotEnough("3 of 8 states with nx = 1 accepted in 9 attempts; use --resume and more --attempts")
+        raise NotEnough(
+            "3 of 8 states with nx = 1 accepted in 9 attempts; use --resume and more --attempts"
+        )
 
     monkeypatch.setattr(main_job, "run", run)
     assert knotgym("generate", "--nx", 1, "--out", tmp_path / "a", "--workers", 1, "--quiet") == 1
-    assert said(capfd) == ["knotgym: 3 of 8 states with nx = 1 accepted in 9 attempts; use --resume and more --attempts"]
+    assert said(capfd) == [
+        "knotgym: 3 of 8 states with nx = 1 accepted in 9 attempts; use --resume and more"
+        " --attempts"
+    ]
     assert [path.name for path in tmp_path.iterdir()] == [".a.partial"]
 
 
@@ -435,7 +582,19 @@ def test_too_few_attempts_are_a_failure_that_can_be_resumed(
 
 @pytest.mark.slow
 def test_a_trefoil_is_curated_and_certified(tmp_path: Path) -> None:
-    words = [INSTALLED, "--knot", "3_1", "--nx", "3", "--count", "2", "--workers", "1", "--out", str(tmp_path / "a")]
+    words = [
+        INSTALLED,
+        "--knot",
+        "3_1",
+        "--nx",
+        "3",
+        "--count",
+        "2",
+        "--workers",
+        "1",
+        "--out",
+        str(tmp_path / "a"),
+    ]
     run = subprocess.run(words, capture_output=True, text=True)
     assert run.returncode == 0 and run.stderr == ""
     states = read_states(tmp_path / "a" / "states.h5")
@@ -446,12 +605,40 @@ def test_a_trefoil_is_curated_and_certified(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_command_as_installed_makes_a_folder(tmp_path: Path) -> None:
-    words = [INSTALLED, "--nx", "0-1", "--count", "4", "--workers", "2", "--out", str(tmp_path / "a")]
+    words = [
+        INSTALLED,
+        "--nx",
+        "0-1",
+        "--count",
+        "4",
+        "--workers",
+        "2",
+        "--out",
+        str(tmp_path / "a"),
+    ]
     run = subprocess.run(words, capture_output=True, text=True)
     assert run.returncode == 0 and run.stderr == "" and list(folder_faults(tmp_path / "a")) == []
 
 
 @pytest.mark.slow
 def test_natural_balance_is_curated_too(tmp_path: Path) -> None:
-    assert knotgym("generate", "--nx", 1, "--count", 4, "--balance", "natural", "--workers", 1, "--out", tmp_path / "a") == 0
-    assert list(folder_faults(tmp_path / "a")) == [] and len(read_states(tmp_path / "a" / "states.h5")) == 4
+    assert (
+        knotgym(
+            "generate",
+            "--nx",
+            1,
+            "--count",
+            4,
+            "--balance",
+            "natural",
+            "--workers",
+            1,
+            "--out",
+            tmp_path / "a",
+        )
+        == 0
+    )
+    assert (
+        list(folder_faults(tmp_path / "a")) == []
+        and len(read_states(tmp_path / "a" / "states.h5")) == 4
+    )

@@ -3,7 +3,18 @@
 import numpy as np
 import pytest
 
-from knotgym.control.macro_actions import ARRIVED, KINDS, LIFT, NO_WAY, Hand, Manoeuvre, Way, pass_strand, propose, pull
+from knotgym.control.macro_actions import (
+    ARRIVED,
+    KINDS,
+    LIFT,
+    NO_WAY,
+    Hand,
+    Manoeuvre,
+    Way,
+    pass_strand,
+    propose,
+    pull,
+)
 from knotgym.rope import Rope
 from knotgym.simulation import Simulation
 
@@ -19,7 +30,12 @@ def test_every_kind_is_drawn(rope: Rope) -> None:
 
 def test_the_same_seed_draws_the_same_manoeuvres(rope: Rope) -> None:
     for one, other in zip(drawn(rope, 20), drawn(rope, 20), strict=True):
-        assert (one.kind, one.bead, one.target, one.side) == (other.kind, other.bead, other.target, other.side)
+        assert (one.kind, one.bead, one.target, one.side) == (
+            other.kind,
+            other.bead,
+            other.target,
+            other.side,
+        )
         assert np.array_equal(one.waypoints, other.waypoints)
 
 
@@ -29,21 +45,32 @@ def test_only_passes_and_curls_have_a_strand_to_pass(rope: Rope) -> None:
 
 
 def test_a_strand_is_passed_by_another_bead(rope: Rope) -> None:
-    apart = {kind: [min((one.target - one.bead) % 100, (one.bead - one.target) % 100) for one in drawn(rope) if one.kind == kind] for kind in KINDS}
+    apart = {
+        kind: [
+            min((one.target - one.bead) % 100, (one.bead - one.target) % 100)
+            for one in drawn(rope)
+            if one.kind == kind
+        ]
+        for kind in KINDS
+    }
     assert min(apart["pass"]) >= 12 and 6 <= min(apart["curl"]) <= max(apart["curl"]) <= 24
 
 
 @pytest.mark.parametrize("side", [-1, 1])
 def test_a_strand_is_passed_at_a_height_above_or_below_it(rope: Rope, side: int) -> None:
     one = pass_strand(rope.loop(), "pass", 10, 60, side, np.random.default_rng(0))
-    assert np.allclose(one.waypoints[:2, 2], side * LIFT) and one.waypoints[2, 2] == pytest.approx(0)
+    assert np.allclose(one.waypoints[:2, 2], side * LIFT) and one.waypoints[2, 2] == pytest.approx(
+        0
+    )
 
 
 def test_a_pass_ends_beyond_the_strand(rope: Rope) -> None:
     points, rng = rope.loop(), np.random.default_rng(1)
     for _ in range(50):
         one = pass_strand(points, "pass", 10, 30, 1, rng)
-        assert np.linalg.norm(one.waypoints[1, :2] - points[10, :2]) > np.linalg.norm(points[30, :2] - points[10, :2])
+        assert np.linalg.norm(one.waypoints[1, :2] - points[10, :2]) > np.linalg.norm(
+            points[30, :2] - points[10, :2]
+        )
 
 
 def test_proposing_leaves_the_rope_alone(rope: Rope) -> None:
@@ -79,7 +106,10 @@ def test_a_hand_leads_its_bead_to_the_last_waypoint(rope: Rope) -> None:
         if hand.idle(simulation.points)[0]:
             break
         pull(simulation, hand.beads, hand.forces(simulation.points))
-    assert hand.idle(simulation.points)[0] and np.linalg.norm(simulation.points[0, 40] - waypoints[2]) < ARRIVED
+    assert (
+        hand.idle(simulation.points)[0]
+        and np.linalg.norm(simulation.points[0, 40] - waypoints[2]) < ARRIVED
+    )
 
 
 def test_a_pull_is_the_action_that_it_returns(rope: Rope) -> None:
@@ -103,5 +133,9 @@ def test_ways_are_put_together_in_order() -> None:
     first = Way(np.array([1, 2], dtype=np.int16), np.ones((2, 3), dtype=np.float32))
     second = Way(np.array([3], dtype=np.int16), np.zeros((1, 3), dtype=np.float32))
     both = NO_WAY + first + second
-    assert len(both) == 3 and both.beads.tolist() == [1, 2, 3] and both.forces[:, 0].tolist() == [1, 1, 0]
+    assert (
+        len(both) == 3
+        and both.beads.tolist() == [1, 2, 3]
+        and both.forces[:, 0].tolist() == [1, 1, 0]
+    )
     assert both.beads.dtype == np.int16 and both.forces.dtype == np.float32

@@ -1,4 +1,6 @@
-"""Policies from files: what a model says is what is done, for every kind of observation. Run with -m clients, each where its library is."""
+"""Policies from files: what a model says is what is done, for every kind of observation. Run with
+-m clients, each where its library is.
+"""
 
 from __future__ import annotations
 
@@ -20,30 +22,43 @@ OBSERVATIONS = ("state", "pixels", "both")
 
 def needs(*names: str) -> Any:
     lacking = [name for name in names if importlib.util.find_spec(name) is None]
-    return [pytest.mark.clients, pytest.mark.skipif(bool(lacking), reason=f"not installed: {', '.join(lacking)}")]
+    return [
+        pytest.mark.clients,
+        pytest.mark.skipif(bool(lacking), reason=f"not installed: {', '.join(lacking)}"),
+    ]
 
 
 def chosen(path: Path, states_path: str, observation: str) -> tuple[NDArray[np.float32], list[Any]]:
     """What the policy in a file does in three episodes, float32 (3, 6), and what it saw of each."""
-    task = TaskConfig(task="unknot", nx=2, states=states_path, observation=observation, image_size=16)
+    task = TaskConfig(
+        task="unknot", nx=2, states=states_path, observation=observation, image_size=16
+    )
     episodes, policy = Episodes(task, 3), make_policy(PolicyConfig(policy=str(path)))
     for index in range(3):
         episodes.begin(index, np.random.default_rng(index))
         policy.begin(episodes, index, np.random.default_rng(index))
-    return policy.act(episodes, np.arange(3)).actions, [episodes.observation(index) for index in range(3)]
+    return policy.act(episodes, np.arange(3)).actions, [
+        episodes.observation(index) for index in range(3)
+    ]
 
 
 def said(seen: Any) -> NDArray[np.float64]:
-    """What the models below do: of every part they see a hundredth of the first six numbers and of the mean, added up."""
+    """What the models below do: of every part they see a hundredth of the first six numbers and of
+    the mean, added up.
+    """
     parts = seen.values() if isinstance(seen, dict) else [seen]
-    return np.sum([(part.reshape(-1)[:6] + part.mean(dtype=np.float64)) / 100 for part in parts], axis=0)
+    return np.sum(
+        [(part.reshape(-1)[:6] + part.mean(dtype=np.float64)) / 100 for part in parts], axis=0
+    )
 
 
 class TestTorchScript:
     pytestmark = needs("torch")
 
     @pytest.mark.parametrize("observation", OBSERVATIONS)
-    def test_does_what_the_model_says(self, observation: str, states_path: str, tmp_path: Path) -> None:
+    def test_does_what_the_model_says(
+        self, observation: str, states_path: str, tmp_path: Path
+    ) -> None:
         import torch
 
         class One(torch.nn.Module):
@@ -59,22 +74,35 @@ class TestTorchScript:
             def forward(self, seen: dict[str, torch.Tensor]) -> torch.Tensor:
                 return self.one(seen["pixels"]) + self.one(seen["state"])
 
-        torch.jit.script(Parts() if observation == "both" else One()).save(str(tmp_path / "model.pt"))
+        torch.jit.script(Parts() if observation == "both" else One()).save(
+            str(tmp_path / "model.pt")
+        )
         actions, seen = chosen(tmp_path / "model.pt", states_path, observation)
-        assert np.allclose(actions, [said(one) for one in seen], atol=1e-6) and np.abs(actions).max() > 0
+        assert (
+            np.allclose(actions, [said(one) for one in seen], atol=1e-6)
+            and np.abs(actions).max() > 0
+        )
 
 
 class TestOnnx:
     pytestmark = needs("onnx", "onnxruntime")
 
     @pytest.mark.parametrize("observation", OBSERVATIONS)
-    def test_does_what_the_model_says(self, observation: str, states_path: str, tmp_path: Path) -> None:
+    def test_does_what_the_model_says(
+        self, observation: str, states_path: str, tmp_path: Path
+    ) -> None:
         from onnx import TensorProto, helper, numpy_helper, save
 
         parts = ("pixels", "state") if observation == "both" else (observation,)
-        shapes = {"pixels": (TensorProto.UINT8, ["n", 16, 32, 3]), "state": (TensorProto.FLOAT, ["n", 600])}
+        shapes = {
+            "pixels": (TensorProto.UINT8, ["n", 16, 32, 3]),
+            "state": (TensorProto.FLOAT, ["n", 600]),
+        }
         numbers = {"flat": [0, -1], "from": [0], "to": [6], "axis": [1]}
-        constants = [numpy_helper.from_array(np.array(value, dtype=np.int64), name) for name, value in numbers.items()]
+        constants = [
+            numpy_helper.from_array(np.array(value, dtype=np.int64), name)
+            for name, value in numbers.items()
+        ]
         constants.append(numpy_helper.from_array(np.array(100, dtype=np.float32), "hundred"))
         nodes = []
         for part in parts:
@@ -82,7 +110,9 @@ class TestOnnx:
                 helper.make_node("Reshape", [part, "flat"], [f"{part} flat"]),
                 helper.make_node("Cast", [f"{part} flat"], [f"{part} float"], to=TensorProto.FLOAT),
                 helper.make_node("Slice", [f"{part} float", "from", "to", "axis"], [f"{part} six"]),
-                helper.make_node("ReduceMean", [f"{part} float"], [f"{part} mean"], axes=[1], keepdims=1),
+                helper.make_node(
+                    "ReduceMean", [f"{part} float"], [f"{part} mean"], axes=[1], keepdims=1
+                ),
                 helper.make_node("Add", [f"{part} six", f"{part} mean"], [f"{part} both"]),
                 helper.make_node("Div", [f"{part} both", "hundred"], [f"{part} small"]),
             ]
@@ -90,16 +120,24 @@ class TestOnnx:
         inputs = [helper.make_tensor_value_info(part, *shapes[part]) for part in parts]
         outputs = [helper.make_tensor_value_info("actions", TensorProto.FLOAT, ["n", 6])]
         graph = helper.make_graph(nodes, "six", inputs, outputs, constants)
-        save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9), str(tmp_path / "model.onnx"))
+        save(
+            helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9),
+            str(tmp_path / "model.onnx"),
+        )
         actions, seen = chosen(tmp_path / "model.onnx", states_path, observation)
-        assert np.allclose(actions, [said(one) for one in seen], atol=1e-6) and np.abs(actions).max() > 0
+        assert (
+            np.allclose(actions, [said(one) for one in seen], atol=1e-6)
+            and np.abs(actions).max() > 0
+        )
 
 
 class TestStableBaselines3:
     pytestmark = needs("stable_baselines3")
 
     @pytest.mark.parametrize("algorithm", ["PPO", "SAC"])
-    def test_does_what_the_model_says(self, algorithm: str, states_path: str, tmp_path: Path) -> None:
+    def test_does_what_the_model_says(
+        self, algorithm: str, states_path: str, tmp_path: Path
+    ) -> None:
         import stable_baselines3
 
         env = gym.make("knotgym/Unknot-v0", nx=2, states=states_path, observation="state")
@@ -114,8 +152,13 @@ class TestStableBaselines3:
             make_policy(PolicyConfig(policy=f"{tmp_path}/model.zip:Magic"))
 
 
-@pytest.mark.parametrize(("name", "library"), [("a.zip", "stable_baselines3"), ("a.onnx", "onnxruntime"), ("a.pt", "torch")])
-def test_a_library_that_is_missing_is_named_in_one_line(name: str, library: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "library"),
+    [("a.zip", "stable_baselines3"), ("a.onnx", "onnxruntime"), ("a.pt", "torch")],
+)
+def test_a_library_that_is_missing_is_named_in_one_line(
+    name: str, library: str, tmp_path: Path
+) -> None:
     if importlib.util.find_spec(library) is not None:
         pytest.skip(f"{library} is installed")
     (tmp_path / name).write_bytes(b"")
@@ -125,8 +168,13 @@ def test_a_library_that_is_missing_is_named_in_one_line(name: str, library: str,
 
 
 @pytest.mark.clients
-@pytest.mark.parametrize(("name", "library"), [("a.zip", "stable_baselines3"), ("a.onnx", "onnxruntime"), ("a.pt", "torch")])
-def test_a_file_that_is_no_model_is_refused_in_one_line(name: str, library: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "library"),
+    [("a.zip", "stable_baselines3"), ("a.onnx", "onnxruntime"), ("a.pt", "torch")],
+)
+def test_a_file_that_is_no_model_is_refused_in_one_line(
+    name: str, library: str, tmp_path: Path
+) -> None:
     pytest.importorskip(library)
     (tmp_path / name).write_bytes(b"not a model")
     with pytest.raises(InvalidPolicy, match="holds no") as refused:

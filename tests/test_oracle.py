@@ -7,7 +7,16 @@ from knotgym.topology.crossings import find_crossings, label, visit_spacing
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.reference_labeller import UnreadableCurve, pyknotid_code
 
-EIGHT = np.array([[-1.0, -1.0, 1.0], [1.0, 1.0, 1.0], [2.0, 0.0, 0.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-2.0, 0.0, 0.0]])
+EIGHT = np.array(
+    [
+        [-1.0, -1.0, 1.0],
+        [1.0, 1.0, 1.0],
+        [2.0, 0.0, 0.0],
+        [1.0, -1.0, -1.0],
+        [-1.0, 1.0, -1.0],
+        [-2.0, 0.0, 0.0],
+    ]
+)
 
 
 def random_curve(rng: np.random.Generator) -> np.ndarray:
@@ -67,7 +76,9 @@ def test_the_points_are_left_alone() -> None:
     assert (before == EIGHT).all()
 
 
-@pytest.mark.parametrize("points", [np.zeros((2, 3)), np.zeros((4, 2)), np.zeros((4, 3)), np.full((4, 3), np.nan)])
+@pytest.mark.parametrize(
+    "points", [np.zeros((2, 3)), np.zeros((4, 2)), np.zeros((4, 3)), np.full((4, 3), np.nan)]
+)
 def test_no_curve_is_refused(points: np.ndarray) -> None:
     with pytest.raises(UnreadableCurve):
         pyknotid_code(points)

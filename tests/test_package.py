@@ -1,4 +1,6 @@
-"""The package as a stranger meets it: what importing it costs and gives, that its errors travel, and what the wheel holds."""
+"""The package as a stranger meets it: what importing it costs and gives, that its errors travel,
+and what the wheel holds.
+"""
 
 import importlib
 import importlib.metadata
@@ -27,14 +29,38 @@ from knotgym.topology.gauss import GaussCode
 from knotgym.topology.reference_labeller import pyknotid_code
 
 ROOT = Path(__file__).parents[1]
-HEAVY = ("torch", "dask", "distributed", "minari", "pandas", "pyarrow", "pyknotid", "matplotlib", "mujoco", "numba", "cv2", "h5py")
-DRAWING = ("mujoco.renderer", "mujoco.rendering", "mujoco.egl", "mujoco.osmesa", "mujoco.glfw", "OpenGL", "glfw")  # some of it by mujoco itself
+HEAVY = (
+    "torch",
+    "dask",
+    "distributed",
+    "minari",
+    "pandas",
+    "pyarrow",
+    "pyknotid",
+    "matplotlib",
+    "mujoco",
+    "numba",
+    "cv2",
+    "h5py",
+)
+# some of it by mujoco itself
+DRAWING = (
+    "mujoco.renderer",
+    "mujoco.rendering",
+    "mujoco.egl",
+    "mujoco.osmesa",
+    "mujoco.glfw",
+    "OpenGL",
+    "glfw",
+)
 
 
 def imported(statement: str, folder: Path | None = None) -> set[str]:
     """The modules that a fresh interpreter holds after a statement."""
     code = f"import sys\n{statement}\nprint(*sys.modules)"
-    run = subprocess.run([sys.executable, "-c", code], cwd=folder or ROOT, capture_output=True, text=True, check=True)
+    run = subprocess.run(
+        [sys.executable, "-c", code], cwd=folder or ROOT, capture_output=True, text=True, check=True
+    )
     return set(run.stdout.split())
 
 
@@ -47,7 +73,11 @@ def every_error() -> list[type[KnotgymError]]:
             assert error.name is None or not error.name.startswith("knotgym"), error
     found: list[type[KnotgymError]] = [KnotgymError]
     for one in found:
-        found += [sub for sub in one.__subclasses__() if sub not in found and sub.__module__.startswith("knotgym.")]
+        found += [
+            sub
+            for sub in one.__subclasses__()
+            if sub not in found and sub.__module__.startswith("knotgym.")
+        ]
     return found
 
 
@@ -55,10 +85,29 @@ def test_importing_knotgym_is_light() -> None:
     assert imported("import knotgym") & {*HEAVY, *DRAWING} == set()
 
 
-def test_making_an_environment_pulls_in_no_learner_and_no_more_of_a_renderer_than_mujoco_does(states_path: str) -> None:
-    statement = f"import gymnasium, knotgym; gymnasium.make('knotgym/Tie-v0', states={states_path!r}).reset(seed=0)"
+def test_making_an_environment_pulls_in_no_learner_and_no_more_of_a_renderer_than_mujoco_does(
+    states_path: str,
+) -> None:
+    statement = (
+        "import gymnasium, knotgym; gymnasium.make('knotgym/Tie-v0',"
+        f" states={states_path!r}).reset(seed=0)"
+    )
     extra = imported(statement) - imported("import mujoco.batch")
-    assert extra & {"torch", "dask", "distributed", "minari", "pandas", "pyarrow", "pyknotid", "matplotlib", *DRAWING} == set()
+    assert (
+        extra
+        & {
+            "torch",
+            "dask",
+            "distributed",
+            "minari",
+            "pandas",
+            "pyarrow",
+            "pyknotid",
+            "matplotlib",
+            *DRAWING,
+        }
+        == set()
+    )
 
 
 @pytest.mark.parametrize("room", ["knotgym.datasets", "knotgym.loaders"])
@@ -68,12 +117,19 @@ def test_importing_a_room_pulls_in_neither_torch_nor_dask_nor_a_renderer(room: s
 
 def test_datasets_do_not_import_the_environment() -> None:
     modules = imported("import knotgym.datasets.states, knotgym.atomic_files")
-    assert modules & {"knotgym.env", "knotgym.episode_batch", "knotgym.simulation", "mujoco"} == set()
+    assert (
+        modules & {"knotgym.env", "knotgym.episode_batch", "knotgym.simulation", "mujoco"} == set()
+    )
 
 
 def test_the_core_imports_neither_generate_nor_loaders() -> None:
-    modules = imported("import knotgym.env, knotgym.topology.crossings, knotgym.topology.knots, knotgym.topology.reference_labeller, knotgym.rendering.picture")
-    assert not [name for name in modules if name.startswith(("knotgym.generate", "knotgym.loaders"))]
+    modules = imported(
+        "import knotgym.env, knotgym.topology.crossings, knotgym.topology.knots,"
+        " knotgym.topology.reference_labeller, knotgym.rendering.picture"
+    )
+    assert not [
+        name for name in modules if name.startswith(("knotgym.generate", "knotgym.loaders"))
+    ]
 
 
 def test_nothing_is_imported_through_the_links() -> None:
@@ -97,11 +153,16 @@ def test_three_environments_are_registered() -> None:
 
 @pytest.mark.parametrize("task", ["Unknot", "Tie", "Convert"])
 def test_a_task_is_made_alone_in_a_fresh_process(task: str, states_path: str) -> None:
-    modules = imported(f"import gymnasium; gymnasium.make('knotgym:knotgym/{task}-v0', states={states_path!r}, observation='state').reset(seed=0)")
+    modules = imported(
+        f"import gymnasium; gymnasium.make('knotgym:knotgym/{task}-v0', states={states_path!r},"
+        " observation='state').reset(seed=0)"
+    )
     assert "knotgym.env" in modules
 
 
-@pytest.mark.parametrize("error", every_error(), ids=lambda error: f"{error.__module__}.{error.__qualname__}")
+@pytest.mark.parametrize(
+    "error", every_error(), ids=lambda error: f"{error.__module__}.{error.__qualname__}"
+)
 def test_every_error_pickles_with_its_message(error: type[KnotgymError]) -> None:
     again = pickle.loads(pickle.dumps(error.__new__(error, "what was wrong")))
     assert type(again) is error and str(again) == "what was wrong"
@@ -130,20 +191,39 @@ def test_errors_raised_pickle_with_their_one_line(fault: Callable[[], object]) -
 
 @pytest.mark.slow
 def test_the_wheel_installs_elsewhere_and_loads_its_assets(tmp_path: Path) -> None:
-    source = tmp_path / "source"  # without the links at the top level, as a checkout that cannot have them
-    shutil.copytree(ROOT, source, ignore=shutil.ignore_patterns(".*", "build", "dist", "*.egg-info", "__pycache__", "tests"))
+    # without the links at the top level, as a checkout that cannot have them
+    source = tmp_path / "source"
+    shutil.copytree(
+        ROOT,
+        source,
+        ignore=shutil.ignore_patterns(".*", "build", "dist", "*.egg-info", "__pycache__", "tests"),
+    )
     for link in ("datasets", "generate", "loaders"):
         shutil.rmtree(source / link)
-    subprocess.run([sys.executable, "-m", "pip", "wheel", "--no-deps", "--wheel-dir", tmp_path, source], check=True, capture_output=True)
+    subprocess.run(
+        [sys.executable, "-m", "pip", "wheel", "--no-deps", "--wheel-dir", tmp_path, source],
+        check=True,
+        capture_output=True,
+    )
     (wheel,) = tmp_path.glob("knotgym-*.whl")
     with zipfile.ZipFile(wheel) as archive:
         names = set(archive.namelist())
         archive.extractall(tmp_path / "site")
     assert {"knotgym/py.typed", "knotgym/datasets/curated/states.h5"} <= names
     assert {name.split("/")[0] for name in names if ".dist-info" not in name} == {"knotgym"}
-    code = "import gymnasium, knotgym; gymnasium.make('knotgym/Convert-v0', nx=4).reset(seed=0); print(knotgym.__file__)"
+    code = (
+        "import gymnasium, knotgym; gymnasium.make('knotgym/Convert-v0', nx=4).reset(seed=0);"
+        " print(knotgym.__file__)"
+    )
     environment = {**os.environ, "PYTHONPATH": str(tmp_path / "site")}
-    run = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    run = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert Path(run.stdout.strip()) == tmp_path / "site" / "knotgym" / "__init__.py"
 
 

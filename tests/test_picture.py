@@ -51,17 +51,31 @@ def test_compiled_polygons_are_those_of_plain_arithmetic_bit_for_bit(config: Pic
     for _ in range(40):
         waves = rng.normal(size=(3, 5)) / np.arange(1, 6)
         at = 2 * np.pi * np.arange(100)[:, None] / 100 * np.arange(1, 6)
-        rope = 0.1 * (np.cos(at + rng.uniform(0, 6, 5)) @ waves.T) * [rng.choice([1.0, 0.01]), 1.0, rng.choice([0.2, 2.0])]
+        rope = (
+            0.1
+            * (np.cos(at + rng.uniform(0, 6, 5)) @ waves.T)
+            * [rng.choice([1.0, 0.01]), 1.0, rng.choice([0.2, 2.0])]
+        )
         placed, side = _placed(rope, config), config.size * config.supersampling
-        for ours, plain in zip(polygons(*placed, side), plain_polygons.polygons(*placed, side), strict=True):
+        for ours, plain in zip(
+            polygons(*placed, side), plain_polygons.polygons(*placed, side), strict=True
+        ):
             assert ours.dtype == plain.dtype and np.array_equal(ours, plain)
 
 
 @pytest.fixture(scope="session")
 def opengl() -> None:
-    """Skip where MuJoCo's renderer cannot draw; tried in another process, so that a crash of a driver does not take the tests along."""
-    code = "import numpy as np; from knotgym.rendering.picture import PictureConfig, draw; draw(np.eye(3) * 0.1, PictureConfig(size=16, renderer='mujoco'))"
-    if subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=120).returncode != 0:
+    """Skip where MuJoCo's renderer cannot draw; tried in another process, so that a crash of a
+    driver does not take the tests along.
+    """
+    code = (
+        "import numpy as np; from knotgym.rendering.picture import PictureConfig, draw;"
+        " draw(np.eye(3) * 0.1, PictureConfig(size=16, renderer='mujoco'))"
+    )
+    if (
+        subprocess.run([sys.executable, "-c", code], capture_output=True, timeout=120).returncode
+        != 0
+    ):
         pytest.skip("no OpenGL context can be made here")
 
 
@@ -69,8 +83,12 @@ def gl(test: Callable[..., None]) -> Any:
     return pytest.mark.gl(pytest.mark.usefixtures("opengl")(test))
 
 
-def random_curve(rng: np.random.Generator, beads: int = 100, length: float = 1.33, gap: float = 0.009) -> Points:
-    """A closed curve like a rope's: equal chords along a random smooth curve whose strands stay gap apart."""
+def random_curve(
+    rng: np.random.Generator, beads: int = 100, length: float = 1.33, gap: float = 0.009
+) -> Points:
+    """A closed curve like a rope's: equal chords along a random smooth curve whose strands stay gap
+    apart.
+    """
     phase = np.linspace(0.0, 2.0 * np.pi, 2001)
 
     def wave(modes: int, decay: float) -> Points:
@@ -86,7 +104,10 @@ def random_curve(rng: np.random.Generator, beads: int = 100, length: float = 1.3
         place = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(fine, axis=0), axis=1))])
         at = np.arange(beads) / beads * place[-1]
         points = np.stack([np.interp(at, place, axis) for axis in fine.T], axis=1)
-        dense = (points[:, None] + np.arange(3)[:, None] / 3 * (np.roll(points, -1, axis=0) - points)[:, None]).reshape(-1, 3)
+        dense = (
+            points[:, None]
+            + np.arange(3)[:, None] / 3 * (np.roll(points, -1, axis=0) - points)[:, None]
+        ).reshape(-1, 3)
         apart = np.linalg.norm(dense[:, None] - dense[None], axis=2)
         along = np.abs(np.subtract.outer(np.arange(3 * beads), np.arange(3 * beads)))
         if apart[np.minimum(along, 3 * beads - along) > 9].min() >= gap:
@@ -102,23 +123,38 @@ def curves(count: int = 40) -> Points:
 
 
 def traced(points: Points, config: PictureConfig) -> NDArray[np.uint8]:
-    """The orthographic picture by brute force: each sample's ray down z meets the capsules, and the highest one met gives the colour."""
+    """The orthographic picture by brute force: each sample's ray down z meets the capsules, and the
+    highest one met gives the colour.
+    """
     side = config.size * config.supersampling
     place = ((np.arange(side) + 0.5) / side - 0.5) * config.view
     points = points - points.mean(axis=0)
     top = np.full((side, side), -np.inf)
     image = np.zeros((side, side, 3), dtype=np.uint8)
-    for a, b, colour in zip(points, np.roll(points, -1, axis=0), bead_colours(len(points)), strict=True):
-        columns = np.flatnonzero((place > min(a[0], b[0]) - 0.006) & (place < max(a[0], b[0]) + 0.006))
-        rows = np.flatnonzero((-place > min(a[1], b[1]) - 0.006) & (-place < max(a[1], b[1]) + 0.006))
+    for a, b, colour in zip(
+        points, np.roll(points, -1, axis=0), bead_colours(len(points)), strict=True
+    ):
+        columns = np.flatnonzero(
+            (place > min(a[0], b[0]) - 0.006) & (place < max(a[0], b[0]) + 0.006)
+        )
+        rows = np.flatnonzero(
+            (-place > min(a[1], b[1]) - 0.006) & (-place < max(a[1], b[1]) + 0.006)
+        )
         if not (len(columns) and len(rows)):
             continue
         window = np.ix_(rows, columns)
         x, y = np.meshgrid(place[columns], -place[rows])
-        # The upper surface of a capsule is the highest of the spheres strung on its axis; 41 of them are exact to 0.003 mm.
+        # The upper surface of a capsule is the highest of the spheres strung on its axis; 41 of
+        # them are exact to 0.003 mm.
         centre = a + np.linspace(0.0, 1.0, 41)[:, None] * (b - a)
-        inside = config.rope_radius**2 - (x[..., None] - centre[:, 0]) ** 2 - (y[..., None] - centre[:, 1]) ** 2
-        surface = np.where(inside >= 0.0, centre[:, 2] + np.sqrt(np.maximum(inside, 0.0)), -np.inf).max(axis=-1)
+        inside = (
+            config.rope_radius**2
+            - (x[..., None] - centre[:, 0]) ** 2
+            - (y[..., None] - centre[:, 1]) ** 2
+        )
+        surface = np.where(
+            inside >= 0.0, centre[:, 2] + np.sqrt(np.maximum(inside, 0.0)), -np.inf
+        ).max(axis=-1)
         higher = surface > top[window]
         top[window] = np.where(higher, surface, top[window])
         image[window] = np.where(higher[..., None], colour, image[window])
@@ -126,13 +162,22 @@ def traced(points: Points, config: PictureConfig) -> NDArray[np.uint8]:
     return np.asarray(np.rint(blocks.mean(axis=(1, 3))), dtype=np.uint8)
 
 
-def differences(one: NDArray[np.uint8], other: NDArray[np.uint8]) -> tuple[float, float, float, float]:
-    """Mean absolute difference of the rope's pixels; share of them that differ by more than 64 levels; by more than 128; overlap of silhouettes."""
+def differences(
+    one: NDArray[np.uint8], other: NDArray[np.uint8]
+) -> tuple[float, float, float, float]:
+    """Mean absolute difference of the rope's pixels; share of them that differ by more than 64
+    levels; by more than 128; overlap of silhouettes.
+    """
     first, second = one.any(axis=-1), other.any(axis=-1)
     rope = first | second
     apart = np.abs(one.astype(int) - other)[rope]
     worst = apart.max(axis=-1)
-    return float(apart.mean()), float((worst > 64).mean()), float((worst > 128).mean()), float((first & second).sum() / rope.sum())
+    return (
+        float(apart.mean()),
+        float((worst > 64).mean()),
+        float((worst > 128).mean()),
+        float((first & second).sum() / rope.sum()),
+    )
 
 
 def ring(beads: int = 100, radius: float = 0.2) -> Points:
@@ -151,7 +196,9 @@ def test_the_base_bead_is_white_and_the_rope_runs_towards_red() -> None:
 
 
 def test_colours_follow_the_published_formula() -> None:
-    wave = 0.5 + 0.5 * np.sin(2.0 * np.pi * (np.arange(1, 100)[:, None] / 100 + np.array([0.0, 0.33, 0.67])))
+    wave = 0.5 + 0.5 * np.sin(
+        2.0 * np.pi * (np.arange(1, 100)[:, None] / 100 + np.array([0.0, 0.33, 0.67]))
+    )
     assert np.abs(bead_colours(100)[1:] - 255.0 * wave).max() <= 0.5
 
 
@@ -170,20 +217,31 @@ def test_given_colours_replace_those_of_the_config() -> None:
 
 def test_the_centre_of_mass_is_the_middle_of_the_picture() -> None:
     for config in (PictureConfig(), PictureConfig(camera="perspective")):
-        assert project(ring() + [3.0, -2.0, 1.0], config).mean(axis=0) == pytest.approx([64.0, 64.0], abs=1e-9)
+        assert project(ring() + [3.0, -2.0, 1.0], config).mean(axis=0) == pytest.approx(
+            [64.0, 64.0], abs=1e-9
+        )
 
 
 def test_image_right_is_world_x_and_image_up_is_world_y() -> None:
-    moved = project(np.array([[0.0, 0.0, 0.0], [0.066, 0.0, 0.0], [0.0, 0.066, 0.0]]), center=np.zeros(3))
+    moved = project(
+        np.array([[0.0, 0.0, 0.0], [0.066, 0.0, 0.0], [0.0, 0.066, 0.0]]), center=np.zeros(3)
+    )
     assert moved == pytest.approx(np.array([[64.0, 64.0], [76.8, 64.0], [64.0, 51.2]]))
 
 
 def test_a_bead_is_drawn_where_it_is_projected() -> None:
     points = curves()[0]
-    for config in (PictureConfig(), PictureConfig(camera="perspective"), PictureConfig(turn=1.0, zoom=0.8), PictureConfig(size=256)):
+    for config in (
+        PictureConfig(),
+        PictureConfig(camera="perspective"),
+        PictureConfig(turn=1.0, zoom=0.8),
+        PictureConfig(size=256),
+    ):
         colours = np.zeros((100, 3), dtype=np.uint8)
         colours[30] = 255
-        image = draw(points, dataclasses.replace(config, supersampling=8), colours=colours).astype(float)[..., 0]
+        image = draw(points, dataclasses.replace(config, supersampling=8), colours=colours).astype(
+            float
+        )[..., 0]
         middle = project((points[30:31] + points[31:32]) / 2, config, center=points.mean(axis=0))[0]
         row, column = np.indices(image.shape) + 0.5
         seen = np.array([(column * image).sum(), (row * image).sum()]) / image.sum()
@@ -196,7 +254,9 @@ def test_a_straight_rope_is_as_wide_as_it_should_be() -> None:
         for width in (1.0, 2.0):
             config = PictureConfig(size=size, width=width, colours=(255, 255, 255))
             across = draw(points, config)[:, size // 2 + size // 16, 0].sum() / 255.0
-            assert across == pytest.approx(2.0 * config.drawn_radius * config.pixels_per_metre, rel=0.07, abs=0.03)
+            assert across == pytest.approx(
+                2.0 * config.drawn_radius * config.pixels_per_metre, rel=0.07, abs=0.03
+            )
 
 
 def test_turning_the_camera_turns_the_rope_the_other_way() -> None:
@@ -206,13 +266,19 @@ def test_turning_the_camera_turns_the_rope_the_other_way() -> None:
 
 
 def test_zoom_magnifies() -> None:
-    assert project(ring(), PictureConfig(zoom=2.0)) - 64.0 == pytest.approx(2.0 * (project(ring()) - 64.0))
+    assert project(ring(), PictureConfig(zoom=2.0)) - 64.0 == pytest.approx(
+        2.0 * (project(ring()) - 64.0)
+    )
 
 
 def test_the_perspective_camera_is_the_published_one() -> None:
     config = PictureConfig(camera="perspective")
-    edge = np.array([[0.8 * np.tan(np.radians(22.5)), 0.0, 0.0], [0.4 * np.tan(np.radians(22.5)), 0.0, 0.4]])
-    assert project(edge, config, center=np.zeros(3)) == pytest.approx(np.array([[128.0, 64.0], [128.0, 64.0]]))
+    edge = np.array(
+        [[0.8 * np.tan(np.radians(22.5)), 0.0, 0.0], [0.4 * np.tan(np.radians(22.5)), 0.0, 0.4]]
+    )
+    assert project(edge, config, center=np.zeros(3)) == pytest.approx(
+        np.array([[128.0, 64.0], [128.0, 64.0]])
+    )
 
 
 def test_what_is_behind_the_perspective_camera_is_not_drawn() -> None:
@@ -242,7 +308,10 @@ def test_where_the_rope_is_in_the_world_does_not_matter() -> None:
 
 
 def test_draw_many_is_draw_many_times() -> None:
-    for config in (PictureConfig(), PictureConfig(camera="perspective", background=(20, 30, 40), size=96)):
+    for config in (
+        PictureConfig(),
+        PictureConfig(camera="perspective", background=(20, 30, 40), size=96),
+    ):
         together = draw_many(curves()[:5], config)
         assert together.dtype == np.uint8
         assert np.array_equal(together, np.stack([draw(points, config) for points in curves()[:5]]))
@@ -271,11 +340,19 @@ def test_what_lies_outside_the_picture_is_cut_off() -> None:
 def test_neighbouring_beads_leave_no_gap() -> None:
     angle = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
     for turns in (1, 5):  # 5: a star, whose joints turn by 150 degrees
-        points = np.stack([0.2 * np.cos(turns * angle), 0.2 * np.sin(turns * angle), 0.02 * np.sin(angle)], axis=1)
+        points = np.stack(
+            [0.2 * np.cos(turns * angle), 0.2 * np.sin(turns * angle), 0.02 * np.sin(angle)], axis=1
+        )
         config = PictureConfig(size=512, colours=(255, 255, 255))
         image = draw(points, config)
         for fraction in np.linspace(0.0, 1.0, 21):
-            pixels = np.floor(project(points + fraction * (np.roll(points, -1, axis=0) - points), config, points.mean(axis=0))).astype(int)
+            pixels = np.floor(
+                project(
+                    points + fraction * (np.roll(points, -1, axis=0) - points),
+                    config,
+                    points.mean(axis=0),
+                )
+            ).astype(int)
             assert np.all(image[pixels[:, 1], pixels[:, 0]] == 255)
 
 
@@ -299,7 +376,16 @@ def test_beads_seen_end_on_are_discs() -> None:
 
 
 def test_a_long_steep_bead_goes_over_and_under() -> None:
-    points = np.array([[-0.1, 0.0, 0.0], [0.1, 0.0, 0.1], [-0.08, 0.1, 0.02], [-0.08, -0.1, 0.02], [0.08, -0.1, 0.08], [0.08, 0.1, 0.08]])
+    points = np.array(
+        [
+            [-0.1, 0.0, 0.0],
+            [0.1, 0.0, 0.1],
+            [-0.08, 0.1, 0.02],
+            [-0.08, -0.1, 0.02],
+            [0.08, -0.1, 0.08],
+            [0.08, 0.1, 0.08],
+        ]
+    )
     config = PictureConfig(size=512)
     image, colours = draw(points, config), bead_colours(len(points))
     meetings = np.array([[-0.08, 0.0, 0.02], [0.08, 0.0, 0.09]])
@@ -312,7 +398,12 @@ def test_a_long_steep_bead_goes_over_and_under() -> None:
 
 def test_at_every_crossing_the_over_strand_is_shown() -> None:
     config = PictureConfig()
-    shown = np.concatenate([shown_strands(draw(points, config), find_crossings(points), points, config) for points in curves()])
+    shown = np.concatenate(
+        [
+            shown_strands(draw(points, config), find_crossings(points), points, config)
+            for points in curves()
+        ]
+    )
     assert len(shown) > 40
     assert not np.any(shown == "under")
     assert np.mean(shown == "over") > 0.85
@@ -326,10 +417,16 @@ def test_the_strand_shown_changes_with_the_heights() -> None:
 
 
 def test_a_strand_hidden_below_a_third_is_ambiguous() -> None:
-    strands = [[(-0.1, 0.0, 0.0), (0.1, 0.0, 0.0)], [(0.0, 0.1, 0.02), (0.0, -0.1, 0.02)], [(-0.1, -0.1, 0.04), (0.1, 0.1, 0.04)]]
+    strands = [
+        [(-0.1, 0.0, 0.0), (0.1, 0.0, 0.0)],
+        [(0.0, 0.1, 0.02), (0.0, -0.1, 0.02)],
+        [(-0.1, -0.1, 0.04), (0.1, 0.1, 0.04)],
+    ]
     corners = np.array([end for strand in strands for end in strand])
     steps = np.linspace(0.0, 1.0, 12, endpoint=False)[:, None]
-    points = (corners[:, None] + steps * (np.roll(corners, -1, axis=0) - corners)[:, None]).reshape(-1, 3)
+    points = (corners[:, None] + steps * (np.roll(corners, -1, axis=0) - corners)[:, None]).reshape(
+        -1, 3
+    )
     points[:, :2] += 1e-4 * np.sin(np.arange(len(points)))[:, None]
     crossings = find_crossings(points)
     lowest = np.flatnonzero((np.hypot(*crossings.position.T) < 0.003) & (crossings.over_z < 0.03))
@@ -344,7 +441,9 @@ def test_crossing_pixels_lie_on_both_strands() -> None:
     bead = np.floor(places).astype(int) % 100
     along = points[bead] + (places % 1.0)[..., None] * (points[(bead + 1) % 100] - points[bead])
     for strand in (0, 1):
-        assert project(along[:, strand], center=points.mean(axis=0)) == pytest.approx(crossing_pixels(crossings, points), abs=1e-6)
+        assert project(along[:, strand], center=points.mean(axis=0)) == pytest.approx(
+            crossing_pixels(crossings, points), abs=1e-6
+        )
 
 
 def test_only_a_picture_that_shows_the_crossings_can_be_read() -> None:
@@ -360,11 +459,26 @@ def test_only_a_picture_that_shows_the_crossings_can_be_read() -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        {"size": 8}, {"size": 128.0}, {"size": True}, {"view": 0.0}, {"view": float("nan")}, {"camera": "fisheye"}, {"camera_height": -1.0},
-        {"fovy": 180.0}, {"turn": float("inf")}, {"zoom": 0.0}, {"rope_radius": -0.1}, {"width": 0.0}, {"colours": "rainbow"}, {"colours": (1, 2)},
-        {"background": (0, 0, 256)}, {"background": 0}, {"renderer": "filament"}, {"supersampling": 0},
+        {"size": 8},
+        {"size": 128.0},
+        {"size": True},
+        {"view": 0.0},
+        {"view": float("nan")},
+        {"camera": "fisheye"},
+        {"camera_height": -1.0},
+        {"fovy": 180.0},
+        {"turn": float("inf")},
+        {"zoom": 0.0},
+        {"rope_radius": -0.1},
+        {"width": 0.0},
+        {"colours": "rainbow"},
+        {"colours": (1, 2)},
+        {"background": (0, 0, 256)},
+        {"background": 0},
+        {"renderer": "filament"},
+        {"supersampling": 0},
     ],
-)  # fmt: skip
+)
 def test_nonsense_is_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(PictureError) as caught:
         PictureConfig(**wrong)
@@ -372,7 +486,12 @@ def test_nonsense_is_refused(wrong: dict[str, Any]) -> None:
 
 
 def test_points_that_are_no_rope_are_refused() -> None:
-    for points in (np.zeros((2, 3)), np.zeros((10, 2)), np.zeros((1, 10, 3)), np.full((10, 3), np.nan)):
+    for points in (
+        np.zeros((2, 3)),
+        np.zeros((10, 2)),
+        np.zeros((1, 10, 3)),
+        np.full((10, 3), np.nan),
+    ):
         with pytest.raises(PictureError):
             draw(points)
     with pytest.raises(PictureError):
@@ -390,8 +509,8 @@ def test_a_config_survives_json_and_pickle() -> None:
 
 def test_the_picture_needs_neither_mujoco_nor_opengl() -> None:
     code = (
-        "import sys, numpy as np; from knotgym.rendering.picture import draw; draw(np.eye(3) * 0.1);"
-        "print('OpenGL' in sys.modules, 'knotgym.rendering.mujoco_renderer' in sys.modules)"
+        "import sys, numpy as np; from knotgym.rendering.picture import draw; draw(np.eye(3) *"
+        " 0.1);print('OpenGL' in sys.modules, 'knotgym.rendering.mujoco_renderer' in sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["False", "False"]
@@ -399,11 +518,21 @@ def test_the_picture_needs_neither_mujoco_nor_opengl() -> None:
 
 def test_no_opengl_is_one_clear_line() -> None:
     code = (
-        "import numpy as np; from knotgym.errors import KnotgymError; from knotgym.rendering.picture import PictureConfig, draw\n"
-        "try:\n    draw(np.eye(3) * 0.1, PictureConfig(renderer='mujoco'))\nexcept KnotgymError as error:\n    print(error)"
+        "import numpy as np; from knotgym.errors import KnotgymError; from"
+        " knotgym.rendering.picture import PictureConfig, draw\ntry:\n    draw(np.eye(3) * 0.1,"
+        " PictureConfig(renderer='mujoco'))\nexcept KnotgymError as error:\n    print(error)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ, "MUJOCO_GL": "off"})
-    assert len(done.stdout.splitlines()) == 1 and "renderer='opencv'" in done.stdout and not done.stderr
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "MUJOCO_GL": "off"},
+    )
+    assert (
+        len(done.stdout.splitlines()) == 1
+        and "renderer='opencv'" in done.stdout
+        and not done.stderr
+    )
 
 
 # MuJoCo's renderer
@@ -412,7 +541,9 @@ def test_no_opengl_is_one_clear_line() -> None:
 @gl
 @pytest.mark.parametrize("camera", ["orthographic", "perspective"])
 @pytest.mark.parametrize(("size", "mean_limit"), [(64, 6.0), (128, 4.0), (256, 3.0)])
-def test_both_renderers_draw_the_same_picture(camera: Literal["orthographic", "perspective"], size: int, mean_limit: float) -> None:
+def test_both_renderers_draw_the_same_picture(
+    camera: Literal["orthographic", "perspective"], size: int, mean_limit: float
+) -> None:
     config = PictureConfig(camera=camera, size=size)
     opencv = draw_many(curves(), config)
     mujoco = draw_many(curves(), dataclasses.replace(config, renderer="mujoco"))
@@ -422,9 +553,19 @@ def test_both_renderers_draw_the_same_picture(camera: Literal["orthographic", "p
 
 @gl
 def test_both_renderers_obey_every_setting() -> None:
-    config = PictureConfig(turn=0.7, zoom=1.5, width=1.4, background=(40, 80, 120), colours=(250, 120, 0), supersampling=2)
+    config = PictureConfig(
+        turn=0.7,
+        zoom=1.5,
+        width=1.4,
+        background=(40, 80, 120),
+        colours=(250, 120, 0),
+        supersampling=2,
+    )
     for one in (config, dataclasses.replace(config, camera="perspective")):
-        apart = np.abs(draw(curves()[6], one).astype(int) - draw(curves()[6], dataclasses.replace(one, renderer="mujoco")))
+        apart = np.abs(
+            draw(curves()[6], one).astype(int)
+            - draw(curves()[6], dataclasses.replace(one, renderer="mujoco"))
+        )
         assert apart.mean() < 1.5 and (apart.max(axis=-1) > 64).mean() < 0.005
         assert apart[0, 0].max() == 0
 
@@ -432,7 +573,12 @@ def test_both_renderers_obey_every_setting() -> None:
 @gl
 def test_mujoco_shows_the_over_strand_too() -> None:
     config = PictureConfig(renderer="mujoco")
-    shown = np.concatenate([shown_strands(draw(points, config), find_crossings(points), points, config) for points in curves()[:15]])
+    shown = np.concatenate(
+        [
+            shown_strands(draw(points, config), find_crossings(points), points, config)
+            for points in curves()[:15]
+        ]
+    )
     assert not np.any(shown == "under")
 
 
@@ -466,9 +612,10 @@ def test_mujoco_draws_in_threads_and_again_after_closing() -> None:
 @gl
 def test_mujoco_leaves_the_process_without_a_word() -> None:
     code = (
-        "import os, threading, numpy as np; from knotgym.rendering.picture import PictureConfig, draw;"
-        "config = PictureConfig(size=16, renderer='mujoco'); thread = threading.Thread(target=draw, args=(np.eye(3) * 0.1, config));"
-        "thread.start(); thread.join(); draw(np.eye(3) * 0.1, config); print(os.environ.get('MUJOCO_GL'))"
+        "import os, threading, numpy as np; from knotgym.rendering.picture import PictureConfig,"
+        " draw;config = PictureConfig(size=16, renderer='mujoco'); thread ="
+        " threading.Thread(target=draw, args=(np.eye(3) * 0.1, config));thread.start();"
+        " thread.join(); draw(np.eye(3) * 0.1, config); print(os.environ.get('MUJOCO_GL'))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == str(os.environ.get("MUJOCO_GL")) and not done.stderr
@@ -478,10 +625,11 @@ def test_mujoco_leaves_the_process_without_a_word() -> None:
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 def test_mujoco_refuses_to_draw_in_the_fork_of_a_process_that_drew() -> None:
     code = (
-        "import os, numpy as np; from knotgym.errors import KnotgymError; from knotgym.rendering.picture import PictureConfig, draw\n"
-        "config = PictureConfig(size=16, renderer='mujoco'); draw(np.eye(3) * 0.1, config); child = os.fork()\n"
-        "try:\n    draw(np.eye(3) * 0.1, config)\nexcept KnotgymError:\n    os._exit(3)\n"
-        "print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))"
+        "import os, numpy as np; from knotgym.errors import KnotgymError; from"
+        " knotgym.rendering.picture import PictureConfig, draw\nconfig = PictureConfig(size=16,"
+        " renderer='mujoco'); draw(np.eye(3) * 0.1, config); child = os.fork()\ntry:\n   "
+        " draw(np.eye(3) * 0.1, config)\nexcept KnotgymError:\n   "
+        " os._exit(3)\nprint(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.stdout.strip() == "3"

@@ -15,9 +15,14 @@ from knotgym.tasks import TaskConfig
 QUICK = PlannerConfig(budget=16, slots=2)
 
 
-def act_once(config: PolicyConfig, states_path: str, seed: int, count: int = 3) -> NDArray[np.float32]:
+def act_once(
+    config: PolicyConfig, states_path: str, seed: int, count: int = 3
+) -> NDArray[np.float32]:
     """Two actions of each of `count` episodes: float32 (count, 2, 6)."""
-    episodes, policy = Episodes(TaskConfig(task="unknot", nx=2, states=states_path, observation="state"), count), make_policy(config)
+    episodes, policy = (
+        Episodes(TaskConfig(task="unknot", nx=2, states=states_path, observation="state"), count),
+        make_policy(config),
+    )
     for index in range(count):
         episodes.begin(index, np.random.default_rng([seed, index]))
         policy.begin(episodes, index, np.random.default_rng([seed, index, 1]))
@@ -43,9 +48,13 @@ def test_another_seed_gives_other_actions(name: str, states_path: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["random", "scripted", "mixed"])
-def test_what_an_episode_sees_does_not_depend_on_its_neighbours(name: str, states_path: str) -> None:
+def test_what_an_episode_sees_does_not_depend_on_its_neighbours(
+    name: str, states_path: str
+) -> None:
     config = PolicyConfig(policy=name, planner=QUICK)
-    assert np.array_equal(act_once(config, states_path, 1, 3)[:2], act_once(config, states_path, 1, 2))
+    assert np.array_equal(
+        act_once(config, states_path, 1, 3)[:2], act_once(config, states_path, 1, 2)
+    )
 
 
 @pytest.mark.parametrize("name", ["random", "scripted", "expert", "noisy-expert", "mixed"])
@@ -66,13 +75,19 @@ def test_a_noisy_expert_of_noise_one_is_never_the_expert(states_path: str) -> No
 def test_a_mixed_policy_with_one_share_is_that_policy(states_path: str) -> None:
     episodes = Episodes(TaskConfig(task="tie", nx=2, states=states_path, observation="state"))
     for name in MIXED:
-        policy = make_policy(PolicyConfig(policy="mixed", shares=tuple(float(one == name) for one in MIXED), planner=QUICK))
+        policy = make_policy(
+            PolicyConfig(
+                policy="mixed", shares=tuple(float(one == name) for one in MIXED), planner=QUICK
+            )
+        )
         episodes.begin(0, np.random.default_rng(0))
         policy.begin(episodes, 0, np.random.default_rng(1))
         assert policy.name(0) == name
 
 
-def away(observation: NDArray[np.float32], info: dict[str, object], rng: np.random.Generator) -> list[float]:
+def away(
+    observation: NDArray[np.float32], info: dict[str, object], rng: np.random.Generator
+) -> list[float]:
     return [0.0, 0.0, 0.0, 1.0, float(observation.shape == (600,)), 7.0]
 
 
@@ -80,21 +95,49 @@ def nothing(observation: object, info: object, rng: object) -> float:
     return float("nan")
 
 
-def test_a_function_of_the_user_is_a_policy_and_its_actions_are_cut(states_path: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    own = type("own", (), {"away": staticmethod(away), "nothing": staticmethod(nothing), "three": 3})
+def test_a_function_of_the_user_is_a_policy_and_its_actions_are_cut(
+    states_path: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = type(
+        "own", (), {"away": staticmethod(away), "nothing": staticmethod(nothing), "three": 3}
+    )
     monkeypatch.setitem(__import__("sys").modules, "own_policies", own)
-    assert act_once(PolicyConfig(policy="own_policies:away"), states_path, 0)[0, 0].tolist() == [0, 0, 0, 1, 1, 1]
+    assert act_once(PolicyConfig(policy="own_policies:away"), states_path, 0)[0, 0].tolist() == [
+        0,
+        0,
+        0,
+        1,
+        1,
+        1,
+    ]
     with pytest.raises(InvalidPolicy, match="6 finite numbers"):
         act_once(PolicyConfig(policy="own_policies:nothing"), states_path, 0)
     with pytest.raises(InvalidPolicy, match="must be a function"):
         make_policy(PolicyConfig(policy="own_policies:three"))
 
 
-def test_a_function_is_found_in_the_folder_where_the_command_is_typed(states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "left_alone.py").write_text("def act(observation, info, rng):\n    return [0, 0, 0, 0, 0, 0]\n")
+def test_a_function_is_found_in_the_folder_where_the_command_is_typed(
+    states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "left_alone.py").write_text(
+        "def act(observation, info, rng):\n    return [0, 0, 0, 0, 0, 0]\n"
+    )
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
-    words = ["--task", "unknot", "--nx", "1", "--policy", "left_alone:act", "--states", states_path, "--horizon", "2", "--episodes", "9"]
+    words = [
+        "--task",
+        "unknot",
+        "--nx",
+        "1",
+        "--policy",
+        "left_alone:act",
+        "--states",
+        states_path,
+        "--horizon",
+        "2",
+        "--episodes",
+        "9",
+    ]
     with pytest.raises(SystemExit) as left:
         main(["evaluate", *words, "--workers", "2", "--quiet", "--out", "result.json"])
     assert left.value.code == 0
@@ -103,7 +146,12 @@ def test_a_function_is_found_in_the_folder_where_the_command_is_typed(states_pat
 
 @pytest.mark.parametrize(
     ("policy", "says"),
-    [("genius", "there is random"), ("no_such_module:act", "no_such_module"), ("nowhere.onnx", "no policy file"), ("knotgym.topology.gauss:absent", "absent")],
+    [
+        ("genius", "there is random"),
+        ("no_such_module:act", "no_such_module"),
+        ("nowhere.onnx", "no policy file"),
+        ("knotgym.topology.gauss:absent", "absent"),
+    ],
 )
 def test_a_policy_that_is_not_there_is_refused_in_one_line(policy: str, says: str) -> None:
     with pytest.raises(InvalidPolicy, match=says) as refused:
@@ -111,7 +159,10 @@ def test_a_policy_that_is_not_there_is_refused_in_one_line(policy: str, says: st
     assert "\n" not in str(refused.value)
 
 
-@pytest.mark.parametrize("settings", [{"noise": 1.5}, {"noise": float("nan")}, {"shares": (1.0,)}, {"shares": (0.0, 0.0, 0.0, 0.0)}])
+@pytest.mark.parametrize(
+    "settings",
+    [{"noise": 1.5}, {"noise": float("nan")}, {"shares": (1.0,)}, {"shares": (0.0, 0.0, 0.0, 0.0)}],
+)
 def test_settings_that_make_no_sense_are_refused(settings: dict[str, object]) -> None:
     with pytest.raises(InvalidPolicy):
         PolicyConfig(**settings)

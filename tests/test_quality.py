@@ -1,4 +1,6 @@
-"""Quality measures give what a ruler gives, on curves drawn for it; limits name what misses them."""
+"""Quality measures give what a ruler gives, on curves drawn for it; limits name what misses
+them.
+"""
 
 import math
 from dataclasses import fields, replace
@@ -7,7 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.quality import UNITS, Limits, Quality, base_spacing, measure, noise_survival, tightest_spot
+from knotgym.quality import (
+    UNITS,
+    Limits,
+    Quality,
+    base_spacing,
+    measure,
+    noise_survival,
+    tightest_spot,
+)
 from knotgym.rendering.picture import DEFAULT
 from knotgym.rope import Rope
 from knotgym.topology.crossings import find_crossings
@@ -21,7 +31,9 @@ PERFECT = Quality(90.0, 128.0, 128.0, 128.0, 900.0, 900.0, 40.0, 20.0, 0.0, 1.0,
 
 
 def drawn(corners: ArrayLike, vertices: int = 800) -> NDArray[np.float64]:
-    """A closed polygon with corners given in pixels, from its first corner: float64 (vertices, 3), metres."""
+    """A closed polygon with corners given in pixels, from its first corner: float64 (vertices, 3),
+    metres.
+    """
     c = np.array(corners, dtype=np.float64)
     closed = np.concatenate([c, c[:1]])
     along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
@@ -52,7 +64,9 @@ def test_the_crossing_angle_is_that_of_the_strands(width: float, height: float) 
 
 
 def test_the_smallest_of_the_crossing_angles_counts() -> None:
-    assert measure(zigzag()).crossing_angle == pytest.approx(2 * math.degrees(math.atan2(10, 20)), abs=0.01)
+    assert measure(zigzag()).crossing_angle == pytest.approx(
+        2 * math.degrees(math.atan2(10, 20)), abs=0.01
+    )
 
 
 def test_crossing_spacing_is_the_distance_in_pixels() -> None:
@@ -86,7 +100,9 @@ def test_base_spacing_from_another_vertex_is_that_of_the_renumbered_rope() -> No
     points = zigzag()
     for roll in (0, 3, 100, 333, 799):
         renumbered = np.roll(points, -roll, axis=0)
-        assert base_spacing(points, find_crossings(points), roll) == pytest.approx(measure(renumbered).base_spacing, abs=1e-9)
+        assert base_spacing(points, find_crossings(points), roll) == pytest.approx(
+            measure(renumbered).base_spacing, abs=1e-9
+        )
 
 
 def test_strand_spacing_is_the_distance_of_strands_side_by_side() -> None:
@@ -117,10 +133,14 @@ def test_a_rope_that_leaves_the_picture_has_a_negative_margin() -> None:
 
 
 def test_the_picture_follows_the_rope_wherever_it_lies() -> None:
-    assert measure(circle(50) + [0.3, -2.0, 0.1]).margin == pytest.approx(measure(circle(50)).margin, abs=1e-6)
+    assert measure(circle(50) + [0.3, -2.0, 0.1]).margin == pytest.approx(
+        measure(circle(50)).margin, abs=1e-6
+    )
 
 
-@pytest.mark.parametrize("curve", [circle(40), drawn([(-30, -20, 0), (30, -20, 0), (30, 20, 0), (-30, 20, 0)])])
+@pytest.mark.parametrize(
+    "curve", [circle(40), drawn([(-30, -20, 0), (30, -20, 0), (30, 20, 0), (-30, 20, 0)])]
+)
 def test_a_flat_convex_loop_turns_once(curve: NDArray[np.float64]) -> None:
     assert measure(curve).total_curvature == pytest.approx(1, abs=1e-6)
 
@@ -129,19 +149,28 @@ def test_a_bow_tie_turns_one_and_a_half_times() -> None:
     assert measure(bow_tie(above=1e-3)).total_curvature == pytest.approx(1.5, abs=1e-3)
 
 
-@pytest.mark.parametrize("curve", [circle(40), drawn([(-30, -20, 0), (30, -20, 0), (30, 20, 0), (-30, 20, 0)])])
+@pytest.mark.parametrize(
+    "curve", [circle(40), drawn([(-30, -20, 0), (30, -20, 0), (30, 20, 0), (-30, 20, 0)])]
+)
 def test_a_flat_loop_crosses_itself_from_no_side(curve: NDArray[np.float64]) -> None:
     assert measure(curve).excess_crossing_number == pytest.approx(0, abs=1e-9)
 
 
-@pytest.mark.parametrize("curve", [bow_tie(above=0.01), drawn([(-30, -30, 0), (30, 30, 0), (30, -30, 0), (-30, 30, 0.01)])])
-def test_a_nearly_flat_curve_shows_its_crossings_from_nearly_every_side(curve: NDArray[np.float64]) -> None:
+@pytest.mark.parametrize(
+    "curve",
+    [bow_tie(above=0.01), drawn([(-30, -30, 0), (30, 30, 0), (30, -30, 0), (-30, 30, 0.01)])],
+)
+def test_a_nearly_flat_curve_shows_its_crossings_from_nearly_every_side(
+    curve: NDArray[np.float64],
+) -> None:
     assert measure(curve).excess_crossing_number == pytest.approx(0, abs=0.01)
 
 
 def test_a_coil_seen_end_on_hides_crossings() -> None:
     turn = np.linspace(0, 4 * np.pi, 300)
-    coil = np.stack([10 * np.cos(turn) * (1 + turn / 40), 10 * np.sin(turn) * (1 + turn / 40), 3 * turn], axis=1)
+    coil = np.stack(
+        [10 * np.cos(turn) * (1 + turn / 40), 10 * np.sin(turn) * (1 + turn / 40), 3 * turn], axis=1
+    )
     assert measure(drawn([*coil, (60, 0, 30), (60, 0, 0)])).excess_crossing_number > 0.8
 
 
@@ -154,7 +183,9 @@ def test_excess_crossing_number_is_left_out_when_quick() -> None:
     quality = measure(zigzag(), quick=True)
     assert math.isnan(quality.excess_crossing_number)
     whole = measure(zigzag())
-    assert replace(quality, excess_crossing_number=whole.excess_crossing_number, noise_survival=0.0) == replace(whole, noise_survival=0.0)
+    assert replace(
+        quality, excess_crossing_number=whole.excess_crossing_number, noise_survival=0.0
+    ) == replace(whole, noise_survival=0.0)
 
 
 def test_writhe_is_the_sum_of_signs() -> None:
@@ -185,15 +216,30 @@ def test_the_tightest_spot_is_in_the_smallest_region() -> None:
 
 def test_a_loop_measures_as_perfect_where_it_has_no_crossing() -> None:
     quality = measure(circle(40))
-    assert (quality.crossing_angle, quality.crossing_spacing, quality.base_spacing, quality.clearance) == (90, 128, 128, 20)
+    assert (
+        quality.crossing_angle,
+        quality.crossing_spacing,
+        quality.base_spacing,
+        quality.clearance,
+    ) == (90, 128, 128, 20)
 
 
 @pytest.mark.parametrize("nx", range(5))
 def test_a_turn_about_z_changes_no_length_and_no_angle(rope: Rope, nx: int) -> None:
     points = rope.from_curve(curled(nx, 0.4))
-    turned = points @ np.array([[np.cos(0.7), np.sin(0.7), 0], [-np.sin(0.7), np.cos(0.7), 0], [0, 0, 1]])
+    turned = points @ np.array(
+        [[np.cos(0.7), np.sin(0.7), 0], [-np.sin(0.7), np.cos(0.7), 0], [0, 0, 1]]
+    )
     one, other = measure(points), measure(turned)
-    for name in ("crossing_angle", "crossing_spacing", "base_spacing", "strand_spacing", "clearance", "excess_crossing_number", "total_curvature"):
+    for name in (
+        "crossing_angle",
+        "crossing_spacing",
+        "base_spacing",
+        "strand_spacing",
+        "clearance",
+        "excess_crossing_number",
+        "total_curvature",
+    ):
         assert getattr(one, name) == pytest.approx(getattr(other, name), rel=1e-6, abs=1e-6), name
 
 
@@ -210,8 +256,14 @@ def test_a_plain_loop_survives_reset_noise(rope: Rope) -> None:
 def test_a_crossing_at_the_end_of_the_walk_does_not_survive_reset_noise(rope: Rope) -> None:
     points = rope.from_curve(curled(2, 0.3))
     place = find_crossings(points).over_place
-    at_the_end = np.roll(points, -int(np.round(place[np.argmin(np.abs(place - np.round(place)))])), axis=0)
-    assert noise_survival(at_the_end, 0.05, np.random.default_rng(0)) < 0.9 < noise_survival(points, 0.05, np.random.default_rng(0))
+    at_the_end = np.roll(
+        points, -int(np.round(place[np.argmin(np.abs(place - np.round(place)))])), axis=0
+    )
+    assert (
+        noise_survival(at_the_end, 0.05, np.random.default_rng(0))
+        < 0.9
+        < noise_survival(points, 0.05, np.random.default_rng(0))
+    )
 
 
 def test_survival_is_the_same_for_the_same_draws(rope: Rope) -> None:
@@ -239,14 +291,24 @@ def test_a_measure_beyond_its_limit_is_the_fault_that_is_named(name: str) -> Non
 @pytest.mark.parametrize("name", [field.name for field in fields(Limits)])
 def test_a_measure_at_its_limit_is_no_fault(name: str) -> None:
     bound = getattr(Limits(), name)
-    assert Limits().faults(replace(PERFECT, **{name: 4 * bound if name == "total_curvature" else bound}), 3) == []
+    assert (
+        Limits().faults(
+            replace(PERFECT, **{name: 4 * bound if name == "total_curvature" else bound}), 3
+        )
+        == []
+    )
 
 
 @pytest.mark.parametrize("name", [field.name for field in fields(Limits)])
 def test_the_worse_a_measure_the_greater_the_badness(name: str) -> None:
     bound = getattr(Limits(), name)
     most = name in ("excess_crossing_number", "total_curvature")
-    scores = [Limits().badness(replace(PERFECT, **{name: bound * (4 if name == "total_curvature" else 1) * share}), 3) for share in (0.9, 1.0, 1.1)]
+    scores = [
+        Limits().badness(
+            replace(PERFECT, **{name: bound * (4 if name == "total_curvature" else 1) * share}), 3
+        )
+        for share in (0.9, 1.0, 1.1)
+    ]
     assert scores == sorted(scores, reverse=not most) and scores[0] != scores[2]
 
 

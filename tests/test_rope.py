@@ -1,4 +1,6 @@
-"""The rope is the published one, and configurations and generalized positions are two names of one thing."""
+"""The rope is the published one, and configurations and generalized positions are two names of one
+thing.
+"""
 
 import json
 from dataclasses import asdict, replace
@@ -51,33 +53,61 @@ def chords(points: NDArray[np.float64]) -> NDArray[np.float64]:
     ids=str,
 )
 def test_config_refuses_nonsense(nonsense: dict[str, Any]) -> None:
-    with pytest.raises(ValueError, match=next(iter(nonsense)).replace("radius", "radius|bead").replace("sub_chains", "sub").replace("beads", "bead")):
+    with pytest.raises(
+        ValueError,
+        match=next(iter(nonsense))
+        .replace("radius", "radius|bead")
+        .replace("sub_chains", "sub")
+        .replace("beads", "bead"),
+    ):
         RopeConfig(**nonsense)
 
 
 def test_config_survives_json() -> None:
     config = RopeConfig(radius=0.004)
     again = RopeConfig(**json.loads(json.dumps(asdict(config))))
-    assert again == config and hash(again) == hash(config) and again.fingerprint == config.fingerprint
+    assert (
+        again == config and hash(again) == hash(config) and again.fingerprint == config.fingerprint
+    )
 
 
-@pytest.mark.parametrize("name", ["length", "radius", "joint_damping", "timestep", "frame_skip", "rooted"])
+@pytest.mark.parametrize(
+    "name", ["length", "radius", "joint_damping", "timestep", "frame_skip", "rooted"]
+)
 def test_fingerprint_changes_with_every_number(name: str) -> None:
-    value = "start" if name == "rooted" else 2 * getattr(RopeConfig(), name) if name != "radius" else 0.004
+    value = (
+        "start"
+        if name == "rooted"
+        else 2 * getattr(RopeConfig(), name)
+        if name != "radius"
+        else 0.004
+    )
     assert RopeConfig(**{name: value}).fingerprint != RopeConfig().fingerprint
 
 
 def test_model_has_the_published_sizes(rope: Rope) -> None:
-    assert (rope.model.nq, rope.model.nv, rope.model.nbody - 1, rope.model.neq) == (421, 321, 100, 7)
+    assert (rope.model.nq, rope.model.nv, rope.model.nbody - 1, rope.model.neq) == (
+        421,
+        321,
+        100,
+        7,
+    )
 
 
 def test_model_has_the_published_physics(rope: Rope) -> None:
     option = rope.model.opt
-    assert option.integrator == mujoco.mjtIntegrator.mjINT_EULER and option.solver == mujoco.mjtSolver.mjSOL_PGS
+    assert (
+        option.integrator == mujoco.mjtIntegrator.mjINT_EULER
+        and option.solver == mujoco.mjtSolver.mjSOL_PGS
+    )
     assert not option.gravity.any() and option.density == 10000 and option.timestep == 0.008
-    assert (rope.model.geom_condim == 1).all() and (rope.model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE).all()
+    assert (rope.model.geom_condim == 1).all() and (
+        rope.model.geom_type == mujoco.mjtGeom.mjGEOM_CAPSULE
+    ).all()
     assert np.allclose(rope.model.geom_size[:, :2], [0.005, BEAD / 2])
-    assert set(rope.model.dof_damping) == {0.0, 0.01} and (rope.model.dof_damping == 0).sum() == 7 * 6
+    assert (
+        set(rope.model.dof_damping) == {0.0, 0.01} and (rope.model.dof_damping == 0).sum() == 7 * 6
+    )
     assert (rope.model.eq_type == mujoco.mjtEq.mjEQ_CONNECT).all() and rope.model.nexclude == 7
 
 
@@ -101,7 +131,9 @@ def test_reference_pose_is_the_plain_loop(rope: Rope) -> None:
     assert np.abs(rope.points(rope.model.qpos0) - rope.loop()).max() < 1e-12
 
 
-def test_many_points_at_once_are_the_points_one_by_one(rope: Rope, tangled: NDArray[np.float64]) -> None:
+def test_many_points_at_once_are_the_points_one_by_one(
+    rope: Rope, tangled: NDArray[np.float64]
+) -> None:
     many = rope.points(tangled[:6].reshape(2, 3, -1))
     assert many.shape == (2, 3, 100, 3)
     assert np.array_equal(many.reshape(6, 100, 3), [rope.points(one) for one in tangled[:6]])
@@ -128,7 +160,10 @@ def test_qpos_holds_unit_quaternions(rope: Rope, tangled: NDArray[np.float64]) -
 
 def test_qpos_bears_a_rope_folded_back_on_itself(rope: Rope) -> None:
     flat = rope.loop()
-    flat[50:] = flat[49] + np.cumsum(np.where(np.arange(50)[:, None] % 2 == 0, 1, -1) * [[BEAD, 0.0, 0.0]], axis=0)  # beads there and back
+    # beads there and back
+    flat[50:] = flat[49] + np.cumsum(
+        np.where(np.arange(50)[:, None] % 2 == 0, 1, -1) * [[BEAD, 0.0, 0.0]], axis=0
+    )
     assert np.isfinite(rope.qpos(flat)).all()
 
 
@@ -167,7 +202,9 @@ def test_a_curve_starts_at_its_first_point_and_keeps_its_direction(rope: Rope) -
 
 def test_repeating_the_first_point_changes_nothing(rope: Rope) -> None:
     curve = trefoil()
-    assert np.array_equal(rope.from_curve(np.concatenate([curve, curve[:1]])), rope.from_curve(curve))
+    assert np.array_equal(
+        rope.from_curve(np.concatenate([curve, curve[:1]])), rope.from_curve(curve)
+    )
 
 
 def test_a_square_of_four_points_is_a_rope(rope: Rope) -> None:
@@ -210,10 +247,15 @@ def test_every_polygon_becomes_equal_beads(seed: int, corners: int) -> None:
         (np.where(np.arange(300)[:, None] == 7, np.nan, trefoil()), "finite coordinates"),
         (np.where(np.arange(300)[:, None] == 7, np.inf, trefoil()), "finite coordinates"),
         (trefoil() * [1, 1, 0], "beads would overlap by 10.0 mm"),
-        (np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0], [0, 0, 0]]), "beads would overlap"),
+        (
+            np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0], [0, 0, 0]]),
+            "beads would overlap",
+        ),
     ],
 )
-def test_what_is_no_rope_is_refused_in_one_line(rope: Rope, curve: NDArray[np.float64], message: str) -> None:
+def test_what_is_no_rope_is_refused_in_one_line(
+    rope: Rope, curve: NDArray[np.float64], message: str
+) -> None:
     with pytest.raises(InvalidCurve, match=message) as caught:
         rope.from_curve(curve)
     assert "\n" not in str(caught.value)

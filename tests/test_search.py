@@ -1,4 +1,6 @@
-"""Rounds of the search come out the same however they are run, and whatever they find can be reached again."""
+"""Rounds of the search come out the same however they are run, and whatever they find can be
+reached again.
+"""
 
 from itertools import pairwise
 from pathlib import Path
@@ -20,7 +22,9 @@ from knotgym.topology.symmetry import rolled, rolls
 from .conftest import SEARCH, trefoil
 
 
-def grown(rounds: int, config: SearchConfig = SEARCH, pool: Pool | None = None, chunk: int = 16) -> Archive:
+def grown(
+    rounds: int, config: SearchConfig = SEARCH, pool: Pool | None = None, chunk: int = 16
+) -> Archive:
     archive = new_archive(config)
     for _ in range(rounds):
         advance(archive, config, pool or InProcess(), chunk)
@@ -39,12 +43,18 @@ def elites(archive: Archive) -> list[Elite]:
 
 def test_a_new_archive_knows_the_plain_loop() -> None:
     archive = new_archive(SEARCH)
-    assert [str(code) for code in archive.codes(0)] == [""] and len(archive.niches) == 1 and archive.growth == []
+    assert (
+        [str(code) for code in archive.codes(0)] == [""]
+        and len(archive.niches) == 1
+        and archive.growth == []
+    )
 
 
 def test_a_new_archive_can_begin_at_a_knot(rope: Rope) -> None:
     archive = new_archive(SEARCH, rope.from_curve(trefoil()))
-    assert {knot_type(code) for code in archive.codes(3)} == {"3_1"} and archive.settings["start"] != "loop"
+    assert {knot_type(code) for code in archive.codes(3)} == {"3_1"} and archive.settings[
+        "start"
+    ] != "loop"
 
 
 def test_a_search_from_a_knot_keeps_the_knot(rope: Rope) -> None:
@@ -70,7 +80,9 @@ def test_rounds_are_the_same_bytes_on_two_workers(searched: Archive, tmp_path: P
         assert kept(grown(3, pool=pool, chunk=3), tmp_path) == kept(searched, tmp_path)
 
 
-def test_a_saved_and_loaded_archive_goes_on_as_if_unbroken(searched: Archive, tmp_path: Path) -> None:
+def test_a_saved_and_loaded_archive_goes_on_as_if_unbroken(
+    searched: Archive, tmp_path: Path
+) -> None:
     archive = grown(1)
     for _ in range(2):
         archive.save(tmp_path / "archive.h5")
@@ -81,10 +93,14 @@ def test_a_saved_and_loaded_archive_goes_on_as_if_unbroken(searched: Archive, tm
 
 
 def test_another_seed_searches_elsewhere(searched: Archive, tmp_path: Path) -> None:
-    assert kept(grown(1, SearchConfig(max_nx=3, slots=8, pulls=8, seed=1)), tmp_path) != kept(grown(1), tmp_path)
+    assert kept(grown(1, SearchConfig(max_nx=3, slots=8, pulls=8, seed=1)), tmp_path) != kept(
+        grown(1), tmp_path
+    )
 
 
-def test_every_way_from_the_plain_loop_ends_in_its_state_bit_for_bit(searched: Archive, rope: Rope) -> None:
+def test_every_way_from_the_plain_loop_ends_in_its_state_bit_for_bit(
+    searched: Archive, rope: Rope
+) -> None:
     simulation = Simulation(1, rope)
     for elite in elites(searched):
         simulation.lay(rope.qpos(rope.loop())[None])
@@ -101,7 +117,9 @@ def test_every_elite_shows_its_code_walked_from_its_roll(searched: Archive, rope
         assert elite.roll in rolls(rope.config)
         walked = rolled(find_crossings(simulation.points[0]), elite.roll)
         assert (walked.reversed() if elite.reverse else walked) == elite.code
-        assert elite.exact == (elite.roll == 0 and not elite.reverse) and (not elite.exact or label(simulation.points[0]) == elite.code)
+        assert elite.exact == (elite.roll == 0 and not elite.reverse) and (
+            not elite.exact or label(simulation.points[0]) == elite.code
+        )
 
 
 def test_the_badness_of_an_elite_is_that_of_its_state(searched: Archive, rope: Rope) -> None:
@@ -109,7 +127,9 @@ def test_the_badness_of_an_elite_is_that_of_its_state(searched: Archive, rope: R
     for elite in elites(searched)[:40]:
         simulation.restore(elite.state[None])
         points = np.roll(simulation.points[0], -elite.roll, axis=0)
-        assert elite.badness == pytest.approx(Limits().badness(measure(points, quick=True), elite.code.nx), abs=1e-6)
+        assert elite.badness == pytest.approx(
+            Limits().badness(measure(points, quick=True), elite.code.nx), abs=1e-6
+        )
 
 
 def test_base_spacing_is_taken_from_the_roll(searched: Archive, rope: Rope) -> None:
@@ -118,13 +138,18 @@ def test_base_spacing_is_taken_from_the_roll(searched: Archive, rope: Rope) -> N
         simulation.restore(elite.state[None])
         points = simulation.points[0]
         renumbered = np.roll(points, -elite.roll, axis=0)
-        assert base_spacing(points, find_crossings(points), elite.roll) == pytest.approx(measure(renumbered, quick=True).base_spacing, abs=1e-6)
+        assert base_spacing(points, find_crossings(points), elite.roll) == pytest.approx(
+            measure(renumbered, quick=True).base_spacing, abs=1e-6
+        )
 
 
 def test_growth_has_one_row_a_round(searched: Archive) -> None:
     assert [row["round"] for row in searched.growth] == [0, 1, 2]
     assert searched.growth[-1]["classes"] == len(searched.niches)
-    assert all(one["actions"] < other["actions"] and one["classes"] <= other["classes"] for one, other in pairwise(searched.growth))
+    assert all(
+        one["actions"] < other["actions"] and one["classes"] <= other["classes"]
+        for one, other in pairwise(searched.growth)
+    )
 
 
 def test_a_round_says_how_many_classes_are_new() -> None:
@@ -147,7 +172,11 @@ def test_no_way_is_longer_than_the_longest_allowed() -> None:
 
 
 def test_settings_tell_the_whole_search(searched: Archive) -> None:
-    assert searched.settings["seed"] == 0 and searched.settings["slots"] == 8 and searched.settings["start"] == "loop"
+    assert (
+        searched.settings["seed"] == 0
+        and searched.settings["slots"] == 8
+        and searched.settings["start"] == "loop"
+    )
 
 
 def test_transitions_are_counted_along(searched: Archive) -> None:

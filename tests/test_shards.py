@@ -1,4 +1,6 @@
-"""`--shard i/n` and `knotgym dataset merge`: parts made without knowing of each other make a whole."""
+"""`--shard i/n` and `knotgym dataset merge`: parts made without knowing of each other make a
+whole.
+"""
 
 import importlib.util
 import json
@@ -22,29 +24,44 @@ from knotgym.runs.shards import InvalidPart, Part
 from .small_job import knotgym, typed
 from .test_main_job import bytes_of, said
 
-with_arrow = pytest.mark.skipif(importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed")
+with_arrow = pytest.mark.skipif(
+    importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed"
+)
 
 
 def in_parts(of: int, out: Path, *words: object) -> list[Path]:
     """Give a command once for each of its shards; the folders made."""
     for number in range(1, of + 1):
-        assert knotgym(*words, "--workers", 1, "--quiet", "--out", out, "--shard", f"{number}/{of}") == 0
+        assert (
+            knotgym(*words, "--workers", 1, "--quiet", "--out", out, "--shard", f"{number}/{of}")
+            == 0
+        )
     return sorted(out.parent.rglob("*-shard-*-of-*"))
 
 
 @given(st.integers(1, 50), st.integers(0, 300))
 def test_shares_are_even_and_leave_nothing_out(of: int, count: int) -> None:
     shares = [Part(number, of).share(count) for number in range(1, of + 1)]
-    assert [k for share in shares for k in share] == list(range(count)) and len({len(share) for share in shares}) <= 2
-    assert [len(Part(number, of).dealt(range(count))) for number in range(1, of + 1)] == [len(share) for share in shares]
+    assert [k for share in shares for k in share] == list(range(count)) and len(
+        {len(share) for share in shares}
+    ) <= 2
+    assert [len(Part(number, of).dealt(range(count))) for number in range(1, of + 1)] == [
+        len(share) for share in shares
+    ]
 
 
 @pytest.mark.parametrize("text", ["5/4", "0/4", "4", "a/b", "1/2/3", "-1/2", "1/", "1/99999999"])
 @pytest.mark.parametrize("command", ["generate", "collect", "images"])
-def test_a_shard_that_is_none_is_one_line(command: str, text: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_shard_that_is_none_is_one_line(
+    command: str, text: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     assert knotgym(command, "--out", tmp_path / "a", f"--shard={text}") == 2
     (line,) = said(capfd)
-    assert "a shard is i/n with i from 1 to n, such as 2/8; got" in line and text in line and list(tmp_path.iterdir()) == []
+    assert (
+        "a shard is i/n with i from 1 to n, such as 2/8; got" in line
+        and text in line
+        and list(tmp_path.iterdir()) == []
+    )
 
 
 def test_a_part_reads_as_it_is_written() -> None:
@@ -53,15 +70,34 @@ def test_a_part_reads_as_it_is_written() -> None:
         Part(3, 2)
 
 
-@pytest.mark.parametrize("words", [("generate", "--nx", 1, "--count", 2), ("collect", "--episodes", 2, "--policy", "random")])
-def test_a_shard_with_nothing_to_do_is_refused(words: tuple[object, ...], tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    "words",
+    [("generate", "--nx", 1, "--count", 2), ("collect", "--episodes", 2, "--policy", "random")],
+)
+def test_a_shard_with_nothing_to_do_is_refused(
+    words: tuple[object, ...], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     assert knotgym(*words, "--out", tmp_path / "a", "--shard", "3/3", "--workers", 1) == 2
     assert "cut the run into fewer shards" in said(capfd)[0]
 
 
 # Episodes.
 
-COLLECT = ("collect", "--task", "unknot", "--nx", 1, "--policy", "random", "--observation", "state", "--horizon", 4, "--episodes", 7)
+COLLECT = (
+    "collect",
+    "--task",
+    "unknot",
+    "--nx",
+    1,
+    "--policy",
+    "random",
+    "--observation",
+    "state",
+    "--horizon",
+    4,
+    "--episodes",
+    7,
+)
 
 
 @pytest.fixture(scope="module")
@@ -78,40 +114,68 @@ def test_shards_of_episodes_make_the_bytes_of_one_run(played: list[Path], tmp_pa
     }
 
 
-def test_a_shard_of_episodes_verifies_and_resumes_to_itself(played: list[Path], capfd: pytest.CaptureFixture[str]) -> None:
-    assert [path.name for path in played] == [f"random-v0-shard-{number}-of-3" for number in (1, 2, 3)]
+def test_a_shard_of_episodes_verifies_and_resumes_to_itself(
+    played: list[Path], capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert [path.name for path in played] == [
+        f"random-v0-shard-{number}-of-3" for number in (1, 2, 3)
+    ]
     assert knotgym("dataset", "verify", played[1], "--quiet") == 0
     root, before = played[0].parents[2], bytes_of(played[0])
-    assert knotgym(*COLLECT, "--out", root, "--shard", "1/3", "--resume") == 0 and bytes_of(played[0]) == before
+    assert (
+        knotgym(*COLLECT, "--out", root, "--shard", "1/3", "--resume") == 0
+        and bytes_of(played[0]) == before
+    )
     assert "is finished already" in capfd.readouterr().out.replace("\n", " ")
 
 
 @pytest.mark.parametrize(
     ("chosen", "problem"),
-    [((0, 2), "of 3 shards 2 is missing"), ((0,), "of 3 shards 2, 3 are missing"), ((0, 0, 1, 2), "a shard is named twice")],
+    [
+        ((0, 2), "of 3 shards 2 is missing"),
+        ((0,), "of 3 shards 2, 3 are missing"),
+        ((0, 0, 1, 2), "a shard is named twice"),
+    ],
 )
 def test_what_is_no_whole_is_not_merged(
-    chosen: tuple[int, ...], problem: str, played: list[Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    chosen: tuple[int, ...],
+    problem: str,
+    played: list[Path],
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
-    assert knotgym("dataset", "merge", *(played[k] for k in chosen), "--out", tmp_path / "merged") == 2
+    assert (
+        knotgym("dataset", "merge", *(played[k] for k in chosen), "--out", tmp_path / "merged") == 2
+    )
     assert problem in said(capfd)[0] and list(tmp_path.iterdir()) == []
 
 
-def test_a_spoilt_shard_is_named(played: list[Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_spoilt_shard_is_named(
+    played: list[Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     copy = shutil.copytree(played[1], tmp_path / "copy")
     data = bytearray((copy / "main_data.hdf5").read_bytes())
     data[len(data) // 2] ^= 1
     (copy / "main_data.hdf5").write_bytes(data)
-    assert knotgym("dataset", "merge", played[0], copy, played[2], "--out", tmp_path / "merged") == 2
-    assert "main_data.hdf5 is missing or spoilt (SHA-256 differs); make shard 2/3 again" in said(capfd)[0]
+    assert (
+        knotgym("dataset", "merge", played[0], copy, played[2], "--out", tmp_path / "merged") == 2
+    )
+    assert (
+        "main_data.hdf5 is missing or spoilt (SHA-256 differs); make shard 2/3 again"
+        in said(capfd)[0]
+    )
 
 
-def test_shards_of_different_runs_are_not_merged(played: list[Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_shards_of_different_runs_are_not_merged(
+    played: list[Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     copy = shutil.copytree(played[1], tmp_path / "copy")
     report = json.loads((copy / "collection.json").read_text())
     report["config"]["seed"] = 7
     (copy / "collection.json").write_text(json.dumps(report))
-    assert knotgym("dataset", "merge", played[0], copy, played[2], "--out", tmp_path / "merged") == 2
+    assert (
+        knotgym("dataset", "merge", played[0], copy, played[2], "--out", tmp_path / "merged") == 2
+    )
     assert "are not shards of one run" in said(capfd)[0]
     assert knotgym("dataset", "merge", *played, tmp_path, "--out", tmp_path / "merged") == 2
     assert "merged with each other alone" in said(capfd)[0]
@@ -122,7 +186,9 @@ def test_shards_of_different_runs_are_not_merged(played: list[Path], tmp_path: P
 
 @pytest.fixture(scope="module")
 def curated_in_parts(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    return in_parts(2, tmp_path_factory.mktemp("states") / "nx0-1", "generate", "--nx", "0,1", "--count", 4)
+    return in_parts(
+        2, tmp_path_factory.mktemp("states") / "nx0-1", "generate", "--nx", "0,1", "--count", 4
+    )
 
 
 @pytest.fixture(scope="module")
@@ -139,31 +205,52 @@ def test_every_shard_of_states_verifies(curated_in_parts: list[Path]) -> None:
 
 def test_merged_states_verify_and_are_a_folder_like_any(merged_states: Path, curated: Path) -> None:
     assert knotgym("dataset", "verify", merged_states, "--quiet") == 0
-    assert {path.name for path in merged_states.iterdir()} == {path.name for path in curated.iterdir()}
+    assert {path.name for path in merged_states.iterdir()} == {
+        path.name for path in curated.iterdir()
+    }
     assert [path.name for path in merged_states.parent.iterdir()] == ["nx0-1"]
 
 
 def test_merged_states_are_as_many_and_as_even_as_were_asked_for(merged_states: Path) -> None:
     states = read_states(merged_states / "states.h5")
-    assert states.nx.tolist() == [0] * 4 + [1] * 4 and sorted(states.gauss_code[4:]) == ["1+,1-", "1+,1-", "1-,1+", "1-,1+"]
-    assert [len(states.rows(nx, split)) for nx in (0, 1) for split in ("train", "test")] == [2, 2, 2, 2]
+    assert states.nx.tolist() == [0] * 4 + [1] * 4 and sorted(states.gauss_code[4:]) == [
+        "1+,1-",
+        "1+,1-",
+        "1-,1+",
+        "1-,1+",
+    ]
+    assert [len(states.rows(nx, split)) for nx in (0, 1) for split in ("train", "test")] == [
+        2,
+        2,
+        2,
+        2,
+    ]
 
 
 def test_merged_states_hold_no_two_near_duplicates_nor_a_seed_twice(merged_states: Path) -> None:
     states = read_states(merged_states / "states.h5")
-    assert all((distances(states.points[k], states.points[k + 1 :]) >= NEAR).all() for k in range(len(states) - 1))
+    assert all(
+        (distances(states.points[k], states.points[k + 1 :]) >= NEAR).all()
+        for k in range(len(states) - 1)
+    )
     assert len({tuple(seed) for seed in states.source["seed"]}) == len(states)
 
 
-def test_the_merged_archive_knows_what_any_shard_does(merged_states: Path, curated_in_parts: list[Path]) -> None:
+def test_the_merged_archive_knows_what_any_shard_does(
+    merged_states: Path, curated_in_parts: list[Path]
+) -> None:
     merged = Archive.load(merged_states / "archive.h5")
-    assert set(merged.niches) == {niche for path in curated_in_parts for niche in Archive.load(path / "archive.h5").niches}
+    assert set(merged.niches) == {
+        niche for path in curated_in_parts for niche in Archive.load(path / "archive.h5").niches
+    }
     assert [row["round"] for row in merged.growth] == list(range(len(merged.growth)))
 
 
 def test_a_state_that_two_shards_made_is_kept_once(rope: Any) -> None:
     loop = rope.loop()
-    assert apart(np.stack([loop, loop * [2, 1, 1], loop + 1.0, loop * [3, 1, 1], loop * [2, 1.001, 1]])).tolist() == [True, True, False, True, False]
+    assert apart(
+        np.stack([loop, loop * [2, 1, 1], loop + 1.0, loop * [3, 1, 1], loop * [2, 1.001, 1]])
+    ).tolist() == [True, True, False, True, False]
 
 
 # Pictures.
@@ -172,17 +259,23 @@ IMAGES = ("images", "--nx", "0-2", "--count", 20, "--test-share", 0.2)
 
 
 @with_arrow
-def test_merged_pictures_verify_without_a_leak_or_a_duplicate(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_merged_pictures_verify_without_a_leak_or_a_duplicate(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     parts = in_parts(2, tmp_path / "table", *IMAGES)
     assert knotgym("dataset", "merge", *parts, "--out", tmp_path / "table") == 0
     assert knotgym("dataset", "verify", tmp_path / "table", "--quiet") == 0 and all(
         knotgym("dataset", "verify", part, "--quiet") == 0 for part in parts
     )
     rows = list(read_rows(tmp_path / "table"))
-    dropped = json.loads((tmp_path / "table" / "manifest.json").read_text())["report"]["near_duplicates_between_shards"]
+    dropped = json.loads((tmp_path / "table" / "manifest.json").read_text())["report"][
+        "near_duplicates_between_shards"
+    ]
     assert len(rows) == 20 - dropped and len({row["source"]["row"] for row in rows}) == len(rows)
     points = points_of(read_table(tmp_path / "table"))
-    assert all((distances(points[k], points[k + 1 :]) >= NEAR).all() for k in range(len(points) - 1))
+    assert all(
+        (distances(points[k], points[k + 1 :]) >= NEAR).all() for k in range(len(points) - 1)
+    )
     assert knotgym("dataset", "merge", *parts, "--out", tmp_path / "table") == 2
     assert "is there already" in said(capfd)[-1]
 
@@ -195,10 +288,16 @@ def test_the_scripts_for_slurm_make_and_merge_a_run(tmp_path: Path) -> None:
     (tmp_path / "knotgym").write_text(f'#!/bin/sh\nexec {" ".join(typed())} "$@"\n')
     (tmp_path / "knotgym").chmod(0o755)
     for number in (1, 2):
-        task = {"SLURM_ARRAY_TASK_ID": str(number), "SLURM_ARRAY_TASK_COUNT": "2", "SLURM_CPUS_PER_TASK": "1"}
+        task = {
+            "SLURM_ARRAY_TASK_ID": str(number),
+            "SLURM_ARRAY_TASK_COUNT": "2",
+            "SLURM_CPUS_PER_TASK": "1",
+        }
         environment = {**os.environ, **task, "PATH": f"{tmp_path}:{os.environ['PATH']}"}
         words = [str(word) for word in (*COLLECT, "--out", tmp_path / "root")]
         subprocess.run(["bash", scripts / "array.sh", *words], check=True, env=environment)
     dataset = tmp_path / "root" / "knotgym" / "unknot-nx1" / "random-v0"
-    subprocess.run(["bash", scripts / "merge.sh", dataset, tmp_path / "root"], check=True, env=environment)
+    subprocess.run(
+        ["bash", scripts / "merge.sh", dataset, tmp_path / "root"], check=True, env=environment
+    )
     assert (dataset / "data" / "main_data.hdf5").is_file()

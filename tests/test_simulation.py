@@ -1,4 +1,6 @@
-"""Ropes in a batch move as one rope alone, go on from where they were left, and never hand out a broken state."""
+"""Ropes in a batch move as one rope alone, go on from where they were left, and never hand out a
+broken state.
+"""
 
 import pickle
 
@@ -53,8 +55,12 @@ def test_one_batched_rope_is_mujocos_own_loop(rope: Rope) -> None:
 
 
 @pytest.mark.parametrize(("count", "threads"), [(6, 2), (6, 0), (3, 1), (3, 3)])
-def test_states_are_the_same_bytes_in_any_batch_on_any_threads(rope: Rope, count: int, threads: int) -> None:
-    assert np.array_equal(moved(Simulation(count, rope, threads), 5)[:3], moved(Simulation(6, rope, 1), 5)[:3])
+def test_states_are_the_same_bytes_in_any_batch_on_any_threads(
+    rope: Rope, count: int, threads: int
+) -> None:
+    assert np.array_equal(
+        moved(Simulation(count, rope, threads), 5)[:3], moved(Simulation(6, rope, 1), 5)[:3]
+    )
 
 
 def test_ropes_not_named_stand_still(rope: Rope) -> None:
@@ -96,7 +102,9 @@ def test_a_pickled_simulation_goes_on_bit_for_bit() -> None:
     simulation = Simulation(2, Rope(RopeConfig(frame_skip=6)), threads=2)
     moved(simulation, 3)
     again = pickle.loads(pickle.dumps(simulation))
-    assert again.rope.config == simulation.rope.config and np.array_equal(again.points, simulation.points)
+    assert again.rope.config == simulation.rope.config and np.array_equal(
+        again.points, simulation.points
+    )
     assert np.array_equal(moved(again, 3, seed=1), moved(simulation, 3, seed=1))
 
 
@@ -122,14 +130,19 @@ def test_laying_one_rope_leaves_the_others(rope: Rope) -> None:
     ("actions", "message"),
     [
         (np.full((2, 6), np.nan), r"lie in \[-1, 1\]"),
-        (np.array([[0.0] * 6, [0, 0, 0, 0, 0, 1.001]]), r"lie in \[-1, 1\]; got \[0.0, 0.0, 0.0, 0.0, 0.0, 1.001\]"),
+        (
+            np.array([[0.0] * 6, [0, 0, 0, 0, 0, 1.001]]),
+            r"lie in \[-1, 1\]; got \[0.0, 0.0, 0.0, 0.0, 0.0, 1.001\]",
+        ),
         (np.full((2, 6), -np.inf), r"lie in \[-1, 1\]"),
         (np.zeros((2, 5)), r"shape \(2, 5\) for 2 ropes"),
         (np.zeros((3, 6)), r"shape \(3, 6\) for 2 ropes"),
         (np.zeros(6), r"shape \(6,\) for 2 ropes"),
     ],
 )
-def test_bad_actions_are_refused_and_nothing_moves(rope: Rope, actions: NDArray[np.float64], message: str) -> None:
+def test_bad_actions_are_refused_and_nothing_moves(
+    rope: Rope, actions: NDArray[np.float64], message: str
+) -> None:
     simulation = Simulation(2, rope)
     before = moved(simulation, 2)
     with pytest.raises(InvalidAction, match=message):
@@ -220,13 +233,17 @@ def test_a_force_that_is_no_number_moves_nothing(rope: Rope) -> None:
 def test_a_torn_rope_is_told(rope: Rope) -> None:
     simulation = Simulation(1, rope)
     qpos = rope.qpos(rope.loop())
-    qpos[rope.model.jnt_qposadr[rope.model.body_jntadr[1]] + 2] += 0.5  # one sub-chain far above the others
+    qpos[rope.model.jnt_qposadr[rope.model.body_jntadr[1]] + 2] += (
+        0.5  # one sub-chain far above the others
+    )
     simulation.lay(qpos[None])
     assert simulation.act(np.zeros((1, 6))).tolist() == [False]
 
 
 def turned_alike(here: Rope, there: Rope, qpos: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Generalized positions of `there` at which every bead stands and is turned as `here` has it at qpos."""
+    """Generalized positions of `there` at which every bead stands and is turned as `here` has it at
+    qpos.
+    """
     ours, theirs = mujoco.MjData(here.model), mujoco.MjData(there.model)
     ours.qpos[:] = qpos
     mujoco.mj_kinematics(here.model, ours)
@@ -248,9 +265,14 @@ def turned_alike(here: Rope, there: Rope, qpos: NDArray[np.float64]) -> NDArray[
 @pytest.mark.parametrize(("finer", "share"), [(1, 0.08), (4, 0.02)])
 @pytest.mark.parametrize("nx", [0, 3])
 def test_the_root_of_a_sub_chain_is_bookkeeping(nx: int, finer: int, share: float) -> None:
-    # Over 20 pulls at full force the two came apart by at most 0.055 of the way the rope moved, 0.014 at a quarter of the timestep: it is
-    # the integrator's error. Beads are turned alike, for MuJoCo's drag takes a bead for a box, and its twist counts.
-    made = [Rope(RopeConfig(rooted=rooted, timestep=0.008 / finer, frame_skip=24 * finer)) for rooted in ("middle", "start")]
+    # Over 20 pulls at full force the two came apart by at most 0.055 of the way the rope moved,
+    # 0.014 at a quarter of the timestep: it is
+    # the integrator's error. Beads are turned alike, for MuJoCo's drag takes a bead for a box, and
+    # its twist counts.
+    made = [
+        Rope(RopeConfig(rooted=rooted, timestep=0.008 / finer, frame_skip=24 * finer))
+        for rooted in ("middle", "start")
+    ]
     points = made[0].from_curve(curled(nx))
     qpos = made[0].qpos(points)
     starts = [qpos, turned_alike(*made, qpos)]

@@ -15,17 +15,26 @@ def curl(rope: Rope) -> tuple[Array, Manoeuvre]:
     return points, pass_strand(points, "curl", 10, 28, 1, np.random.default_rng(0))
 
 
-def test_a_sketch_leaves_the_rope_alone_and_ends_at_the_last_waypoint(curl: tuple[Array, Manoeuvre]) -> None:
+def test_a_sketch_leaves_the_rope_alone_and_ends_at_the_last_waypoint(
+    curl: tuple[Array, Manoeuvre],
+) -> None:
     points, manoeuvre = curl
     before = points.copy()
     frames = sketched(points, manoeuvre, 50)
-    assert np.array_equal(points, before) and frames.shape[1:] == points.shape and 1 < len(frames) < 50
+    assert (
+        np.array_equal(points, before) and frames.shape[1:] == points.shape and 1 < len(frames) < 50
+    )
     assert np.linalg.norm(frames[-1][10:12].mean(axis=0) - manoeuvre.waypoints[-1]) < ARRIVED
 
 
-def test_a_sketch_keeps_the_lengths_of_all_links_but_the_one_opposite(curl: tuple[Array, Manoeuvre]) -> None:
+def test_a_sketch_keeps_the_lengths_of_all_links_but_the_one_opposite(
+    curl: tuple[Array, Manoeuvre],
+) -> None:
     points, manoeuvre = curl
-    links = [np.linalg.norm(np.roll(frame, -1, axis=0) - frame, axis=1) for frame in (points, sketched(points, manoeuvre, 10)[-1])]
+    links = [
+        np.linalg.norm(np.roll(frame, -1, axis=0) - frame, axis=1)
+        for frame in (points, sketched(points, manoeuvre, 10)[-1])
+    ]
     kept = np.delete(np.arange(100), [10, 60])
     assert np.allclose(links[0][kept], links[1][kept], atol=1e-9)
 
@@ -44,4 +53,8 @@ def test_the_sketch_of_a_mirrored_rope_is_the_mirrored_sketch(rope: Rope) -> Non
     points, mirror = rope.loop(), Symmetry(reflect=True, switch=True, turn=1.0)
     manoeuvre = move_aside(points, "shift", 40, 1, np.random.default_rng(1))
     mirrored = Manoeuvre("shift", 40, mirror.vectors(manoeuvre.waypoints), -1, -1)
-    assert np.allclose(mirror.vectors(sketched(points, manoeuvre, 5)), sketched(mirror.vectors(points), mirrored, 5), atol=1e-12)
+    assert np.allclose(
+        mirror.vectors(sketched(points, manoeuvre, 5)),
+        sketched(mirror.vectors(points), mirrored, 5),
+        atol=1e-12,
+    )

@@ -40,7 +40,11 @@ def test_states_come_back_as_written(states: States, states_path: str) -> None:
 
 def test_numbers_keep_their_types(states_path: str) -> None:
     read = read_states(states_path)
-    assert read.qpos.dtype == read.points.dtype == np.float64 and read.image is not None and read.image.dtype == np.uint8
+    assert (
+        read.qpos.dtype == read.points.dtype == np.float64
+        and read.image is not None
+        and read.image.dtype == np.uint8
+    )
     assert read.gauss_code.dtype.kind == "U" and read.nx.dtype.kind == "i"
 
 
@@ -50,7 +54,14 @@ def test_images_are_left_out_when_not_asked_for(states_path: str) -> None:
 
 def test_read_arrays_cannot_be_written_to(states_path: str) -> None:
     read = read_states(states_path)
-    for array in (read.qpos, read.points, read.nx, read.gauss_code, *read.quality.values(), *read.source.values()):
+    for array in (
+        read.qpos,
+        read.points,
+        read.nx,
+        read.gauss_code,
+        *read.quality.values(),
+        *read.source.values(),
+    ):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = array[1]
 
@@ -63,7 +74,11 @@ def test_rows_are_those_of_nx_and_split(states: States) -> None:
     for nx in range(5):
         for split in ("train", "test"):
             rows = states.rows(nx, split)
-            assert len(rows) == 3 and set(states.nx[rows]) == {nx} and set(states.split[rows]) == {split}
+            assert (
+                len(rows) == 3
+                and set(states.nx[rows]) == {nx}
+                and set(states.split[rows]) == {split}
+            )
     assert len(states.rows(9, "train")) == len(states.rows(2, "dev")) == 0
 
 
@@ -114,14 +129,20 @@ def test_a_file_that_is_no_hdf5_is_refused_in_one_line(copy: Path) -> None:
 def test_a_foreign_hdf5_is_refused(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "foreign.h5", "w") as file:
         file["qpos"] = np.zeros(3)
-    with pytest.raises(InvalidStates, match="format 'none' version none; this version reads 'knotgym-states' version 1"):
+    with pytest.raises(
+        InvalidStates,
+        match="format 'none' version none; this version reads 'knotgym-states' version 1",
+    ):
         read_states(tmp_path / "foreign.h5")
 
 
 def test_another_format_version_is_refused(copy: Path) -> None:
     with h5py.File(copy, "a") as file:
         file.attrs["format_version"] = 2
-    with pytest.raises(InvalidStates, match="format 'knotgym-states' version 2; this version reads 'knotgym-states' version 1"):
+    with pytest.raises(
+        InvalidStates,
+        match="format 'knotgym-states' version 2; this version reads 'knotgym-states' version 1",
+    ):
         read_states(copy)
 
 
@@ -176,6 +197,10 @@ def test_curated_states_are_what_their_labels_say() -> None:
         points = rope.points(states.qpos[row])
         code = label(points)
         assert np.abs(points - states.points[row]).max() < 1e-9
-        assert (str(code), code.chiral, code.nx) == (states.gauss_code[row], states.gauss_code_chiral[row], states.nx[row])
+        assert (str(code), code.chiral, code.nx) == (
+            states.gauss_code[row],
+            states.gauss_code_chiral[row],
+            states.nx[row],
+        )
         assert GaussCode.parse(str(states.gauss_code_chiral[row])) == code
         assert np.array_equal(draw(states.points[row]), states.image[row])

@@ -12,10 +12,23 @@ from knotgym.rope import Rope, RopeConfig
 from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.diagrams import chiralities, planar_codes
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.symmetry import Symmetry, class_of, mirror_images, mirrorings, rolled, rolls, variants
+from knotgym.topology.symmetry import (
+    Symmetry,
+    class_of,
+    mirror_images,
+    mirrorings,
+    rolled,
+    rolls,
+    variants,
+)
 
 BEADS = RopeConfig().beads
-CODES = [GaussCode(code.visits, letters) for nx in range(4) for code in planar_codes(nx) for letters in chiralities(code)]
+CODES = [
+    GaussCode(code.visits, letters)
+    for nx in range(4)
+    for code in planar_codes(nx)
+    for letters in chiralities(code)
+]
 
 codes = st.sampled_from(CODES)
 symmetries = st.builds(
@@ -47,13 +60,18 @@ def test_a_class_stands_for_itself(code: GaussCode) -> None:
 
 @given(codes)
 def test_mirror_images_are_the_mirrorings_once_each(code: GaussCode) -> None:
-    assert sorted(one.chiral for one in mirror_images(code)) == sorted({shown.chiral for shown, _ in mirrorings(code)})
+    assert sorted(one.chiral for one in mirror_images(code)) == sorted(
+        {shown.chiral for shown, _ in mirrorings(code)}
+    )
     assert all(mirror_images(one) == mirror_images(code) for one in mirror_images(code))
 
 
 @given(codes)
 def test_variants_are_the_mirrorings_of_the_walk_either_way(code: GaussCode) -> None:
-    assert {shown for shown, _ in variants(code)} == {*mirror_images(code), *mirror_images(code.reversed())}
+    assert {shown for shown, _ in variants(code)} == {
+        *mirror_images(code),
+        *mirror_images(code.reversed()),
+    }
 
 
 def test_classes_part_the_codes() -> None:
@@ -64,22 +82,32 @@ def test_classes_part_the_codes() -> None:
 @given(symmetries)
 def test_a_plain_loop_can_be_laid_down_as_it_was(symmetry: Symmetry) -> None:
     loop = Rope().loop()
-    assert np.allclose(symmetry.back_to_loop(BEADS).configuration(symmetry.configuration(loop)), loop, atol=1e-12)
+    assert np.allclose(
+        symmetry.back_to_loop(BEADS).configuration(symmetry.configuration(loop)), loop, atol=1e-12
+    )
 
 
 @given(symmetries, rows)
-def test_what_renumbers_nothing_can_be_taken_back(configurations: NDArray[np.float64], symmetry: Symmetry, row: int) -> None:
+def test_what_renumbers_nothing_can_be_taken_back(
+    configurations: NDArray[np.float64], symmetry: Symmetry, row: int
+) -> None:
     exact, points = replace(symmetry, reverse=False, roll=0), configurations[row]
-    assert np.allclose(exact.undone().configuration(exact.configuration(points)), points, atol=1e-12)
+    assert np.allclose(
+        exact.undone().configuration(exact.configuration(points)), points, atol=1e-12
+    )
 
 
 def test_variants_are_the_eight_ways_to_look() -> None:
-    looks = [(one.reflect, one.switch, one.reverse) for _, one in variants(GaussCode.parse("1+a,1-a"))]
+    looks = [
+        (one.reflect, one.switch, one.reverse) for _, one in variants(GaussCode.parse("1+a,1-a"))
+    ]
     assert len(looks) == len(set(looks)) == 8
 
 
 @given(rows, st.floats(-np.pi, np.pi))
-def test_what_a_variant_shows_is_what_the_moved_rope_shows(configurations: NDArray[np.float64], row: int, turn: float) -> None:
+def test_what_a_variant_shows_is_what_the_moved_rope_shows(
+    configurations: NDArray[np.float64], row: int, turn: float
+) -> None:
     points = configurations[row]
     for shown, symmetry in variants(label(points)):
         turned = Symmetry(symmetry.reflect, symmetry.switch, turn, symmetry.reverse)
@@ -93,22 +121,30 @@ def test_a_walk_from_any_vertex_reads_the_rolled_code(configurations: NDArray[np
             assert label(Symmetry(roll=roll).configuration(points)) == rolled(crossings, roll), roll
 
 
-def test_rolling_and_a_variant_show_the_variant_of_the_rolled_code(configurations: NDArray[np.float64]) -> None:
+def test_rolling_and_a_variant_show_the_variant_of_the_rolled_code(
+    configurations: NDArray[np.float64],
+) -> None:
     for points in configurations[::4]:
         crossings = find_crossings(points)
         for roll in rolls(RopeConfig()):
             for shown, one in variants(rolled(crossings, roll)):
-                symmetry = Symmetry(one.reflect, one.switch, 0.3, one.reverse, -roll if one.reverse else roll)
+                symmetry = Symmetry(
+                    one.reflect, one.switch, 0.3, one.reverse, -roll if one.reverse else roll
+                )
                 assert label(symmetry.configuration(points)) == shown
 
 
 @given(rows, symmetries)
-def test_a_bead_keeps_its_place_under_its_new_number(configurations: NDArray[np.float64], row: int, symmetry: Symmetry) -> None:
+def test_a_bead_keeps_its_place_under_its_new_number(
+    configurations: NDArray[np.float64], row: int, symmetry: Symmetry
+) -> None:
     points = configurations[row]
     moved = symmetry.configuration(points)
     middles = (points + np.roll(points, -1, axis=0)) / 2
     new = symmetry.beads(np.arange(BEADS), BEADS)
-    assert np.allclose(((moved + np.roll(moved, -1, axis=0)) / 2)[new], symmetry.vectors(middles), atol=1e-12)
+    assert np.allclose(
+        ((moved + np.roll(moved, -1, axis=0)) / 2)[new], symmetry.vectors(middles), atol=1e-12
+    )
 
 
 @given(symmetries)
@@ -121,7 +157,9 @@ def test_distances_stay(configurations: NDArray[np.float64], row: int, symmetry:
     def spread(points: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.sort(np.linalg.norm(points - points.mean(axis=0), axis=1))
 
-    assert np.allclose(spread(symmetry.configuration(configurations[row])), spread(configurations[row]), atol=1e-12)
+    assert np.allclose(
+        spread(symmetry.configuration(configurations[row])), spread(configurations[row]), atol=1e-12
+    )
 
 
 def test_no_symmetry_is_bit_for_bit_nothing(configurations: NDArray[np.float64]) -> None:
@@ -130,7 +168,9 @@ def test_no_symmetry_is_bit_for_bit_nothing(configurations: NDArray[np.float64])
 
 def test_configuration_leaves_its_input_alone(configurations: NDArray[np.float64]) -> None:
     before = configurations[5].copy()
-    Symmetry(reflect=True, switch=True, turn=1.0, reverse=True, roll=3).configuration(configurations[5])
+    Symmetry(reflect=True, switch=True, turn=1.0, reverse=True, roll=3).configuration(
+        configurations[5]
+    )
     assert np.array_equal(configurations[5], before)
 
 

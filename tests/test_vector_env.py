@@ -1,4 +1,6 @@
-"""Many ropes in one simulation are the same many environments, stepped together; Gymnasium's SyncVectorEnv is the measure."""
+"""Many ropes in one simulation are the same many environments, stepped together; Gymnasium's
+SyncVectorEnv is the measure.
+"""
 
 import pickle
 from collections.abc import Callable
@@ -39,7 +41,9 @@ def make(states_path: str) -> MakeVec:
     """Make a vector environment on the small state file."""
 
     def made(task: str = "tie", num_envs: int = 3, **settings: Any) -> KnotVectorEnv:
-        return KnotVectorEnv(task, num_envs, **{"states": states_path, "observation": "state", **settings})
+        return KnotVectorEnv(
+            task, num_envs, **{"states": states_path, "observation": "state", **settings}
+        )
 
     return made
 
@@ -48,17 +52,28 @@ def make(states_path: str) -> MakeVec:
 def synced(states_path: str) -> Callable[..., SyncVectorEnv]:
     """Make Gymnasium's vector of single environments on the small state file."""
 
-    def made(task: str = "tie", num_envs: int = 3, autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP, **settings: Any) -> SyncVectorEnv:
+    def made(
+        task: str = "tie",
+        num_envs: int = 3,
+        autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
+        **settings: Any,
+    ) -> SyncVectorEnv:
         wanted = {"states": states_path, "observation": "state", **settings}
-        return SyncVectorEnv([lambda: KnotEnv(task, **wanted)] * num_envs, autoreset_mode=autoreset_mode)
+        return SyncVectorEnv(
+            [lambda: KnotEnv(task, **wanted)] * num_envs, autoreset_mode=autoreset_mode
+        )
 
     return made
 
 
 @pytest.mark.parametrize("observation", ["pixels", "state", "both"])
 def test_make_vec_gives_one_batched_simulation(states_path: str, observation: str) -> None:
-    envs = gym.make_vec("knotgym/Tie-v0", num_envs=4, nx=3, states=states_path, observation=observation)
-    assert isinstance(envs.unwrapped, KnotVectorEnv) and envs.unwrapped.episodes.simulation.count == 4
+    envs = gym.make_vec(
+        "knotgym/Tie-v0", num_envs=4, nx=3, states=states_path, observation=observation
+    )
+    assert (
+        isinstance(envs.unwrapped, KnotVectorEnv) and envs.unwrapped.episodes.simulation.count == 4
+    )
     observations, _ = envs.reset(seed=0)
     assert observations in envs.observation_space
     observations, rewards, terminated, truncated, _ = envs.step(envs.action_space.sample())
@@ -68,17 +83,35 @@ def test_make_vec_gives_one_batched_simulation(states_path: str, observation: st
 
 
 def test_make_vec_can_still_sync(states_path: str) -> None:
-    envs = gym.make_vec("knotgym/Tie-v0", num_envs=2, vectorization_mode="sync", states=states_path, observation="state")
+    envs = gym.make_vec(
+        "knotgym/Tie-v0",
+        num_envs=2,
+        vectorization_mode="sync",
+        states=states_path,
+        observation="state",
+    )
     batched = gym.make_vec("knotgym/Tie-v0", num_envs=2, states=states_path, observation="state")
     assert same(envs.reset(seed=0), batched.reset(seed=0))
 
 
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
-@pytest.mark.parametrize(("task", "observation"), [("tie", "state"), ("convert", "both"), ("unknot", "pixels")])
+@pytest.mark.parametrize(
+    ("task", "observation"), [("tie", "state"), ("convert", "both"), ("unknot", "pixels")]
+)
 def test_steps_and_autoresets_are_those_of_single_environments(
-    make: MakeVec, synced: Callable[..., SyncVectorEnv], mode: AutoresetMode, task: str, observation: str
+    make: MakeVec,
+    synced: Callable[..., SyncVectorEnv],
+    mode: AutoresetMode,
+    task: str,
+    observation: str,
 ) -> None:
-    settings: dict[str, Any] = {"nx": 1, "observation": observation, "horizon": 3, "autoreset_mode": mode, "image_size": 32}
+    settings: dict[str, Any] = {
+        "nx": 1,
+        "observation": observation,
+        "horizon": 3,
+        "autoreset_mode": mode,
+        "image_size": 32,
+    }
     envs, singles = make(task, **settings), synced(task, **settings)
     assert same(envs.reset(seed=7), singles.reset(seed=7))
     ended = 0
@@ -89,7 +122,9 @@ def test_steps_and_autoresets_are_those_of_single_environments(
     assert ended >= 6
 
 
-def test_ropes_end_and_start_over_at_steps_of_their_own(make: MakeVec, synced: Callable[..., SyncVectorEnv]) -> None:
+def test_ropes_end_and_start_over_at_steps_of_their_own(
+    make: MakeVec, synced: Callable[..., SyncVectorEnv]
+) -> None:
     envs, singles = make(horizon=3), synced(horizon=3)
     envs.reset(seed=0), singles.reset(seed=0)
     for step, each in enumerate(actions(3, 10)):
@@ -104,10 +139,15 @@ def test_ropes_end_and_start_over_at_steps_of_their_own(make: MakeVec, synced: C
 
 
 @pytest.mark.parametrize("seed", [5, np.int64(5), [5, 6, 7], [5, None, 7]], ids=str)
-def test_rope_i_with_seed_s_starts_as_a_single_environment_with_seed_s_plus_i(make: MakeVec, states_path: str, seed: Any) -> None:
+def test_rope_i_with_seed_s_starts_as_a_single_environment_with_seed_s_plus_i(
+    make: MakeVec, states_path: str, seed: Any
+) -> None:
     observations = make().reset(seed=seed)[0]
     for i in (0, 2):
-        assert np.array_equal(observations[i], KnotEnv("tie", states=states_path, observation="state").reset(seed=5 + i)[0])
+        assert np.array_equal(
+            observations[i],
+            KnotEnv("tie", states=states_path, observation="state").reset(seed=5 + i)[0],
+        )
 
 
 def test_ropes_without_a_seed_start_differently(make: MakeVec) -> None:
@@ -151,7 +191,9 @@ def test_without_autoreset_an_ended_rope_cannot_be_stepped(make: MakeVec) -> Non
         envs.step(np.zeros((3, 6), np.float32))
 
 
-def test_without_autoreset_masked_resets_are_those_of_single_environments(make: MakeVec, synced: Callable[..., SyncVectorEnv]) -> None:
+def test_without_autoreset_masked_resets_are_those_of_single_environments(
+    make: MakeVec, synced: Callable[..., SyncVectorEnv]
+) -> None:
     settings: dict[str, Any] = {"horizon": 2, "autoreset_mode": AutoresetMode.DISABLED}
     envs, singles = make(**settings), synced(**settings)
     assert same(envs.reset(seed=0), singles.reset(seed=0))
@@ -161,7 +203,10 @@ def test_without_autoreset_masked_resets_are_those_of_single_environments(make: 
         ours = envs.step(each)
         assert same(ours, singles.step(each))
         if (done := ours[2] | ours[3]).any():
-            assert same(envs.reset(options={"reset_mask": done.copy()}), singles.reset(options={"reset_mask": done.copy()}))
+            assert same(
+                envs.reset(options={"reset_mask": done.copy()}),
+                singles.reset(options={"reset_mask": done.copy()}),
+            )
 
 
 def test_a_masked_reset_leaves_the_other_ropes(make: MakeVec) -> None:
@@ -205,7 +250,14 @@ def test_settings_that_cannot_be_had_are_refused(make: MakeVec) -> None:
 
 @pytest.mark.parametrize(
     "bad",
-    [np.full((3, 6), np.nan), np.full((3, 6), 1.01), np.zeros((3, 5)), np.zeros((4, 6)), np.zeros((2, 6)), np.zeros(6)],
+    [
+        np.full((3, 6), np.nan),
+        np.full((3, 6), 1.01),
+        np.zeros((3, 5)),
+        np.zeros((4, 6)),
+        np.zeros((2, 6)),
+        np.zeros(6),
+    ],
     ids=lambda bad: str(bad.shape),
 )
 def test_bad_actions_are_refused_and_nothing_moves(make: MakeVec, bad: NDArray[np.float64]) -> None:
@@ -214,7 +266,9 @@ def test_bad_actions_are_refused_and_nothing_moves(make: MakeVec, bad: NDArray[n
     before, steps = envs.episodes.simulation.states(), envs.episodes.steps.copy()
     with pytest.raises(InvalidAction):
         envs.step(bad)
-    assert np.array_equal(envs.episodes.simulation.states(), before) and np.array_equal(envs.episodes.steps, steps)
+    assert np.array_equal(envs.episodes.simulation.states(), before) and np.array_equal(
+        envs.episodes.steps, steps
+    )
 
 
 def test_one_bad_action_moves_no_rope(make: MakeVec) -> None:
@@ -234,7 +288,11 @@ def test_a_blown_up_rope_ends_alone_and_starts_over(make: MakeVec) -> None:
     blow_up(envs, 1)
     each = actions(3, 2)
     ours, theirs = envs.step(each[0]), others.step(each[0])
-    assert ours[1].tolist() == [0, 0, 0] and ours[2].tolist() == [False] * 3 and ours[3].tolist() == [False, True, False]
+    assert (
+        ours[1].tolist() == [0, 0, 0]
+        and ours[2].tolist() == [False] * 3
+        and ours[3].tolist() == [False, True, False]
+    )
     assert ours[4]["simulation_failed"].tolist() == [False, True, False]
     assert np.isfinite(ours[0]).all() and np.array_equal(ours[0][[0, 2]], theirs[0][[0, 2]])
     ours, theirs = envs.step(each[1]), others.step(each[1])
@@ -254,9 +312,14 @@ def test_episode_statistics_are_right(make: MakeVec, mode: AutoresetMode) -> Non
             each[2] = 0.0
         infos = envs.step(each)[4]
         if "episode" in infos:
-            seen += [(i, float(infos["episode"]["r"][i]), int(infos["episode"]["l"][i])) for i in np.flatnonzero(infos["_episode"])]
+            seen += [
+                (i, float(infos["episode"]["r"][i]), int(infos["episode"]["l"][i]))
+                for i in np.flatnonzero(infos["_episode"])
+            ]
     assert seen[0] == (2, 5.0, 2)
-    assert set(seen[1:]) <= {(i, -5.0, 3) for i in range(3)} | {(i, 5.0, length) for i in range(3) for length in (1, 2, 3)}
+    assert set(seen[1:]) <= {(i, -5.0, 3) for i in range(3)} | {
+        (i, 5.0, length) for i in range(3) for length in (1, 2, 3)
+    }
     assert len(seen) == (9 if mode == AutoresetMode.NEXT_STEP else 12)
 
 

@@ -1,4 +1,6 @@
-"""Verification finds every harm done to a folder of curated states, and names the file, the row and what is wrong."""
+"""Verification finds every harm done to a folder of curated states, and names the file, the row and
+what is wrong.
+"""
 
 import json
 import shutil
@@ -66,7 +68,10 @@ def _cut(value: Any, rows: int) -> Any:
 def test_a_changed_byte_in_any_file_is_named(copy: Path) -> None:
     for path in (copy / "gallery.png", copy / "README.md", copy / "archive.h5"):
         path.write_bytes(path.read_bytes() + b" ")
-    expected = [f"{name} is not the file the manifest lists (SHA-256 differs)" for name in ("README.md", "archive.h5", "gallery.png")]
+    expected = [
+        f"{name} is not the file the manifest lists (SHA-256 differs)"
+        for name in ("README.md", "archive.h5", "gallery.png")
+    ]
     assert sorted(folder_faults(copy)) == expected
 
 
@@ -78,7 +83,10 @@ def test_a_missing_file_is_named(copy: Path, name: str) -> None:
 
 def test_missing_states_are_named(copy: Path) -> None:
     (copy / "states.h5").unlink()
-    assert list(folder_faults(copy)) == ["states.h5 is missing", f"no state file at {copy / 'states.h5'}"]
+    assert list(folder_faults(copy)) == [
+        "states.h5 is missing",
+        f"no state file at {copy / 'states.h5'}",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -92,16 +100,38 @@ def test_missing_states_are_named(copy: Path) -> None:
         ("image", (2, 64, 64, 1), 77, "states.h5 row 2: image is not the picture of points"),
         ("points", (6, 50, 2), 0.25, "states.h5 row 6: points are not those of qpos"),
         ("points", (6, 50, 2), np.nan, "states.h5 row 6: coordinates are not finite"),
-        ("qpos", (7, 3), 0.25, "states.h5 row 7: replay of its start and actions does not end in qpos bit for bit"),
+        (
+            "qpos",
+            (7, 3),
+            0.25,
+            "states.h5 row 7: replay of its start and actions does not end in qpos bit for bit",
+        ),
         ("split", 1, "dev", "states.h5 row 1: split is 'dev'"),
-        ("source/actions", (4, 0, 3), 0.123, "states.h5 row 4: replay of its start and actions does not end in qpos bit for bit"),
+        (
+            "source/actions",
+            (4, 0, 3),
+            0.123,
+            "states.h5 row 4: replay of its start and actions does not end in qpos bit for bit",
+        ),
         ("source/actions", (4, 0, 3), 1.5, "states.h5 row 4: an action lies outside [-1, 1]"),
         ("source/actions", (4, 0, 3), np.nan, "states.h5 row 4: an action lies outside [-1, 1]"),
-        ("source/start_qpos", (4, 0), 0.123, "states.h5 row 4: replay of its start and actions does not end in qpos bit for bit"),
-        ("source/steps", 4, 1, "states.h5 row 4: replay of its start and actions does not end in qpos bit for bit"),
+        (
+            "source/start_qpos",
+            (4, 0),
+            0.123,
+            "states.h5 row 4: replay of its start and actions does not end in qpos bit for bit",
+        ),
+        (
+            "source/steps",
+            4,
+            1,
+            "states.h5 row 4: replay of its start and actions does not end in qpos bit for bit",
+        ),
     ],
 )
-def test_an_altered_value_is_found_without_the_checksums(copy: Path, name: str, row: Any, value: Any, fault: str) -> None:
+def test_an_altered_value_is_found_without_the_checksums(
+    copy: Path, name: str, row: Any, value: Any, fault: str
+) -> None:
     altered(copy, name, row, value)
     found = list(state_faults(read_states(copy / "states.h5")))
     assert any(one.startswith(fault) for one in found), found
@@ -120,7 +150,10 @@ def test_a_swapped_split_is_found(copy: Path) -> None:
         one, other = splits.index("train", 4), splits.index("test", 4)
         file["split"][one], file["split"][other] = "test", "train"
     assert faults(copy) == sorted(
-        [f"states.h5 row {one}: split is test, the manifest says train", f"states.h5 row {other}: split is train, the manifest says test"]
+        [
+            f"states.h5 row {one}: split is test, the manifest says train",
+            f"states.h5 row {other}: split is train, the manifest says test",
+        ]
     )
 
 
@@ -128,7 +161,14 @@ def test_a_state_in_both_splits_is_a_leak(copy: Path) -> None:
     with opened(copy / "states.h5") as file:
         splits = file["split"].asstr()[()].tolist()
         one, other = splits.index("train", 4), splits.index("test", 4)
-        for name in ("qpos", "points", "image", "gauss_code", "gauss_code_chiral", *(f"source/{key}" for key in file["source"])):
+        for name in (
+            "qpos",
+            "points",
+            "image",
+            "gauss_code",
+            "gauss_code_chiral",
+            *(f"source/{key}" for key in file["source"]),
+        ):
             file[name][other] = file[name][one]
     found = list(state_faults(read_states(copy / "states.h5")))
     assert f"states.h5 rows {one} (train) and {other} (test) are near-duplicates" in found
@@ -147,7 +187,10 @@ def test_truncated_states_are_named(copy: Path, share: float) -> None:
     raw = (copy / "states.h5").read_bytes()
     (copy / "states.h5").write_bytes(raw[: int(share * len(raw))])
     checksum, unreadable = folder_faults(copy)
-    assert checksum == "states.h5 is not the file the manifest lists (SHA-256 differs)" and "states.h5 isn't a whole state file" in unreadable
+    assert (
+        checksum == "states.h5 is not the file the manifest lists (SHA-256 differs)"
+        and "states.h5 isn't a whole state file" in unreadable
+    )
 
 
 def test_a_truncated_trajectory_file_is_named(copy: Path) -> None:
@@ -192,7 +235,9 @@ def test_columns_of_another_shape_are_named(copy: Path) -> None:
         halves = file["points"][:, :50]
         del file["points"]
         file["points"] = halves
-    assert list(state_faults(read_states(copy / "states.h5"))) == ["states.h5: points is of shape (8, 50, 3), should be (8, 100, 3)"]
+    assert list(state_faults(read_states(copy / "states.h5"))) == [
+        "states.h5: points is of shape (8, 50, 3), should be (8, 100, 3)"
+    ]
 
 
 def test_states_of_another_rope_are_not_judged(copy: Path) -> None:
@@ -211,12 +256,18 @@ def _cut_states(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(("harm", "named"), [(_flip_label, "row 5"), (_cut_states, "states.h5")])
-def test_the_command_names_faults_and_exits_with_1(copy: Path, capfd: pytest.CaptureFixture[str], harm: Callable[[Path], None], named: str) -> None:
+def test_the_command_names_faults_and_exits_with_1(
+    copy: Path, capfd: pytest.CaptureFixture[str], harm: Callable[[Path], None], named: str
+) -> None:
     harm(copy)
     shutil.rmtree(copy / "minari")
     assert knotgym("dataset", "verify", copy, "--quiet") == 1
     lines = capfd.readouterr().out.splitlines()
-    assert lines and all(line.startswith("fault: ") for line in lines) and any(named in line for line in lines)
+    assert (
+        lines
+        and all(line.startswith("fault: ") for line in lines)
+        and any(named in line for line in lines)
+    )
 
 
 def test_nothing_at_a_path_is_a_mistake(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -6,17 +6,38 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Misread = tuple[NDArray[np.uint8], str, str]  # a picture (size, size, 3), the code it shows, the code that was read
+# a picture (size, size, 3), the code it shows, the code that was read
+Misread = tuple[NDArray[np.uint8], str, str]
 
 
-def page(missed: list[Misread], path: Path, columns: int = 5, rows: int = 8, side: int = 256) -> None:
-    """Draw the first of them with the code they show (white) and the code that was read (red); an empty page where there are none."""
+def page(
+    missed: list[Misread], path: Path, columns: int = 5, rows: int = 8, side: int = 256
+) -> None:
+    """Draw the first of them with the code they show (white) and the code that was read (red); an
+    empty page where there are none.
+    """
     tiles = []
     for picture, code, read in missed[: rows * columns]:
         tile = np.zeros((side + 40, side, 3), dtype=np.uint8)
         tile[:side] = cv2.resize(picture, (side, side), interpolation=cv2.INTER_NEAREST)
         for line, (text, colour) in enumerate(((code, (255, 255, 255)), (read, (255, 90, 90)))):
-            cv2.putText(tile, text or "loop", (2, side + 14 + 18 * line), cv2.FONT_HERSHEY_SIMPLEX, 0.36, colour, 1, cv2.LINE_AA)
+            cv2.putText(
+                tile,
+                text or "loop",
+                (2, side + 14 + 18 * line),
+                cv2.FONT_HERSHEY_SIMPLEX,
+                0.36,
+                colour,
+                1,
+                cv2.LINE_AA,
+            )
         tiles.append(tile)
-    tiles += [np.zeros((side + 40, side, 3), dtype=np.uint8)] * (-len(tiles) % columns or columns * (not tiles))
-    cv2.imwrite(str(path), np.concatenate([np.concatenate(tiles[k : k + columns], axis=1) for k in range(0, len(tiles), columns)])[..., ::-1])
+    tiles += [np.zeros((side + 40, side, 3), dtype=np.uint8)] * (
+        -len(tiles) % columns or columns * (not tiles)
+    )
+    cv2.imwrite(
+        str(path),
+        np.concatenate(
+            [np.concatenate(tiles[k : k + columns], axis=1) for k in range(0, len(tiles), columns)]
+        )[..., ::-1],
+    )

@@ -2,14 +2,17 @@
 
     python examples/perception/read.py FOLDER [--steps 20000] [--out reader]
 
-For every 2 x 2 pixels of a published picture the network says whether a crossing lies there, and at which of the pixels around one
-should look for the colours of its over and of its under strand. A published rope shows by its colour where along itself a pixel
-lies, so those two colours are two places along the rope, and the code is the crossings found, sorted by their places. So it learns
-from the crossings of the table, and can read codes that it has never seen and more crossings than it was trained on.
+For every 2 x 2 pixels of a published picture the network says whether a crossing lies there, and at
+which of the pixels around one should look for the colours of its over and of its under strand. A
+published rope shows by its colour where along itself a pixel lies, so those two colours are two
+places along the rope, and the code is the crossings found, sorted by their places. So it learns
+from the crossings of the table, and can read codes that it has never seen and more crossings than
+it was trained on.
 
-It is trained on crops, every other one at a crossing, reflected, turned by quarters and their colours moved along the rope: all of
-which are exact. Writes `reader.pt`, `report.json` with the exact-match accuracy by split, nx and grade, and a page of misread
-pictures, `confusions.png`. Needs the extras torch and huggingface.
+It is trained on crops, every other one at a crossing, reflected, turned by quarters and their
+colours moved along the rope: all of which are exact. Writes `reader.pt`, `report.json` with the
+exact-match accuracy by split, nx and grade, and a page of misread pictures, `confusions.png`. Needs
+the extras torch and huggingface.
 """
 
 import argparse
@@ -36,7 +39,8 @@ WINDOW = 10  # pixels of a side, around a cell, in which the colours of its stra
 SHARP = 60.0  # a pixel whose colour is 3 beads off counts a third
 SPLITS = ("test", "test-code", "test-nx")
 
-# A published colour is a grey part, which black and white add to, and a wave of the place: RGB = BASIS (grey, sine, cosine).
+# A published colour is a grey part, which black and white add to, and a wave of the place: RGB =
+# BASIS (grey, sine, cosine).
 _TURN = 2 * torch.pi * torch.tensor([0.0, 0.33, 0.67])
 BASIS = torch.stack([torch.ones(3), torch.cos(_TURN), torch.sin(_TURN)], dim=1)
 
@@ -48,27 +52,42 @@ class Reader(nn.Module):
         super().__init__()
         layers: list[nn.Module] = [nn.Conv2d(3, width, 5, stride=CELL, padding=2)]
         for dilation in (1, 2, 1, 2):
-            layers += [nn.BatchNorm2d(width), nn.ReLU(), nn.Conv2d(width, width, 3, padding=dilation, dilation=dilation)]
-        self.body = nn.Sequential(*layers, nn.BatchNorm2d(width), nn.ReLU(), nn.Conv2d(width, 2 * width, 1), nn.ReLU())
+            layers += [
+                nn.BatchNorm2d(width),
+                nn.ReLU(),
+                nn.Conv2d(width, width, 3, padding=dilation, dilation=dilation),
+            ]
+        self.body = nn.Sequential(
+            *layers, nn.BatchNorm2d(width), nn.ReLU(), nn.Conv2d(width, 2 * width, 1), nn.ReLU()
+        )
         self.there = nn.Conv2d(2 * width, 1, 1)
         nn.init.constant_(self.there.bias, -4.0)  # crossings are rare
         self.look = nn.Linear(2 * width, 2 * WINDOW**2)
 
     def forward(self, pictures: Tensor) -> tuple[Tensor, Tensor]:
-        """Pictures float32 (n, 3, size, size) in [0, 1] to logits of a crossing (n, cells, cells), and features of every cell."""
+        """Pictures float32 (n, 3, size, size) in [0, 1] to logits of a crossing (n, cells, cells),
+        and features of every cell.
+        """
         features = self.body(pictures)
         return self.there(features)[:, 0], features
 
-    def strands(self, pictures: Tensor, features: Tensor, cells: tuple[Tensor, Tensor, Tensor]) -> tuple[Tensor, Tensor]:
-        """For the over and the under strand at k cells (picture, row, column), how much each pixel of the window counts, float32
-        (k, 2, WINDOW ** 2); and the pixels' waves, sine and cosine, (k, WINDOW ** 2, 2), as long as a pixel is bright. The mean of these is
-        the strand's place. For the under strand, what has the over strand's colour doesn't count."""
+    def strands(
+        self, pictures: Tensor, features: Tensor, cells: tuple[Tensor, Tensor, Tensor]
+    ) -> tuple[Tensor, Tensor]:
+        """For the over and the under strand at k cells (picture, row, column), how much each pixel
+        of the window counts, float32 (k, 2, WINDOW ** 2); and the pixels' waves, sine and cosine,
+        (k, WINDOW ** 2, 2), as long as a pixel is bright. The mean of these is the strand's place.
+        For the under strand, what has the over strand's colour doesn't count.
+        """
         picture, row, column = cells
         look = self.look(features[picture, :, row, column]).reshape(len(row), 2, WINDOW**2)
         margin = (WINDOW - CELL) // 2
         padded = functional.pad(pictures, (margin, margin, margin, margin))
         across = torch.arange(WINDOW)
-        rows, columns = (CELL * row[:, None] + across)[:, :, None], (CELL * column[:, None] + across)[:, None]
+        rows, columns = (
+            (CELL * row[:, None] + across)[:, :, None],
+            (CELL * column[:, None] + across)[:, None],
+        )
         seen = padded[picture[:, None, None], :, rows, columns].flatten(1, 2)
         seen = 2 * seen @ torch.linalg.inv(BASIS).T[:, 1:]
         bright = seen.norm(dim=2)
@@ -79,8 +98,16 @@ class Reader(nn.Module):
 
 
 def alike(waves: Tensor, others: Tensor) -> Tensor:
-    """How alike the colours of waves (k, n, 2) and others (k, m, 2) are, (k, n, m): 1 for the same."""
-    return torch.exp(SHARP * (functional.normalize(waves, dim=2) @ functional.normalize(others, dim=2).transpose(1, 2) - 1))
+    """How alike the colours of waves (k, n, 2) and others (k, m, 2) are, (k, n, m): 1 for the
+    same.
+    """
+    return torch.exp(
+        SHARP
+        * (
+            functional.normalize(waves, dim=2) @ functional.normalize(others, dim=2).transpose(1, 2)
+            - 1
+        )
+    )
 
 
 def waves(places: Tensor) -> Tensor:
@@ -90,51 +117,81 @@ def waves(places: Tensor) -> Tensor:
 
 
 def read(net: Reader, pictures: Tensor) -> list[GaussCode]:
-    """The codes of pictures uint8 (n, 3, size, size): the cells likelier than not, and likelier than the eight around them, are crossings."""
+    """The codes of pictures uint8 (n, 3, size, size): the cells likelier than not, and likelier
+    than the eight around them, are crossings.
+    """
     pictures = pictures.float() / 255
     logit, features = net(pictures)
-    cells = torch.nonzero((logit == functional.max_pool2d(logit, 3, 1, 1)) & (logit > 0), as_tuple=True)
+    cells = torch.nonzero(
+        (logit == functional.max_pool2d(logit, 3, 1, 1)) & (logit > 0), as_tuple=True
+    )
     weight, seen = net.strands(pictures, features, cells)
     wave = weight @ seen
     places = (torch.atan2(wave[..., 0], wave[..., 1]) / (2 * torch.pi) % 1.0).tolist()
     visits: list[list[tuple[float, int]]] = [[] for _ in pictures]
-    for label, (picture, (over, under)) in enumerate(zip(cells[0].tolist(), places, strict=True), 1):
+    for label, (picture, (over, under)) in enumerate(
+        zip(cells[0].tolist(), places, strict=True), 1
+    ):
         visits[picture] += [(over, label), (under, -label)]
     return [GaussCode.relabelled([label for _, label in sorted(one)]) for one in visits]
 
 
 class Crops:
-    """Pieces of pictures to learn from, every other one at a crossing, the rest anywhere on the rope."""
+    """Pieces of pictures to learn from, every other one at a crossing, the rest anywhere on the
+    rope.
+    """
 
     def __init__(self, folder: Path, rng: np.random.Generator) -> None:
         data, self.rng = images(folder, "train"), rng
         self.pictures = torch.from_numpy(np.stack([data.picture(row) for row in range(len(data))]))
         self.nx, self.crossings = data.labels["nx"], data.labels["crossings"]
-        self.picture, self.order = torch.nonzero(torch.arange(data.max_nx) < self.nx[:, None], as_tuple=True)
+        self.picture, self.order = torch.nonzero(
+            torch.arange(data.max_nx) < self.nx[:, None], as_tuple=True
+        )
         bright = (np.argwhere(picture.amax(dim=0).numpy() > 60) for picture in self.pictures)
-        self.rope = np.stack([own[rng.integers(len(own), size=100)] for own in bright]).astype(np.uint8)  # rows and columns
+        # rows and columns
+        self.rope = np.stack([own[rng.integers(len(own), size=100)] for own in bright]).astype(
+            np.uint8
+        )
 
     def draw(self, count: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Pieces float32 (count, 3, CROP, CROP) in [0, 1]; the crossings in them (k, 5): piece, x, y in pixels, place of over and under; and
-        these again as a map (count, cells, cells) of 1 where one is, 0.5 beside, 0 elsewhere."""
+        """Pieces float32 (count, 3, CROP, CROP) in [0, 1]; the crossings in them (k, 5): piece, x,
+        y in pixels, place of over and under; and these again as a map (count, cells, cells) of 1
+        where one is, 0.5 beside, 0 elsewhere."""
         rng, size, half = self.rng, self.pictures.shape[-1], count // 2
         some = rng.integers(len(self.picture), size=half)
-        pick = np.concatenate([self.picture[some].numpy(), rng.integers(len(self.pictures), size=count - half)])
+        pick = np.concatenate(
+            [self.picture[some].numpy(), rng.integers(len(self.pictures), size=count - half)]
+        )
         middle = np.empty((count, 2))
         middle[:half] = self.crossings[self.picture[some], self.order[some], :2].numpy()[:, ::-1]
         middle[half:] = self.rope[pick[half:], rng.integers(100, size=count - half)]
-        corner = np.clip(middle - CROP * rng.uniform(0.25, 0.75, size=(count, 2)), 0, size - CROP).astype(int)
+        corner = np.clip(
+            middle - CROP * rng.uniform(0.25, 0.75, size=(count, 2)), 0, size - CROP
+        ).astype(int)
         across = np.arange(CROP)
-        rows, columns = (corner[:, :1] + across)[:, None, :, None], (corner[:, 1:] + across)[:, None, None]
-        pieces = self.pictures[pick[:, None, None, None], np.arange(3)[None, :, None, None], rows, columns].float() / 255
+        rows, columns = (
+            (corner[:, :1] + across)[:, None, :, None],
+            (corner[:, 1:] + across)[:, None, None],
+        )
+        pieces = (
+            self.pictures[
+                pick[:, None, None, None], np.arange(3)[None, :, None, None], rows, columns
+            ].float()
+            / 255
+        )
         crossings = self.crossings[pick].clone()
         crossings[..., :2] -= torch.from_numpy(corner[:, None, ::-1].copy())
-        inside = (torch.arange(crossings.shape[1]) < self.nx[pick][:, None]) & ((crossings[..., :2] >= 0) & (crossings[..., :2] < CROP)).all(dim=2)
+        inside = (torch.arange(crossings.shape[1]) < self.nx[pick][:, None]) & (
+            (crossings[..., :2] >= 0) & (crossings[..., :2] < CROP)
+        ).all(dim=2)
         piece, order = torch.nonzero(inside, as_tuple=True)
         return self._changed(pieces, torch.cat([piece[:, None], crossings[piece, order]], dim=1))
 
     def _changed(self, pieces: Tensor, crossings: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Reflect and turn all pieces alike, move each one's colours along the rope; over and under stay."""
+        """Reflect and turn all pieces alike, move each one's colours along the rope; over and under
+        stay.
+        """
         if self.rng.random() < 0.5:
             pieces, crossings[:, 1] = pieces.flip(-1), CROP - crossings[:, 1]
         if self.rng.random() < 0.5:
@@ -153,17 +210,24 @@ class Crops:
 
 
 def loss(net: Reader, pieces: Tensor, crossings: Tensor, there: Tensor) -> Tensor:
-    """Cross entropy of where crossings are, cells beside one let off with a tenth; of the pixels that
-    are pointed at where they are, those with about the strand's colour being right; and squared error of the places these give."""
+    """Cross entropy of where crossings are, cells beside one let off with a tenth; of the pixels
+    that are pointed at where they are, those with about the strand's colour being right; and
+    squared error of the places these give.
+    """
     logit, features = net(pieces)
     inner = slice(EDGE, -EDGE)
     weight = torch.where(there == 0.5, 0.1, 1.0)
-    found = functional.binary_cross_entropy_with_logits(logit, (there == 1).float(), weight, reduction="none")[:, inner, inner].sum()
+    found = functional.binary_cross_entropy_with_logits(
+        logit, (there == 1).float(), weight, reduction="none"
+    )[:, inner, inner].sum()
     last = CROP // CELL - EDGE
     column, row = ((crossings[:, k] / CELL).long() for k in (1, 2))
     kept = (column >= EDGE) & (column < last) & (row >= EDGE) & (row < last)
-    weight, seen = net.strands(pieces, features, (crossings[kept, 0].long(), row[kept], column[kept]))
-    wave = waves(crossings[kept, 3:] - 0.5)  # the colour of bead 2 is that of places from 2 to 3, 2.5 in the mean
+    weight, seen = net.strands(
+        pieces, features, (crossings[kept, 0].long(), row[kept], column[kept])
+    )
+    # the colour of bead 2 is that of places from 2 to 3, 2.5 in the mean
+    wave = waves(crossings[kept, 3:] - 0.5)
     pointed = -torch.log((weight * alike(wave, seen)).sum(dim=2) + 1e-3).sum()
     error = ((functional.normalize(weight @ seen, dim=2, eps=1e-3) - wave) ** 2).sum()
     return (found + pointed + 3 * error) / max(1, int(kept.sum()))
@@ -176,7 +240,9 @@ def train(folder: Path, steps: int, batch: int, seed: int) -> Reader:
     optimizer = torch.optim.AdamW(net.parameters(), lr=3e-3, weight_decay=1e-4)
     began = told = time.perf_counter()
     for step in range(steps):
-        optimizer.param_groups[0]["lr"] = 3e-3 * min(1.0, (step + 1) / 100) * (0.5 + 0.5 * np.cos(np.pi * step / steps))
+        optimizer.param_groups[0]["lr"] = (
+            3e-3 * min(1.0, (step + 1) / 100) * (0.5 + 0.5 * np.cos(np.pi * step / steps))
+        )
         value = loss(net, *crops.draw(batch))
         optimizer.zero_grad()
         value.backward()
@@ -184,13 +250,18 @@ def train(folder: Path, steps: int, batch: int, seed: int) -> Reader:
         optimizer.step()
         if time.perf_counter() - told > 30:
             told = time.perf_counter()
-            print(f"{told - began:5.0f} s  step {step + 1} of {steps}  loss {value.item():.3f}", flush=True)
+            print(
+                f"{told - began:5.0f} s  step {step + 1} of {steps}  loss {value.item():.3f}",
+                flush=True,
+            )
     return net.eval()
 
 
 @torch.no_grad()
 def evaluate(net: Reader, folder: Path) -> tuple[dict[str, str], list[Misread]]:
-    """Exact matches, "share of all", by split, nx and grade; and the misread pictures that were accepted."""
+    """Exact matches, "share of all", by split, nx and grade; and the misread pictures that were
+    accepted.
+    """
     score: dict[str, list[bool]] = defaultdict(list)
     missed = []
     for split in SPLITS:
@@ -201,15 +272,24 @@ def evaluate(net: Reader, folder: Path) -> tuple[dict[str, str], list[Misread]]:
         for first in range(0, len(data), 50):
             rows = range(first, min(first + 50, len(data)))
             pictures = np.stack([data.picture(row) for row in rows])
-            for row, picture, found in zip(rows, pictures, read(net, torch.from_numpy(pictures)), strict=True):
+            for row, picture, found in zip(
+                rows, pictures, read(net, torch.from_numpy(pictures)), strict=True
+            ):
                 code, got = data.codes[row], str(found)
                 nx, accepted = int(data.labels["nx"][row]), bool(data.labels["accepted"][row])
                 grade = GRADES[int(data.labels["grade"][row])]
-                for key in ("", f", nx {nx}", f", {grade}", *([", accepted", f", accepted, nx {nx}"] if accepted else [])):
+                for key in (
+                    "",
+                    f", nx {nx}",
+                    f", {grade}",
+                    *([", accepted", f", accepted, nx {nx}"] if accepted else []),
+                ):
                     score[split + key].append(got == code)
                 if accepted and got != code:
                     missed.append((np.moveaxis(picture, 0, -1), code, got))
-    return {key: f"{100 * np.mean(hits):.1f} % of {len(hits)}" for key, hits in sorted(score.items())}, missed
+    return {
+        key: f"{100 * np.mean(hits):.1f} % of {len(hits)}" for key, hits in sorted(score.items())
+    }, missed
 
 
 def main() -> None:
@@ -222,7 +302,10 @@ def main() -> None:
     given = parser.parse_args()
     look = json.loads((given.folder / "manifest.json").read_text())["config"]["appearance"]
     if "colours" in look["vary"] or len(look["sizes"]) > 1:
-        parser.error("places along the rope are read off its published colours, in pictures of one size; this table has others")
+        parser.error(
+            "places along the rope are read off its published colours, in pictures of one size;"
+            " this table has others"
+        )
     given.out.mkdir(parents=True, exist_ok=True)
     net = train(given.folder, given.steps, given.batch, given.seed)
     torch.save(net.state_dict(), given.out / "reader.pt")

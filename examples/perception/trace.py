@@ -1,14 +1,17 @@
-"""Read the Gauss code off a published picture without learning anything: trace the hue along the rope.
+"""Read the Gauss code off a published picture without learning anything: trace the hue along the
+rope.
 
     python examples/perception/trace.py FOLDER [--split test] [--count 500] [--page misread.png]
 
-A published rope says by its colour where along itself a pixel lies: the colours of beads 1 to 99 go once round a circle. On a black
-background a pixel that one strand covers in part has that strand's hue, only darker. So each pixel whose colour is that of one
-strand gives a place along the rope; the mean position of the pixels of a place, from bead to bead, is the rope's axis, a closed
-polygon whose crossings are found as any rope's. Which strand is over is read at the crossing: the colour there is the over strand's,
-and the pixels of the under strand are missing.
+A published rope says by its colour where along itself a pixel lies: the colours of beads 1 to 99 go
+once round a circle. On a black background a pixel that one strand covers in part has that strand's
+hue, only darker. So each pixel whose colour is that of one strand gives a place along the rope; the
+mean position of the pixels of a place, from bead to bead, is the rope's axis, a closed polygon
+whose crossings are found as any rope's. Which strand is over is read at the crossing: the colour
+there is the over strand's, and the pixels of the under strand are missing.
 
-It needs the published colours and nothing else; it fails where strands run along each other or a kink's eye is smaller than a pixel.
+It needs the published colours and nothing else; it fails where strands run along each other or a
+kink's eye is smaller than a pixel.
 """
 
 import argparse
@@ -27,12 +30,15 @@ from knotgym.topology.gauss import GaussCode
 
 BEADS = 100
 FINE = 8  # colours between two beads that a pixel is compared with
-STIFF = 2.0  # pixels' worth of a bend of the axis by one pixel, against a pixel that lies one pixel off it
+# pixels' worth of a bend of the axis by one pixel, against a pixel that lies one pixel off it
+STIFF = 2.0
 Array = NDArray[np.float64]
 
 
 def palette() -> tuple[Array, Array]:
-    """Places along the rope float64 (n,), at beads' middles where whole, and unit colours there float64 (n, 3); the base bead left out."""
+    """Places along the rope float64 (n,), at beads' middles where whole, and unit colours there
+    float64 (n, 3); the base bead left out.
+    """
     place = np.arange(1, BEADS - 1, 1 / FINE)
     colours = bead_colours(BEADS).astype(np.float64)
     low = place.astype(int)
@@ -45,7 +51,9 @@ COLOURS = bead_colours(BEADS).astype(np.float64)
 
 
 def read(image: NDArray[np.uint8]) -> GaussCode | None:
-    """The code that a picture uint8 (size, size, 3) shows, with chirality; None where the rope can't be followed."""
+    """The code that a picture uint8 (size, size, 3) shows, with chirality; None where the rope
+    can't be followed.
+    """
     rows, columns = np.nonzero(image.max(axis=2) > 40)
     at = np.stack([columns + 0.5, rows + 0.5], axis=1)
     seen = image[rows, columns].astype(np.float64)
@@ -54,22 +62,32 @@ def read(image: NDArray[np.uint8]) -> GaussCode | None:
     best = likeness.argmax(axis=1)
     grey = (seen.min(axis=1) > 0.75 * seen.max(axis=1)) & (seen.max(axis=1) > 60)
     pure = (likeness.max(axis=1) > 0.997) & ~grey
-    # the base bead: near its hue's place the least of the three channels says how white a pixel is. Where strands of opposite hues cross
+    # the base bead: near its hue's place the least of the three channels says how white a pixel is.
+    # Where strands of opposite hues cross
     # there are grey pixels too, but not so many.
     whiteness = image.min(axis=2).astype(np.float64)
     top = np.unravel_index(cv2.blur(whiteness, (3, 3)).argmax(), whiteness.shape)
-    white = np.where(np.hypot(at[:, 1] - top[0] - 0.5, at[:, 0] - top[1] - 0.5) < 2.5, whiteness[rows, columns], 0.0)
+    white = np.where(
+        np.hypot(at[:, 1] - top[0] - 0.5, at[:, 0] - top[1] - 0.5) < 2.5,
+        whiteness[rows, columns],
+        0.0,
+    )
     if not white.any():
         return None
     base = np.average(at, axis=0, weights=white)
-    axis = follow(at[pure], PLACE[best[pure]], np.minimum(bright[pure], 255.0) / 255, base, white.sum() / 255)
+    axis = follow(
+        at[pure], PLACE[best[pure]], np.minimum(bright[pure], 255.0) / 255, base, white.sum() / 255
+    )
     if axis is None:
         return None
     flat = np.column_stack([axis[:, 0], -axis[:, 1], np.zeros(len(axis))])
-    found = find_crossings(flat)  # heights are not known yet: each crossing's over and under may be exchanged
+    # heights are not known yet: each crossing's over and under may be exchanged
+    found = find_crossings(flat)
     step = len(axis) / BEADS
     height = np.zeros(len(axis))
-    for over, under, position in zip(found.over_place, found.under_place, found.position, strict=True):
+    for over, under, position in zip(
+        found.over_place, found.under_place, found.position, strict=True
+    ):
         if upper(image, (position[0], -position[1]), over / step, under / step):
             high, low = over, under
         else:
@@ -80,7 +98,9 @@ def read(image: NDArray[np.uint8]) -> GaussCode | None:
 
 
 def follow(at: Array, place: Array, weight: Array, base: Array, base_weight: float) -> Array | None:
-    """The axis, float64 (2 BEADS, 2), half a bead apart from the middle of the base bead on, from pixels, their places and weights."""
+    """The axis, float64 (2 BEADS, 2), half a bead apart from the middle of the base bead on, from
+    pixels, their places and weights.
+    """
     count = 2 * BEADS
     points, weights = np.zeros((count, 2)), np.zeros(count)
     points[0], weights[0] = base, base_weight
@@ -88,25 +108,40 @@ def follow(at: Array, place: Array, weight: Array, base: Array, base_weight: flo
         last = 0
         for k in range(2, BEADS + 1):
             near = np.abs(place - way * k / 2 % BEADS) <= 0.5
-            # of two blobs of one hue, one may be a blend of two other strands: the one that follows on is meant
+            # of two blobs of one hue, one may be a blend of two other strands: the one that follows
+            # on is meant
             near &= np.linalg.norm(at - points[way * last], axis=1) < 2.2 + 1.6 * (k - last)
             if near.any():
-                points[way * k], weights[way * k], last = np.average(at[near], axis=0, weights=weight[near]), weight[near].sum(), k
+                points[way * k], weights[way * k], last = (
+                    np.average(at[near], axis=0, weights=weight[near]),
+                    weight[near].sum(),
+                    k,
+                )
     if (weights > 0).sum() < count / 2:
         return None
-    bend = np.roll(np.eye(count), 1, axis=0) + np.roll(np.eye(count), -1, axis=0) - 2 * np.eye(count)
-    return np.asarray(np.linalg.solve(np.diag(weights) + STIFF * bend.T @ bend, weights[:, None] * points))
+    bend = (
+        np.roll(np.eye(count), 1, axis=0) + np.roll(np.eye(count), -1, axis=0) - 2 * np.eye(count)
+    )
+    return np.asarray(
+        np.linalg.solve(np.diag(weights) + STIFF * bend.T @ bend, weights[:, None] * points)
+    )
 
 
-def upper(image: NDArray[np.uint8], position: tuple[float, float], first: float, second: float) -> bool:
-    """Whether the strand at place `first` (beads, bead middles whole) is the upper one at a crossing, by the pixels around it."""
+def upper(
+    image: NDArray[np.uint8], position: tuple[float, float], first: float, second: float
+) -> bool:
+    """Whether the strand at place `first` (beads, bead middles whole) is the upper one at a
+    crossing, by the pixels around it.
+    """
     x, y = position
     column, row = int(x), int(y)
     total = 0.0
     for r in range(max(0, row - 1), min(len(image), row + 2)):
         for c in range(max(0, column - 1), min(len(image), column + 2)):
             seen, apart = image[r, c].astype(np.float64), np.hypot(c + 0.5 - x, r + 0.5 - y)
-            total += np.exp(-((apart / 0.6) ** 2)) * (distance(seen, second) - distance(seen, first))
+            total += np.exp(-((apart / 0.6) ** 2)) * (
+                distance(seen, second) - distance(seen, first)
+            )
     return total > 0
 
 
@@ -121,12 +156,20 @@ def main() -> None:
     parser.add_argument("folder")
     parser.add_argument("--split")
     parser.add_argument("--count", type=int, default=10**9)
-    parser.add_argument("--page", type=Path, help="draw the misread pictures that were accepted here")
+    parser.add_argument(
+        "--page", type=Path, help="draw the misread pictures that were accepted here"
+    )
     given = parser.parse_args()
     right: Counter[tuple[str, object]] = Counter()
     tried: Counter[tuple[str, object]] = Counter()
     missed: list[Misread] = []
-    for number, row in enumerate(read_rows(given.folder, given.split, ["image", "gauss_code", "nx", "grade", "accepted", "appearance", "source"])):
+    for number, row in enumerate(
+        read_rows(
+            given.folder,
+            given.split,
+            ["image", "gauss_code", "nx", "grade", "accepted", "appearance", "source"],
+        )
+    ):
         if number >= given.count:
             break
         if row["appearance"]["colours"] != "published" or any(row["appearance"]["background"]):
@@ -134,15 +177,26 @@ def main() -> None:
         image = decode(row["image"])
         code = read(image)
         good = code is not None and str(code) == row["gauss_code"]
-        keys = [("all", ""), ("nx", row["nx"]), ("grade", row["grade"]), ("accepted" if row["accepted"] else "not accepted", "")]
+        keys = [
+            ("all", ""),
+            ("nx", row["nx"]),
+            ("grade", row["grade"]),
+            ("accepted" if row["accepted"] else "not accepted", ""),
+        ]
         for key in keys:
             tried[key] += 1
             right[key] += good
         if row["accepted"] and not good:
             missed.append((image, row["gauss_code"], "lost" if code is None else str(code)))
-            print(f"accepted, misread: row {row['source']['row']}, {row['gauss_code']} read as {missed[-1][2]}")
+            print(
+                f"accepted, misread: row {row['source']['row']}, {row['gauss_code']} read as"
+                f" {missed[-1][2]}"
+            )
     for key in sorted(tried, key=str):
-        print(f"{' '.join(map(str, key)):16} {right[key]:5} of {tried[key]:5} {100 * right[key] / tried[key]:6.2f} %")
+        print(
+            f"{' '.join(map(str, key)):16} {right[key]:5} of {tried[key]:5}"
+            f" {100 * right[key] / tried[key]:6.2f} %"
+        )
     if given.page:
         page(missed, given.page)
 

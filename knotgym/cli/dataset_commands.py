@@ -10,12 +10,19 @@ from rich.console import Console
 
 dataset_app = typer.Typer(no_args_is_help=True, help="Look at, check and convert datasets.")
 
-PathOrId = Annotated[str, typer.Argument(metavar="PATH-OR-ID", help="A folder or file that knotgym made, or a Minari dataset id.")]
+PathOrId = Annotated[
+    str,
+    typer.Argument(
+        metavar="PATH-OR-ID", help="A folder or file that knotgym made, or a Minari dataset id."
+    ),
+]
 
 
 @dataset_app.command()
 def show(path: PathOrId) -> None:
-    """Count what a dataset holds: by crossings, code, chirality and split; coverage, quality, rejections."""
+    """Count what a dataset holds: by crossings, code, chirality and split; coverage, quality,
+    rejections.
+    """
     from knotgym.cli.inspection import show as look
 
     look(path, Console())
@@ -37,8 +44,13 @@ def gallery(
 
 
 @dataset_app.command()
-def verify(path: PathOrId, quiet: Annotated[bool, typer.Option("--quiet", help="Say nothing but faults.")] = False) -> None:
-    """Check everything: checksums, schema, labels by two labellers, provenance by replay, splits. Exit status 1 on any fault."""
+def verify(
+    path: PathOrId,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Say nothing but faults.")] = False,
+) -> None:
+    """Check everything: checksums, schema, labels by two labellers, provenance by replay, splits.
+    Exit status 1 on any fault.
+    """
     from knotgym.cli.inspection import faults
 
     console, found = Console(), 0
@@ -56,14 +68,21 @@ def merge(
     sources: Annotated[
         list[str],
         typer.Argument(
-            metavar="PATH-OR-ID...", help="All the shards of one run; or state files or their folders; or trajectory datasets of one task."
+            metavar="PATH-OR-ID...",
+            help=(
+                "All the shards of one run; or state files or their folders; or trajectory datasets"
+                " of one task."
+            ),
         ),
     ],
     out: Annotated[
         Path,
         typer.Option(
-            help="For shards the folder to make, for those of collect the root of the dataset's id; else the file: states.h5, or "
-            "episodes.h5 for trajectories."
+            help=(
+                "For shards the folder to make, for those of collect the root of the dataset's id;"
+                " else the file: states.h5, or "
+                "episodes.h5 for trajectories."
+            )
         ),
     ],
 ) -> None:
@@ -79,7 +98,9 @@ def replay(
     out: Annotated[Path, typer.Option(help="Video to write, .mp4 or .gif.")] = Path("replay.gif"),
     row: Annotated[int, typer.Option(min=0, help="Which state or episode.")] = 0,
 ) -> None:
-    """Act out how a state or an episode came to be, check it bit for bit, and film it with its code under the picture."""
+    """Act out how a state or an episode came to be, check it bit for bit, and film it with its code
+    under the picture.
+    """
     from knotgym.cli.inspection import film
 
     film(path, row, out)
@@ -88,7 +109,10 @@ def replay(
 @dataset_app.command()
 def export(
     path: PathOrId,
-    out: Annotated[Path, typer.Option(help="File to write: .h5 for the compact form (states and actions only).")],
+    out: Annotated[
+        Path,
+        typer.Option(help="File to write: .h5 for the compact form (states and actions only)."),
+    ],
 ) -> None:
     """Convert trajectories to the compact form; pictures are drawn when it is read."""
     from knotgym.cli.inspection import refuse_existing

@@ -61,7 +61,9 @@ def states_path(path: str) -> Path:
     given = Path(path)
     found = given / "states.h5" if given.is_dir() else given
     if not found.is_file():
-        raise UnknownDataset(f"no states at {path}: give a folder that knotgym generate made, or a states.h5")
+        raise UnknownDataset(
+            f"no states at {path}: give a folder that knotgym generate made, or a states.h5"
+        )
     return found
 
 
@@ -72,14 +74,30 @@ def show(path: str, console: Console) -> None:
         return
     if not is_states(path):
         for name, value in show_episodes(path).items():
-            console.print(f"{name:20} {json.dumps(value) if isinstance(value, dict) else value}", highlight=False, markup=False, soft_wrap=True)
+            console.print(
+                f"{name:20} {json.dumps(value) if isinstance(value, dict) else value}",
+                highlight=False,
+                markup=False,
+                soft_wrap=True,
+            )
         return
     states = read_states(states_path(path), images=False)
     manifest = _manifest(states_path(path).parent)
     existing = manifest.get("report", {}).get("existing_codes", {})
     facts = summary(states)
     table = Table(title=f"{path}: {len(states)} states", title_justify="left")
-    for column in ("nx", "states", "codes", "of", "chiral", "train", "test", "both", "c / a", "actions"):
+    for column in (
+        "nx",
+        "states",
+        "codes",
+        "of",
+        "chiral",
+        "train",
+        "test",
+        "both",
+        "c / a",
+        "actions",
+    ):
         table.add_column(column, justify="right", no_wrap=True)
     for nx, one in facts["nx"].items():
         numbers = [
@@ -95,7 +113,9 @@ def show(path: str, console: Console) -> None:
         table.add_row(nx, *map(str, numbers), letters, "/".join(map(str, one["actions_to_reach"])))
     console.print(table)
     console.print(
-        "of: codes there are; chiral: codes with chirality; both: codes in both splits; actions: fewest/median/most to reach", highlight=False
+        "of: codes there are; chiral: codes with chirality; both: codes in both splits; actions:"
+        " fewest/median/most to reach",
+        highlight=False,
     )
     quality = Table(title="quality", title_justify="left")
     for column in ("measure", "unit", "min", "median", "max"):
@@ -105,17 +125,31 @@ def show(path: str, console: Console) -> None:
     console.print(quality)
     found = growth(manifest.get("report", {}))
     if found:
-        grown = Table(title="growth: codes known to the search / states accepted", title_justify="left")
+        grown = Table(
+            title="growth: codes known to the search / states accepted", title_justify="left"
+        )
         for column in ("steps", *(f"nx {nx}" for nx in found[-1]["known"])):
             grown.add_column(column, justify="right")
         for one in found:
-            grown.add_row(str(one["steps"]), *(f"{one['known'][nx]} / {one['accepted'][nx]}" for nx in one["known"]))
+            grown.add_row(
+                str(one["steps"]),
+                *(f"{one['known'][nx]} / {one['accepted'][nx]}" for nx in one["known"]),
+            )
         console.print(grown)
     rejected = manifest.get("report", {}).get("rejected", {})
     if rejected:
-        console.print(f"{manifest['report']['attempts']} instances made; rejected, by reason (an instance can have several):", highlight=False)
+        console.print(
+            f"{manifest['report']['attempts']} instances made; rejected, by reason (an instance can"
+            " have several):",
+            highlight=False,
+        )
         for nx, reasons in rejected.items():
-            console.print(f"  nx {nx}: " + ", ".join(f"{reason} {count}" for reason, count in most_first(reasons)), highlight=False, soft_wrap=True)
+            console.print(
+                f"  nx {nx}: "
+                + ", ".join(f"{reason} {count}" for reason, count in most_first(reasons)),
+                highlight=False,
+                soft_wrap=True,
+            )
 
 
 def faults(path: str, console: Console | None) -> Iterator[str]:
@@ -125,7 +159,9 @@ def faults(path: str, console: Console | None) -> Iterator[str]:
         console.print(f"verifying {path}", highlight=False, soft_wrap=True)
     if is_images(given):
         yield from image_faults(given)
-    elif given.is_dir() and ((given / "manifest.json").is_file() or (given / "states.h5").is_file()):
+    elif given.is_dir() and (
+        (given / "manifest.json").is_file() or (given / "states.h5").is_file()
+    ):
         yield from folder_faults(given)
     elif given.is_file() and _format(given) in ("knotgym-states", None):
         yield from state_faults(read_states(given))
@@ -138,16 +174,24 @@ def merge(sources: Sequence[str], out: Path) -> None:
     found = [shard for source in sources if (shard := shard_of(source))]
     if found:
         if len(found) < len(sources):
-            raise UnknownDataset(f"shards of a run are merged with each other alone; {len(sources) - len(found)} of these {len(sources)} are none")
+            raise UnknownDataset(
+                f"shards of a run are merged with each other alone; {len(sources) - len(found)} of"
+                f" these {len(sources)} are none"
+            )
         merge_shards(found, out)
         return
     refuse_existing(out)
     if any(is_images(source) for source in sources):
-        raise UnknownDataset("perception tables are merged only if they are shards of one run (knotgym images --shard)")
+        raise UnknownDataset(
+            "perception tables are merged only if they are shards of one run (knotgym images"
+            " --shard)"
+        )
     if all(is_states(source) for source in sources):
         write_states(out, merge_states([read_states(states_path(source)) for source in sources]))
     elif any(is_states(source) for source in sources):
-        raise UnknownDataset(f"states and trajectories don't go into one file: {', '.join(sources)}")
+        raise UnknownDataset(
+            f"states and trajectories don't go into one file: {', '.join(sources)}"
+        )
     else:
         merge_episodes(sources, out, concatenate=True)
 
@@ -164,16 +208,26 @@ def film(path: str, row: int, out: Path) -> None:
         states = read_states(states_path(path), images=False)
         _in_range(row, len(states))
         if not {"start_qpos", "actions", "steps"} <= states.source.keys():
-            raise UnknownDataset(f"{path} doesn't say how its states were made, so they can't be acted out")
+            raise UnknownDataset(
+                f"{path} doesn't say how its states were made, so they can't be acted out"
+            )
         rope, start, goal = Rope(), states.source["start_qpos"][row], states.points[row]
-        actions, last = states.source["actions"][row, : states.source["steps"][row]], states.points[row]
+        actions, last = (
+            states.source["actions"][row, : states.source["steps"][row]],
+            states.points[row],
+        )
     else:
         reader = EpisodeReader(path)
         _in_range(row, len(reader))
         episode = reader.episode(row)
         reader.close()
         rope = Rope(reader.task.rope)
-        start, goal, actions, last = episode.start_qpos, episode.goal_points, episode.actions, episode.points[-1]
+        start, goal, actions, last = (
+            episode.start_qpos,
+            episode.goal_points,
+            episode.actions,
+            episode.points[-1],
+        )
     simulation = Simulation(1, rope)
     simulation.lay(start[None])
     frames = [_frame(simulation.points[0], goal, 0)]
@@ -181,7 +235,10 @@ def film(path: str, row: int, out: Path) -> None:
         simulation.act(action[None])
         frames.append(_frame(simulation.points[0], goal, step))
     if not np.array_equal(simulation.points[0], last):
-        raise Untrue(f"row {row} of {path} acted out again ends elsewhere, first bead {np.abs(simulation.points[0] - last).max():.3g} m away at most")
+        raise Untrue(
+            f"row {row} of {path} acted out again ends elsewhere, first bead"
+            f" {np.abs(simulation.points[0] - last).max():.3g} m away at most"
+        )
     write_film(out, frames + frames[-1:] * FRAMES_PER_SECOND)
 
 
@@ -192,7 +249,13 @@ def _in_range(row: int, count: int) -> None:
 
 def _frame(points: Array, goal: Array, step: int) -> NDArray[np.uint8]:
     both = np.concatenate([draw(points), draw(goal)], axis=1)
-    return captioned(both, [f"step {step}   code {label(points).chiral or 'loop'}", f"goal {label(goal)!s}" if label(goal).nx else "goal loop"])
+    return captioned(
+        both,
+        [
+            f"step {step}   code {label(points).chiral or 'loop'}",
+            f"goal {label(goal)!s}" if label(goal).nx else "goal loop",
+        ],
+    )
 
 
 def _format(path: Path) -> str | None:

@@ -1,4 +1,6 @@
-"""The command line: what a user types, turned into a configuration; every mistake is one line and exit status 2."""
+"""The command line: what a user types, turned into a configuration; every mistake is one line and
+exit status 2.
+"""
 
 from __future__ import annotations
 
@@ -20,18 +22,26 @@ from knotgym.errors import KnotgymError
 from knotgym.runs.executors import LostWorkers, scheduler_of
 from knotgym.runs.shards import Part
 
-app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, help="Data for spatial reasoning on knots.")
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="Data for spatial reasoning on knots.",
+)
 app.add_typer(dataset_app, name="dataset")
 app.command()(collect)
 app.command()(evaluate)
 
 Nx = Annotated[str, typer.Option("--nx", help="Crossings: 3, or 2,3, or 0-4.")]
 Seed = Annotated[int, typer.Option(help="Of everything; the same seed gives the same bytes.")]
-Workers = Annotated[int, typer.Option(help="Processes; 0 for one a core. Does not change the result.")]
+Workers = Annotated[
+    int, typer.Option(help="Processes; 0 for one a core. Does not change the result.")
+]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Say nothing but errors.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Finish an interrupted run.")]
 
-_USAGE: Any = typer.BadParameter.__mro__[2]  # ClickException, be it Click's own or the copy inside typer
+# ClickException, be it Click's own or the copy inside typer
+_USAGE: Any = typer.BadParameter.__mro__[2]
 _FAILED, _MISTAKEN, _INTERRUPTED = 1, 2, 130
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _STOPPED = "interrupted; nothing half-written is left, --resume goes on from the last cycle"
@@ -46,8 +56,15 @@ def numbers(text: str) -> tuple[int, ...]:
     out: list[int] = []
     for word in text.split(","):
         low, dash, high = word.strip().partition("-")
-        if not low.isdecimal() or (dash and not high.isdecimal()) or len(word.strip()) > 5 or (dash and int(high) < int(low)):
-            raise typer.BadParameter(f"--nx takes numbers of crossings such as 3, 2,3 or 0-4, got {text!r}")
+        if (
+            not low.isdecimal()
+            or (dash and not high.isdecimal())
+            or len(word.strip()) > 5
+            or (dash and int(high) < int(low))
+        ):
+            raise typer.BadParameter(
+                f"--nx takes numbers of crossings such as 3, 2,3 or 0-4, got {text!r}"
+            )
         out += range(int(low), int(high if dash else low) + 1)
     return tuple(dict.fromkeys(out))
 
@@ -55,15 +72,48 @@ def numbers(text: str) -> tuple[int, ...]:
 @app.command()
 def generate(
     nx: Nx = "3",
-    count: Annotated[int, typer.Option(help="States for each number of crossings, of as many different codes as there are.")] = 40,
-    out: Annotated[Path | None, typer.Option(help="Folder to make; knotgym-data/nx3 for --nx 3.")] = None,
-    every_code: Annotated[int, typer.Option(help="Instead of --count: so many states of every code there is.")] = 0,
-    balance: Annotated[str, typer.Option(help='"even" over codes, or "natural": as often as a random policy meets them.')] = "even",
-    split_by: Annotated[str, typer.Option(help='"state", or "code": train and test share no code.')] = "state",
-    knot: Annotated[str, typer.Option(help="0_1, 3_1, 4_1, 5_1, or a file with a closed curve, three numbers a line or .npy.")] = "0_1",
-    archive: Annotated[Path | None, typer.Option(help="Go on from the archive of another run (its archive.h5).")] = None,
-    attempts: Annotated[int, typer.Option(help="Instances tried, for each state wanted, before giving up.")] = 100,
-    cycles: Annotated[int, typer.Option(help="Stop after so many rounds of searching and choosing, with what there is; 0: when all is there.")] = 0,
+    count: Annotated[
+        int,
+        typer.Option(
+            help="States for each number of crossings, of as many different codes as there are."
+        ),
+    ] = 40,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to make; knotgym-data/nx3 for --nx 3.")
+    ] = None,
+    every_code: Annotated[
+        int, typer.Option(help="Instead of --count: so many states of every code there is.")
+    ] = 0,
+    balance: Annotated[
+        str,
+        typer.Option(
+            help='"even" over codes, or "natural": as often as a random policy meets them.'
+        ),
+    ] = "even",
+    split_by: Annotated[
+        str, typer.Option(help='"state", or "code": train and test share no code.')
+    ] = "state",
+    knot: Annotated[
+        str,
+        typer.Option(
+            help="0_1, 3_1, 4_1, 5_1, or a file with a closed curve, three numbers a line or .npy."
+        ),
+    ] = "0_1",
+    archive: Annotated[
+        Path | None, typer.Option(help="Go on from the archive of another run (its archive.h5).")
+    ] = None,
+    attempts: Annotated[
+        int, typer.Option(help="Instances tried, for each state wanted, before giving up.")
+    ] = 100,
+    cycles: Annotated[
+        int,
+        typer.Option(
+            help=(
+                "Stop after so many rounds of searching and choosing, with what there is; 0: when"
+                " all is there."
+            )
+        ),
+    ] = 0,
     seed: Seed = 0,
     workers: Workers = 0,
     engine: Engine = "local",
@@ -90,21 +140,48 @@ def generate(
         part=part,
     )
     target = part.folder(out or Path("knotgym-data") / f"nx{nx.replace(' ', '')}")
-    run_job(config, target, archive=archive, workers=workers, resume=resume, quiet=quiet, console=Console(), scheduler=cluster)
+    run_job(
+        config,
+        target,
+        archive=archive,
+        workers=workers,
+        resume=resume,
+        quiet=quiet,
+        console=Console(),
+        scheduler=cluster,
+    )
 
 
 @app.command()
 def images(
     nx: Nx = "0-4",
-    count: Annotated[int, typer.Option(help="Pictures in all, evenly over the numbers of crossings.")] = 20_000,
-    out: Annotated[Path | None, typer.Option(help="Folder to make; knotgym-data/images-nx0-4 for --nx 0-4.")] = None,
-    archive: Annotated[Path | None, typer.Option(help="Set out from the archive of a run (its archive.h5).")] = None,
-    states: Annotated[Path | None, typer.Option(help="Set out from a states.h5; without either, from the states that ship.")] = None,
-    test_nx: Annotated[str, typer.Option(help="Crossings that only split test-nx shows; the largest, or none.")] = "largest",
+    count: Annotated[
+        int, typer.Option(help="Pictures in all, evenly over the numbers of crossings.")
+    ] = 20_000,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to make; knotgym-data/images-nx0-4 for --nx 0-4.")
+    ] = None,
+    archive: Annotated[
+        Path | None, typer.Option(help="Set out from the archive of a run (its archive.h5).")
+    ] = None,
+    states: Annotated[
+        Path | None,
+        typer.Option(help="Set out from a states.h5; without either, from the states that ship."),
+    ] = None,
+    test_nx: Annotated[
+        str, typer.Option(help="Crossings that only split test-nx shows; the largest, or none.")
+    ] = "largest",
     test_share: Annotated[float, typer.Option(help="Share of split test.")] = 0.15,
-    code_share: Annotated[float, typer.Option(help="Share of split test-code, and of codes that only it shows.")] = 0.15,
-    vary: Annotated[str, typer.Option(help="Of colours,width,background,turn,zoom,noise,blur; all, or none.")] = "none",
-    size: Annotated[str, typer.Option(help="Pixels of a side, 64 to 512; several, such as 64,128, are drawn from.")] = "128",
+    code_share: Annotated[
+        float, typer.Option(help="Share of split test-code, and of codes that only it shows.")
+    ] = 0.15,
+    vary: Annotated[
+        str, typer.Option(help="Of colours,width,background,turn,zoom,noise,blur; all, or none.")
+    ] = "none",
+    size: Annotated[
+        str,
+        typer.Option(help="Pixels of a side, 64 to 512; several, such as 64,128, are drawn from."),
+    ] = "128",
     seed: Seed = 0,
     workers: Workers = 0,
     engine: Engine = "local",
@@ -113,18 +190,33 @@ def images(
     resume: Resume = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make a perception dataset: pictures with Gauss code, crossings, coordinates and difficulty."""
+    """Make a perception dataset: pictures with Gauss code, crossings, coordinates and
+    difficulty.
+    """
     from knotgym.generate.images.recipe import ImagesConfig, make
     from knotgym.rendering.appearance import VARIED, AppearanceConfig
 
-    cluster, wanted, part, sizes = scheduler_of(engine, scheduler, workers), numbers(nx), Part.parse(shard), size.split(",")
+    cluster, wanted, part, sizes = (
+        scheduler_of(engine, scheduler, workers),
+        numbers(nx),
+        Part.parse(shard),
+        size.split(","),
+    )
     if not all(one.strip().isdecimal() for one in sizes):
         raise typer.BadParameter(f"--size takes pixels such as 128 or 64,128, got {size!r}")
-    varied = {"all": VARIED, "none": ()}.get(vary) if vary in ("all", "none") else tuple(word.strip() for word in vary.split(","))
+    varied = (
+        {"all": VARIED, "none": ()}.get(vary)
+        if vary in ("all", "none")
+        else tuple(word.strip() for word in vary.split(","))
+    )
     config = ImagesConfig(
         nx=wanted,
         count=count,
-        test_nx={"largest": None, "none": ()}[test_nx] if test_nx in ("largest", "none") else numbers(test_nx),
+        test_nx=(
+            {"largest": None, "none": ()}[test_nx]
+            if test_nx in ("largest", "none")
+            else numbers(test_nx)
+        ),
         test_share=test_share,
         code_share=code_share,
         seed=seed,
@@ -132,7 +224,17 @@ def images(
         part=part,
     )
     target = part.folder(out or Path("knotgym-data") / f"images-nx{nx.replace(' ', '')}")
-    make(config, target, archive=archive, states=states, workers=workers, resume=resume, quiet=quiet, console=Console(), scheduler=cluster)
+    make(
+        config,
+        target,
+        archive=archive,
+        states=states,
+        workers=workers,
+        resume=resume,
+        quiet=quiet,
+        console=Console(),
+        scheduler=cluster,
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -158,11 +260,15 @@ def _run(command: typer.Typer, arguments: Sequence[str] | None) -> None:
     except (NotEnough, LostWorkers) as error:
         status = _say(str(error), _FAILED)
     except _USAGE as error:
-        status = _say(error.format_message(), _MISTAKEN) if error.format_message() else _MISTAKEN  # the help was shown, if empty
+        # the help was shown, if empty
+        status = _say(error.format_message(), _MISTAKEN) if error.format_message() else _MISTAKEN
     except (KnotgymError, ValueError, FileNotFoundError) as error:
         status = _say(str(error), _MISTAKEN)
     except BrokenExecutor:
-        status = _say("a worker died, perhaps for want of memory; --resume goes on from the last cycle", _FAILED)
+        status = _say(
+            "a worker died, perhaps for want of memory; --resume goes on from the last cycle",
+            _FAILED,
+        )
     except OSError as error:
         status = _say(_trouble(error), _FAILED)
     except (KeyboardInterrupt, typer.Abort):
@@ -178,13 +284,17 @@ def _interrupt(number: int, frame: object) -> None:
 
 
 def _unraisable(error: sys.UnraisableHookArgs) -> None:
-    """After an interruption: silence of what was half made and is taken down; but the interruption itself is never swallowed."""
+    """After an interruption: silence of what was half made and is taken down; but the interruption
+    itself is never swallowed.
+    """
     if issubclass(error.exc_type, KeyboardInterrupt):
         _end(0, None)
 
 
 def _end(number: int, frame: object) -> None:
-    """Asked to stop again while clearing up: leave at once. What is half-written has no final name, and workers end with their parent."""
+    """Asked to stop again while clearing up: leave at once. What is half-written has no final name,
+    and workers end with their parent.
+    """
     shown = "\x1b[?25h" if sys.stderr.isatty() else ""  # a live table had hidden the cursor
     os.write(2, f"{shown}knotgym: {_STOPPED}\n".encode())
     os._exit(_INTERRUPTED)

@@ -15,20 +15,30 @@ from knotgym.runs.executors import scheduler_of
 from knotgym.runs.shards import Part
 from knotgym.tasks import TaskConfig
 
-_POLICIES = "random, scripted, expert, noisy-expert, mixed, module:function, or a .zip (SB3), .onnx or .pt file."
+_POLICIES = (
+    "random, scripted, expert, noisy-expert, mixed, module:function, or a .zip (SB3), .onnx or .pt"
+    " file."
+)
 
 Policy = Annotated[str, typer.Option("--policy", help=_POLICIES)]
 States = Annotated[Path | None, typer.Option(help="State file, instead of the one that ships.")]
 Observation = Annotated[str, typer.Option(help="pixels, state or both.")]
 Horizon = Annotated[int, typer.Option(help="Steps until truncation.")]
 Hold = Annotated[int, typer.Option(help="Consecutive steps the goal code must show.")]
-ResetNoise = Annotated[float, typer.Option(help="Scale of the noise at reset, radians per joint and metres.")]
-IntegratorSteps = Annotated[int, typer.Option(help="MuJoCo steps in an action; 20 are faster, on slightly other trajectories.")]
+ResetNoise = Annotated[
+    float, typer.Option(help="Scale of the noise at reset, radians per joint and metres.")
+]
+IntegratorSteps = Annotated[
+    int,
+    typer.Option(help="MuJoCo steps in an action; 20 are faster, on slightly other trajectories."),
+]
 Noise = Annotated[float, typer.Option(help="Chance that a noisy expert's pull is a random one.")]
 Budget = Annotated[int, typer.Option(help="Actions that an expert may simulate for an episode.")]
 Shares = Annotated[str, typer.Option(help="Of random, scripted, noisy-expert and expert in mixed.")]
 Seed = Annotated[int, typer.Option(help="Of everything; the same seed gives the same bytes.")]
-Workers = Annotated[int, typer.Option(help="Processes; 0 for one a core. Does not change the result.")]
+Workers = Annotated[
+    int, typer.Option(help="Processes; 0 for one a core. Does not change the result.")
+]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Say nothing but errors.")]
 
 
@@ -48,11 +58,25 @@ def collect(
     noise: Noise = 0.1,
     budget: Budget = 20000,
     shares: Shares = "0.25,0.25,0.25,0.25",
-    keep_failed: Annotated[bool, typer.Option("--keep-failed/--drop-failed", help="Keep episodes that didn't reach the goal.")] = True,
-    out: Annotated[Path | None, typer.Option(help="Root of the dataset's id; Minari's own by default.")] = None,
-    dataset_id: Annotated[str, typer.Option("--id", help="Minari id; knotgym/tie-nx3/expert-v0 and the like by default.")] = "",
-    author: Annotated[list[str] | None, typer.Option(help="For the metadata; may be repeated.")] = None,
-    author_email: Annotated[list[str] | None, typer.Option(help="For the metadata; may be repeated.")] = None,
+    keep_failed: Annotated[
+        bool,
+        typer.Option(
+            "--keep-failed/--drop-failed", help="Keep episodes that didn't reach the goal."
+        ),
+    ] = True,
+    out: Annotated[
+        Path | None, typer.Option(help="Root of the dataset's id; Minari's own by default.")
+    ] = None,
+    dataset_id: Annotated[
+        str,
+        typer.Option("--id", help="Minari id; knotgym/tie-nx3/expert-v0 and the like by default."),
+    ] = "",
+    author: Annotated[
+        list[str] | None, typer.Option(help="For the metadata; may be repeated.")
+    ] = None,
+    author_email: Annotated[
+        list[str] | None, typer.Option(help="For the metadata; may be repeated.")
+    ] = None,
     code_permalink: Annotated[str | None, typer.Option(help="For the metadata.")] = None,
     seed: Seed = 0,
     workers: Workers = 0,
@@ -89,17 +113,34 @@ def collect(
         author_email=tuple(author_email or ()),
         code_permalink=code_permalink,
     )
-    run(config, out, workers=workers, resume=resume, quiet=quiet, console=Console(), scheduler=cluster, part=part)
+    run(
+        config,
+        out,
+        workers=workers,
+        resume=resume,
+        quiet=quiet,
+        console=Console(),
+        scheduler=cluster,
+        part=part,
+    )
 
 
 def evaluate(
-    task: Annotated[str, typer.Option(help="tie, unknot, convert, or several with commas.")] = "tie",
-    nx: Annotated[str, typer.Option("--nx", help="Crossings: 3, or 2,3, or 2-4; several make the matrix.")] = "2",
-    policy: Annotated[list[str] | None, typer.Option("--policy", help=f"{_POLICIES} May be repeated.")] = None,
+    task: Annotated[
+        str, typer.Option(help="tie, unknot, convert, or several with commas.")
+    ] = "tie",
+    nx: Annotated[
+        str, typer.Option("--nx", help="Crossings: 3, or 2,3, or 2-4; several make the matrix.")
+    ] = "2",
+    policy: Annotated[
+        list[str] | None, typer.Option("--policy", help=f"{_POLICIES} May be repeated.")
+    ] = None,
     episodes: Annotated[int, typer.Option(help="For each policy, task, split and nx.")] = 256,
     split: Annotated[str, typer.Option(help="train, test, or both with a comma.")] = "test",
     states: States = None,
-    observation: Annotated[str, typer.Option(help="What models and functions see: pixels, state or both.")] = "state",
+    observation: Annotated[
+        str, typer.Option(help="What models and functions see: pixels, state or both.")
+    ] = "state",
     horizon: Horizon = 50,
     hold: Hold = 1,
     reset_noise: ResetNoise = 0.015,
@@ -108,13 +149,17 @@ def evaluate(
     budget: Budget = 20000,
     shares: Shares = "0.25,0.25,0.25,0.25",
     out: Annotated[Path | None, typer.Option(help="JSON to write.")] = None,
-    video: Annotated[Path | None, typer.Option(help="Film of the first episodes of each setup, .mp4 or .gif.")] = None,
+    video: Annotated[
+        Path | None, typer.Option(help="Film of the first episodes of each setup, .mp4 or .gif.")
+    ] = None,
     filmed: Annotated[int, typer.Option(help="Episodes of each setup in the film.")] = 2,
     seed: Seed = 0,
     workers: Workers = 0,
     quiet: Quiet = False,
 ) -> None:
-    """Measure success rates with 95 % intervals: policies by tasks, splits and numbers of crossings."""
+    """Measure success rates with 95 % intervals: policies by tasks, splits and numbers of
+    crossings.
+    """
     from knotgym.cli.main import numbers
     from knotgym.generate.episodes.evaluate import EvaluateConfig
     from knotgym.generate.episodes.evaluate import run as run_evaluation
@@ -146,8 +191,12 @@ def policy_config(policy: str, noise: float, budget: int, shares: str) -> Policy
     try:
         parts = tuple(float(word) for word in shares.split(","))
     except ValueError:
-        raise typer.BadParameter(f"--shares takes four numbers with commas, got {shares!r}") from None
-    return PolicyConfig(policy=policy, noise=noise, shares=parts, planner=PlannerConfig(budget=budget))
+        raise typer.BadParameter(
+            f"--shares takes four numbers with commas, got {shares!r}"
+        ) from None
+    return PolicyConfig(
+        policy=policy, noise=noise, shares=parts, planner=PlannerConfig(budget=budget)
+    )
 
 
 def _words(text: str) -> tuple[str, ...]:

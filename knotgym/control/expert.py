@@ -1,7 +1,9 @@
-"""The expert: plans in the simulator from the very state a rope is in, and pulls what the plan says.
+"""The expert: plans in the simulator from the very state a rope is in, and pulls what the plan
+says.
 
-Each episode has a budget of simulated actions for all its plans together. When no plan is left to be had, the expert goes on
-without looking ahead, by manoeuvres that are like those that led towards the goal before.
+Each episode has a budget of simulated actions for all its plans together. When no plan is left to
+be had, the expert goes on without looking ahead, by manoeuvres that are like those that led towards
+the goal before.
 """
 
 from __future__ import annotations
@@ -89,9 +91,23 @@ class Expert:
             self._simulation = Simulation(self.config.slots, episodes.simulation.rope)
         state = episodes.simulation.states([index])[0]
         left = int(episodes.config.horizon - episodes.steps[index])
-        hold = max(1, int(episodes.config.hold - episodes.held[index])) if episodes.held[index] else episodes.config.hold
+        hold = (
+            max(1, int(episodes.config.hold - episodes.held[index]))
+            if episodes.held[index]
+            else episodes.config.hold
+        )
         budget = self.config.budget - mind.spent
-        return plan(self._simulation, state, episodes.goals[index], self._used(), self.config, mind.rng, steps=left, hold=hold, budget=budget)
+        return plan(
+            self._simulation,
+            state,
+            episodes.goals[index],
+            self._used(),
+            self.config,
+            mind.rng,
+            steps=left,
+            hold=hold,
+            budget=budget,
+        )
 
     def _blind(self, episodes: Episodes, index: int, mind: _Mind) -> NDArray[np.float32]:
         simulation = episodes.simulation

@@ -1,8 +1,9 @@
 """Scripted manoeuvres: what a hand does to a rope with one bead in a few pulls.
 
-A manoeuvre leads one bead past waypoints; one pull moves it by three to five centimetres. They are drawn at random from
-what is near, without a goal: `pass` (over or under another strand), `curl` (over or under a strand close by along the rope,
-which makes or takes a kink), `spread` (away from the middle), `shift` (anywhere).
+A manoeuvre leads one bead past waypoints; one pull moves it by three to five centimetres. They are
+drawn at random from what is near, without a goal: `pass` (over or under another strand), `curl`
+(over or under a strand close by along the rope, which makes or takes a kink), `spread` (away from
+the middle), `shift` (anywhere).
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ from knotgym.simulation import Ids, Simulation
 
 KINDS = ("pass", "curl", "spread", "shift")
 ARRIVED = 0.012  # metres from a waypoint that count as there
-STRIDE = 0.045  # metres that one pull at full force leads a bead, about; shorter ways are pulled weaker
+STRIDE = (
+    0.045  # metres that one pull at full force leads a bead, about; shorter ways are pulled weaker
+)
 LIFT = 0.03  # metres above or below a strand that a bead passes it at
 
 
@@ -44,26 +47,48 @@ def propose(points: Array, rng: np.random.Generator) -> Manoeuvre:
     bead = int(rng.integers(beads))
     side = float(rng.choice((-1.0, 1.0)))
     if kind in ("pass", "curl"):
-        apart = int(rng.integers(6, 25)) * int(rng.choice((-1, 1))) if kind == "curl" else int(rng.integers(12, beads - 12))
+        apart = (
+            int(rng.integers(6, 25)) * int(rng.choice((-1, 1)))
+            if kind == "curl"
+            else int(rng.integers(12, beads - 12))
+        )
         return pass_strand(points, kind, bead, (bead + apart) % beads, int(side), rng)
     return move_aside(points, kind, bead, int(side), rng)
 
 
-def move_aside(points: Array, kind: str, bead: int, side: int, rng: np.random.Generator) -> Manoeuvre:
-    """Lead `bead` away from the rope's middle ("spread"), or anywhere, lifted (side +1) or lowered (-1) ("shift")."""
+def move_aside(
+    points: Array, kind: str, bead: int, side: int, rng: np.random.Generator
+) -> Manoeuvre:
+    """Lead `bead` away from the rope's middle ("spread"), or anywhere, lifted (side +1) or lowered
+    (-1) ("shift").
+    """
     way = points[bead, :2] - points[:, :2].mean(axis=0)
-    heading = np.arctan2(way[1], way[0]) + rng.normal(0, 0.5) if kind == "spread" else rng.uniform(-np.pi, np.pi)
+    heading = (
+        np.arctan2(way[1], way[0]) + rng.normal(0, 0.5)
+        if kind == "spread"
+        else rng.uniform(-np.pi, np.pi)
+    )
     far = rng.uniform(0.03, 0.2)
     height = points[bead, 2] + (0.0 if kind == "spread" else side * LIFT)
-    return Manoeuvre(kind, bead, _waypoints(points, bead, heading, height, far, far), -1, 0 if kind == "spread" else side)
+    return Manoeuvre(
+        kind,
+        bead,
+        _waypoints(points, bead, heading, height, far, far),
+        -1,
+        0 if kind == "spread" else side,
+    )
 
 
-def pass_strand(points: Array, kind: str, bead: int, target: int, side: int, rng: np.random.Generator) -> Manoeuvre:
+def pass_strand(
+    points: Array, kind: str, bead: int, target: int, side: int, rng: np.random.Generator
+) -> Manoeuvre:
     """Lead `bead` over (side +1) or under (-1) the bead `target` and some way on."""
     way = points[target, :2] - points[bead, :2]
     far = min(float(np.hypot(*way)), 0.3)
     heading = np.arctan2(way[1], way[0]) + rng.normal(0, 0.3)
-    waypoints = _waypoints(points, bead, heading, points[target, 2] + side * LIFT, far, far + rng.uniform(0.02, 0.09))
+    waypoints = _waypoints(
+        points, bead, heading, points[target, 2] + side * LIFT, far, far + rng.uniform(0.02, 0.09)
+    )
     return Manoeuvre(kind, bead, waypoints, target, side)
 
 
@@ -90,12 +115,17 @@ class Hand:
         rows = np.arange(len(self.beads))
         for _ in range(3):
             stage = np.minimum(self._stage, 2)
-            near = np.linalg.norm(self._waypoints[rows, stage] - points[rows, self.beads], axis=1) < ARRIVED
+            near = (
+                np.linalg.norm(self._waypoints[rows, stage] - points[rows, self.beads], axis=1)
+                < ARRIVED
+            )
             self._stage += near & (self._stage < 3)
         return self._stage >= 3
 
     def forces(self, points: Array) -> Array:
-        """The pulls to make now, in units of the largest force, float64 (n, 3), at most 1 long; 0 for an idle rope."""
+        """The pulls to make now, in units of the largest force, float64 (n, 3), at most 1 long; 0
+        for an idle rope.
+        """
         rows = np.arange(len(self.beads))
         way = self._waypoints[rows, np.minimum(self._stage, 2)] - points[rows, self.beads]
         far = np.linalg.norm(way, axis=1, keepdims=True)
@@ -103,8 +133,12 @@ class Hand:
         return np.where((self._stage < 3)[:, None], pull, 0.0)
 
 
-def _waypoints(points: Array, bead: int, heading: float, height: float, far: float, reach: float) -> Array:
-    """Up or down to `height` within the first 3 cm, `reach` metres ahead, and back to the rope's level; float64 (3, 3)."""
+def _waypoints(
+    points: Array, bead: int, heading: float, height: float, far: float, reach: float
+) -> Array:
+    """Up or down to `height` within the first 3 cm, `reach` metres ahead, and back to the rope's
+    level; float64 (3, 3).
+    """
     ahead = np.array([np.cos(heading), np.sin(heading)])
     rise, end = points[bead, :2] + ahead * min(0.03, far), points[bead, :2] + ahead * reach
     return np.array([[*rise, height], [*end, height], [*end, points[:, 2].mean()]])
@@ -112,7 +146,8 @@ def _waypoints(points: Array, bead: int, heading: float, height: float, far: flo
 
 @dataclass(frozen=True)
 class Way:
-    """Pulls that lead from one state to another, by bead and not by place, so that they fit a rope that lies otherwise.
+    """Pulls that lead from one state to another, by bead and not by place, so that they fit a rope
+    that lies otherwise.
 
     Attributes:
         beads: int16 (T,).
@@ -126,19 +161,26 @@ class Way:
         return len(self.beads)
 
     def jittered(self, scale: float, rng: np.random.Generator) -> Way:
-        """The same pulls, each stronger or weaker by a share of about `scale`: another try where the way itself just misses."""
+        """The same pulls, each stronger or weaker by a share of about `scale`: another try where
+        the way itself just misses.
+        """
         strength = 1 + rng.normal(0, scale, (len(self), 1))
         return Way(self.beads, np.clip(self.forces * strength, -1, 1).astype(np.float32))
 
     def __add__(self, other: Way) -> Way:
-        return Way(np.concatenate([self.beads, other.beads]), np.concatenate([self.forces, other.forces]))
+        return Way(
+            np.concatenate([self.beads, other.beads]), np.concatenate([self.forces, other.forces])
+        )
 
 
 NO_WAY = Way(np.zeros(0, dtype=np.int16), np.zeros((0, 3), dtype=np.float32))
 
 
 def pull(
-    simulation: Simulation, beads: NDArray[np.integer], forces: NDArray[np.floating], ids: Ids = None
+    simulation: Simulation,
+    beads: NDArray[np.integer],
+    forces: NDArray[np.floating],
+    ids: Ids = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Pull through the agent's interface, so that what is recorded is what an agent can do.
 
@@ -151,5 +193,7 @@ def pull(
     Returns:
         The actions float32 (len(ids), 6), and which ropes held.
     """
-    actions = simulation.actions(beads, np.asarray(forces, dtype=np.float64) * simulation.rope.config.max_force, ids)
+    actions = simulation.actions(
+        beads, np.asarray(forces, dtype=np.float64) * simulation.rope.config.max_force, ids
+    )
     return actions, simulation.act(actions, ids)

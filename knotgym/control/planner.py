@@ -1,9 +1,10 @@
 """Planning in the simulator: pulls that lead a rope from the very state it is in to a Gauss code.
 
-A pool of states met is kept by their codes. Copies of the rope set out from states whose codes are near the goal, as the atlas
-tells, each through one manoeuvre: the most promising of several that are sketched, some of them like those that made a change
-towards the goal before; or any. Every new code on the way joins the pool. MuJoCo repeats itself bit for bit from an integration
-state, so a plan that reaches the goal here reaches it.
+A pool of states met is kept by their codes. Copies of the rope set out from states whose codes are
+near the goal, as the atlas tells, each through one manoeuvre: the most promising of several that
+are sketched, some of them like those that made a change towards the goal before; or any. Every new
+code on the way joins the pool. MuJoCo repeats itself bit for bit from an integration state, so a
+plan that reaches the goal here reaches it.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ from knotgym.topology.gauss import GaussCode
 _STUCK = 24  # manoeuvres from one code
 _TRUST = 3  # failures after which a promise counts half
 _SKETCHED = 10  # pulls of a sketch
-Tried = Counter[tuple[GaussCode, GaussCode]]  # code set out from, nearest code in a sketch -> manoeuvres chosen for it
+# code set out from, nearest code in a sketch -> manoeuvres chosen for it
+Tried = Counter[tuple[GaussCode, GaussCode]]
 
 REST = "rest"  # the kind of a pull with no force, by which a code is held
 
@@ -73,7 +75,10 @@ class PlannerConfig:
         if not 0 <= self.greed < np.inf:
             raise InvalidPlanner(f"greed must be at least 0 and finite, got {self.greed}")
         if not (0 <= self.stride < np.inf and 0 < self.patience < np.inf):
-            raise InvalidPlanner(f"stride must be at least 0 and patience above 0, both finite; got {self.stride} and {self.patience}")
+            raise InvalidPlanner(
+                f"stride must be at least 0 and patience above 0, both finite; got {self.stride}"
+                f" and {self.patience}"
+            )
 
 
 @dataclass(eq=False)
@@ -152,22 +157,37 @@ def plan(
         budget: simulated actions, instead of the configuration's.
 
     Returns:
-        The first plan found that reaches the goal; for want of one, the way to the state nearest to it.
+        The first plan found that reaches the goal; for want of one, the way to the state nearest to
+        it.
     """
-    return _Search(simulation, state, goal, atlas, config, rng, steps, hold).run(config.budget if budget is None else budget)
+    return _Search(simulation, state, goal, atlas, config, rng, steps, hold).run(
+        config.budget if budget is None else budget
+    )
 
 
-def guided(points: Array, atlas: Atlas, distances: Distances, rng: np.random.Generator) -> Manoeuvre:
+def guided(
+    points: Array, atlas: Atlas, distances: Distances, rng: np.random.Generator
+) -> Manoeuvre:
     """A manoeuvre that promises to lead towards the goal."""
     code = find_crossings(points).code
-    return _foreseen(points, code, atlas.steps(code, distances), distances, rng, Counter(), PlannerConfig().sketches)
+    return _foreseen(
+        points,
+        code,
+        atlas.steps(code, distances),
+        distances,
+        rng,
+        Counter(),
+        PlannerConfig().sketches,
+    )
 
 
 def reason(before: GaussCode, after: GaussCode, kind: str) -> str:
-    """Name what a manoeuvre did to a code, and the manoeuvre: "R1+ curl", "R2- pass", "slide spread".
+    """Name what a manoeuvre did to a code, and the manoeuvre: "R1+ curl", "R2- pass", "slide
+    spread".
 
-    R1 and R2, + or -, are one or two crossings more or less; "slide" moves the base bead past crossings; R3 keeps number and
-    writhe of three crossings or more; what is left is "other", and "none" where the code is the same.
+    R1 and R2, + or -, are one or two crossings more or less; "slide" moves the base bead past
+    crossings; R3 keeps number and writhe of three crossings or more; what is left is "other", and
+    "none" where the code is the same.
 
     >>> reason(GaussCode.parse(""), GaussCode.parse("1+a,1-a"), "curl")
     'R1+ curl'
@@ -198,7 +218,13 @@ class _Search:
         steps: int,
         hold: int,
     ) -> None:
-        self.simulation, self.goal, self.atlas, self.config, self.rng = simulation, goal, atlas, config, rng
+        self.simulation, self.goal, self.atlas, self.config, self.rng = (
+            simulation,
+            goal,
+            atlas,
+            config,
+            rng,
+        )
         self.steps, self.hold = steps, hold
         simulation.restore(state[None], [0])
         self.root = Node(state, label_many(simulation.points[:1])[0])
@@ -219,7 +245,12 @@ class _Search:
                 if slots[row] is None:
                     slots[row] = self._set_out(row)
             self.hand.idle(self.simulation.points)
-            actions, held = pull(self.simulation, self.hand.beads[:count], self.hand.forces(self.simulation.points)[:count], ids)
+            actions, held = pull(
+                self.simulation,
+                self.hand.beads[:count],
+                self.hand.forces(self.simulation.points)[:count],
+                ids,
+            )
             spent += count
             codes = label_many(self.simulation.points[:count])
             ended = self.hand.idle(self.simulation.points)
@@ -229,8 +260,13 @@ class _Search:
                     continue
                 slot.actions.append(actions[row])
                 pulls = slot.node.pulls + len(slot.actions)
-                last = bool(ended[row]) or len(slot.actions) >= self.config.longest or pulls >= self.steps
-                stuck = self.tries.get(slot.node.code, 0) > _STUCK  # then the same code, lying otherwise, is worth setting out from
+                last = (
+                    bool(ended[row])
+                    or len(slot.actions) >= self.config.longest
+                    or pulls >= self.steps
+                )
+                # then the same code, lying otherwise, is worth setting out from
+                stuck = self.tries.get(slot.node.code, 0) > _STUCK
                 if codes[row] != slot.code or (last and (stuck or codes[row] != slot.node.code)):
                     node = self._met(row, slot, codes[row])
                     if codes[row].matches(self.goal):
@@ -243,7 +279,10 @@ class _Search:
                 slot.code = codes[row]
                 if last:
                     slots[row] = None
-        best = min((node for nodes in self.pool.values() for node in nodes), key=lambda one: (self.distances(one.code), one.pulls))
+        best = min(
+            (node for nodes in self.pool.values() for node in nodes),
+            key=lambda one: (self.distances(one.code), one.pulls),
+        )
         return _plan(best, False, spent)
 
     def _set_out(self, row: int) -> _Slot:
@@ -256,7 +295,15 @@ class _Search:
         if self.rng.random() < self.config.guided:
             if node.code not in self.towards:
                 self.towards[node.code] = self.atlas.steps(node.code, self.distances)
-            manoeuvre = _foreseen(points, node.code, self.towards[node.code], self.distances, self.rng, self.promised, self.config.sketches)
+            manoeuvre = _foreseen(
+                points,
+                node.code,
+                self.towards[node.code],
+                self.distances,
+                self.rng,
+                self.promised,
+                self.config.sketches,
+            )
         else:
             manoeuvre = propose(points, self.rng)
         self.hand.take(row, manoeuvre)
@@ -266,16 +313,32 @@ class _Search:
         codes = [code for code, nodes in self.pool.items() if nodes]
         far = np.array([self.distances(code) for code in codes])
         tries = np.array([self.tries.get(code, 0) for code in codes])
-        late = np.array([min(node.pulls for node in self.pool[code]) + self.config.stride * self.distances.hops.get(code, 2) for code in codes])
-        weights = (1 + far) ** -self.config.greed / (1 + tries / 10) * np.exp(-(late - late.min()) / self.config.patience)
+        late = np.array(
+            [
+                min(node.pulls for node in self.pool[code])
+                + self.config.stride * self.distances.hops.get(code, 2)
+                for code in codes
+            ]
+        )
+        weights = (
+            (1 + far) ** -self.config.greed
+            / (1 + tries / 10)
+            * np.exp(-(late - late.min()) / self.config.patience)
+        )
         nodes = self.pool[codes[self.rng.choice(len(codes), p=weights / weights.sum())]]
-        fresh = np.array([np.exp(-node.pulls / self.config.patience) / (1 + node.tries) for node in nodes])
+        fresh = np.array(
+            [np.exp(-node.pulls / self.config.patience) / (1 + node.tries) for node in nodes]
+        )
         return nodes[self.rng.choice(len(nodes), p=fresh / fresh.sum())]
 
     def _met(self, row: int, slot: _Slot, code: GaussCode) -> Node:
-        """Keep a state, if there is a way on from it; of too many with one code the longest and most tried goes."""
+        """Keep a state, if there is a way on from it; of too many with one code the longest and
+        most tried goes.
+        """
         pulls = slot.node.pulls + len(slot.actions)
-        node = Node(self.simulation.states([row])[0], code, pulls, slot.node, slot.kind, tuple(slot.actions))
+        node = Node(
+            self.simulation.states([row])[0], code, pulls, slot.node, slot.kind, tuple(slot.actions)
+        )
         if pulls + 2 * self.distances.hops.get(code, 2) <= self.steps:
             nodes = self.pool.setdefault(code, [])
             nodes.append(node)
@@ -284,24 +347,40 @@ class _Search:
         return node
 
     def _holding(self, row: int, node: Node) -> tuple[Node | None, int]:
-        """The node at which the goal has been held long enough, and the actions simulated; None if it is lost."""
+        """The node at which the goal has been held long enough, and the actions simulated; None if
+        it is lost.
+        """
         still: tuple[NDArray[np.float32], ...] = ()
         for extra in range(1, self.hold):
             actions, held = pull(self.simulation, np.array([0]), np.zeros((1, 3)), np.array([row]))
             still = (*still, actions[0])
-            if not held[0] or node.pulls + extra > self.steps or not label_many(self.simulation.points[row : row + 1])[0].matches(self.goal):
+            if (
+                not held[0]
+                or node.pulls + extra > self.steps
+                or not label_many(self.simulation.points[row : row + 1])[0].matches(self.goal)
+            ):
                 return None, extra
         if not still:
             return node, 0
-        return Node(self.simulation.states([row])[0], node.code, node.pulls + len(still), node, REST, still), len(still)
+        return Node(
+            self.simulation.states([row])[0], node.code, node.pulls + len(still), node, REST, still
+        ), len(still)
 
 
 def _foreseen(
-    points: Array, code: GaussCode, steps: list[Step], distances: Distances, rng: np.random.Generator, tried: Tried, count: int
+    points: Array,
+    code: GaussCode,
+    steps: list[Step],
+    distances: Distances,
+    rng: np.random.Generator,
+    tried: Tried,
+    count: int,
 ) -> Manoeuvre:
-    """Of some manoeuvres, half of them held as ones that made a change towards the goal, the one whose sketch comes nearest to it.
+    """Of some manoeuvres, half of them held as ones that made a change towards the goal, the one
+    whose sketch comes nearest to it.
 
-    What a sketch promises counts the less the oftener it was chosen for the same promise; the choice is counted in `tried`.
+    What a sketch promises counts the less the oftener it was chosen for the same promise; the
+    choice is counted in `tried`.
     """
     places = Places(find_crossings(points), len(points))
     weights = np.array([step.chance * step.gain for step in steps])

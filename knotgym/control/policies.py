@@ -3,10 +3,13 @@
 random          uniform in [-1, 1]^6
 scripted        one manoeuvre after the other, without a goal
 expert          plans in the simulator from the state the rope is in, see `expert`
-noisy-expert    an expert; each pull is a random one instead with probability `noise`, and the expert plans anew
+noisy-expert    an expert; each pull is a random one instead with probability `noise`, and the
+                expert plans anew
 mixed           each episode is one of the four
-module:function a function (observation, info, generator) -> action (6,), of the user's own; its module may lie in the current folder
-FILE            a model that takes observations: .zip (Stable-Baselines3; FILE.zip:SAC for another algorithm than PPO),
+module:function a function (observation, info, generator) -> action (6,), of the user's own; its
+                module may lie in the current folder
+FILE            a model that takes observations: .zip (Stable-Baselines3; FILE.zip:SAC for another
+                algorithm than PPO),
                 .onnx, or .pt (TorchScript)
 """
 
@@ -91,14 +94,28 @@ class PolicyConfig:
         if not 0 <= self.noise <= 1:
             raise InvalidPolicy(f"noise must be in [0, 1], got {self.noise}")
         if len(self.shares) != len(MIXED) or min(self.shares) < 0 or sum(self.shares) <= 0:
-            raise InvalidPolicy(f"shares must be {len(MIXED)} numbers of at least 0, not all 0, for {', '.join(MIXED)}; got {self.shares}")
-        if self.policy not in NAMED and ":" not in self.policy and Path(self.policy).suffix not in (".zip", ".onnx", ".pt"):
-            raise InvalidPolicy(f"no policy {self.policy!r}; there is {', '.join(NAMED)}, module:function, or a .zip, .onnx or .pt file")
+            raise InvalidPolicy(
+                f"shares must be {len(MIXED)} numbers of at least 0, not all 0, for"
+                f" {', '.join(MIXED)}; got {self.shares}"
+            )
+        if (
+            self.policy not in NAMED
+            and ":" not in self.policy
+            and Path(self.policy).suffix not in (".zip", ".onnx", ".pt")
+        ):
+            raise InvalidPolicy(
+                f"no policy {self.policy!r}; there is {', '.join(NAMED)}, module:function, or a"
+                " .zip, .onnx or .pt file"
+            )
 
     @property
     def short(self) -> str:
         """A name for datasets, letters, digits and dashes."""
-        stem = self.policy if self.policy in NAMED else Path(self.policy.partition(":")[0]).stem.split(".")[-1]
+        stem = (
+            self.policy
+            if self.policy in NAMED
+            else Path(self.policy.partition(":")[0]).stem.split(".")[-1]
+        )
         return "".join(letter if letter.isalnum() else "-" for letter in stem)
 
 
@@ -180,7 +197,10 @@ class Scripted(_Plain):
                 self._hand.take(int(i), manoeuvre)
         self._hand.idle(simulation.points)
         forces = self._hand.forces(simulation.points)[ids] * simulation.rope.config.max_force
-        return Choice(simulation.actions(self._hand.beads[ids], forces, ids), [self._kinds[int(i)] for i in ids])
+        return Choice(
+            simulation.actions(self._hand.beads[ids], forces, ids),
+            [self._kinds[int(i)] for i in ids],
+        )
 
 
 class Forgetful(Policy, Protocol):
@@ -233,7 +253,9 @@ class Mixed:
     def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
         actions, moves = np.zeros((len(ids), 6), dtype=np.float32), [""] * len(ids)
         for policy in self._policies:
-            own = np.array([k for k, i in enumerate(ids) if self._chosen[int(i)] is policy], dtype=np.int64)
+            own = np.array(
+                [k for k, i in enumerate(ids) if self._chosen[int(i)] is policy], dtype=np.int64
+            )
             if len(own):
                 actions[own], reasons = policy.act(episodes, ids[own])
                 for k, why in zip(own, reasons, strict=True):
@@ -250,12 +272,22 @@ class Mixed:
 class Own(_Plain):
     """A user's function of one observation, its info and a generator."""
 
-    def __init__(self, function: Callable[[Any, dict[str, Any], np.random.Generator], Any], name: str) -> None:
+    def __init__(
+        self, function: Callable[[Any, dict[str, Any], np.random.Generator], Any], name: str
+    ) -> None:
         super().__init__(name)
         self._function = function
 
     def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
-        return _checked([self._function(episodes.observation(int(i)), episodes.info(int(i)), self._rngs[int(i)]) for i in ids], self._name)
+        return _checked(
+            [
+                self._function(
+                    episodes.observation(int(i)), episodes.info(int(i)), self._rngs[int(i)]
+                )
+                for i in ids
+            ],
+            self._name,
+        )
 
 
 class Learned(_Plain):
@@ -267,7 +299,11 @@ class Learned(_Plain):
 
     def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
         seen = [episodes.observation(int(i)) for i in ids]
-        batch = {name: np.stack([one[name] for one in seen]) for name in seen[0]} if isinstance(seen[0], dict) else np.stack(seen)
+        batch = (
+            {name: np.stack([one[name] for one in seen]) for name in seen[0]}
+            if isinstance(seen[0], dict)
+            else np.stack(seen)
+        )
         return _checked(list(np.asarray(self._model(batch))), self._name)
 
 
@@ -280,18 +316,23 @@ def _checked(actions: list[Any], name: str) -> Choice:
     """Actions of somebody else's, cut to [-1, 1]."""
     array = np.array([np.asarray(action, dtype=np.float32).reshape(-1) for action in actions])
     if array.shape != (len(actions), 6) or not np.isfinite(array).all():
-        raise InvalidPolicy(f"policy {name} must give 6 finite numbers an episode, got {array[:1].tolist()}")
+        raise InvalidPolicy(
+            f"policy {name} must give 6 finite numbers an episode, got {array[:1].tolist()}"
+        )
     return Choice(np.clip(array, -1, 1), [""] * len(actions))
 
 
 def _function(module: str, word: str) -> Callable[[Any, dict[str, Any], np.random.Generator], Any]:
     if os.getcwd() not in sys.path:
-        sys.path.append(os.getcwd())  # a user's file lies where the command is typed; last, so that it hides nothing
+        # a user's file lies where the command is typed; last, so that it hides nothing
+        sys.path.append(os.getcwd())
     try:
         found = getattr(importlib.import_module(module), word)
     except (ImportError, AttributeError, ValueError, SyntaxError) as error:
         raise InvalidPolicy(f"no policy {module}:{word}: {error}") from error
     if not callable(found):
-        raise InvalidPolicy(f"policy {module}:{word} must be a function (observation, info, generator) -> action")
+        raise InvalidPolicy(
+            f"policy {module}:{word} must be a function (observation, info, generator) -> action"
+        )
     function: Callable[[Any, dict[str, Any], np.random.Generator], Any] = found
     return function

@@ -1,8 +1,9 @@
 """Rollouts: a policy acting in the environment's own episodes.
 
-Episode i of a run with seed s is what `env.reset(seed=episode_seed(s, i))` begins, whichever process plays it and whatever is
-played beside it; the policy draws from SeedSequence([s, i, 1]). Nothing is drawn as a picture here: an episode keeps the rope,
-and its observations are made from that.
+Episode i of a run with seed s is what `env.reset(seed=episode_seed(s, i))` begins, whichever
+process plays it and whatever is played beside it; the policy draws from SeedSequence([s, i, 1]).
+Nothing is drawn as a picture here: an episode keeps the rope, and its observations are made from
+that.
 """
 
 from __future__ import annotations
@@ -53,7 +54,9 @@ class _Track:
 
 
 def episode_seed(seed: int, number: int) -> int:
-    """The seed of the reset that begins episode `number` of a run: 52 bits, so that JSON can hold it."""
+    """The seed of the reset that begins episode `number` of a run: 52 bits, so that JSON can hold
+    it.
+    """
     return int(np.random.SeedSequence([seed, number]).generate_state(1, np.uint64)[0] >> 12)
 
 
@@ -73,7 +76,12 @@ def roll(task: TaskConfig, policy: Policy, numbers: Sequence[int], seed: int) ->
         policy.begin(episodes, index, np.random.default_rng([seed, number, 1]))
         info = episodes.info(index)
         options = {name: int(info[name]) for name in ("start", "goal")}
-        track = _Track(episodes.simulation.qpos([index])[0], episodes.goal_points(index), options, str(info["goal_gauss_code"]))
+        track = _Track(
+            episodes.simulation.qpos([index])[0],
+            episodes.goal_points(index),
+            options,
+            str(info["goal_gauss_code"]),
+        )
         track.points.append(episodes.simulation.points[index].copy())
         track.infos.append({**info, "move": ""})
         tracks.append(track)
@@ -89,7 +97,11 @@ def roll(task: TaskConfig, policy: Policy, numbers: Sequence[int], seed: int) ->
             track.infos.append({**episodes.info(index), "move": moves[k]})
         going = going[~(terminated | truncated)]
     return [
-        Rollout(number, _episode(track, policy.name(index), episode_seed(seed, number)), policy.effort(index))
+        Rollout(
+            number,
+            _episode(track, policy.name(index), episode_seed(seed, number)),
+            policy.effort(index),
+        )
         for index, (number, track) in enumerate(zip(numbers, tracks, strict=True))
     ]
 

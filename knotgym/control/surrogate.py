@@ -1,8 +1,9 @@
 """Sketches of manoeuvres: about where a rope would lie, without simulating it.
 
-The pulled bead goes straight to its waypoints and takes its neighbours along; from there on to both sides every vertex follows
-the one before it at its distance, as the links of a chain do in something thick. Inertia, contact and the drag in the joints are
-left out: of the codes that sketches show one in four is one that the simulated rope goes through. A sketch takes about a
+The pulled bead goes straight to its waypoints and takes its neighbours along; from there on to both
+sides every vertex follows the one before it at its distance, as the links of a chain do in
+something thick. Inertia, contact and the drag in the joints are left out: of the codes that
+sketches show one in four is one that the simulated rope goes through. A sketch takes about a
 seventh of a millisecond.
 """
 
@@ -20,7 +21,9 @@ _REACH = 2.0  # vertices away at which a neighbour is taken along by exp(-1/2)
 
 
 def sketched(points: Array, manoeuvre: Manoeuvre, pulls: int) -> Array:
-    """Configurations about after each pull of a manoeuvre, `pulls` at most: float64 (k, beads, 3), metres."""
+    """Configurations about after each pull of a manoeuvre, `pulls` at most: float64 (k, beads, 3),
+    metres.
+    """
     frames, count = _led(points, manoeuvre.bead, manoeuvre.waypoints, pulls)
     return frames[:count]
 
@@ -69,7 +72,9 @@ def _led(points: Array, bead: int, waypoints: Array, pulls: int) -> tuple[Array,
 
 @njit(cache=True)
 def _follow(now: Array, lead: int, after: int, length: float) -> None:
-    """Draw a vertex towards, or push it from, the one that leads it until it is as far away as it was."""
+    """Draw a vertex towards, or push it from, the one that leads it until it is as far away as it
+    was.
+    """
     far = 0.0
     for c in range(3):
         far += (now[after, c] - now[lead, c]) ** 2

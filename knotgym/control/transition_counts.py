@@ -1,11 +1,14 @@
-"""What manoeuvres do to Gauss codes: how often one leads from a code to another, and examples of how.
+"""What manoeuvres do to Gauss codes: how often one leads from a code to another, and examples of
+how.
 
-A manoeuvre sets out from one code and may show several others on its way; each counts. What one rope does, it shows at
-every start of its walk that is nearly a symmetry (`symmetry.rolls`) and, exactly, in its mirrors and walked the other way:
-so codes are counted by classes, `before` brought to the member that stands for its class and `after` along with it.
+A manoeuvre sets out from one code and may show several others on its way; each counts. What one
+rope does, it shows at every start of its walk that is nearly a symmetry (`symmetry.rolls`) and,
+exactly, in its mirrors and walked the other way: so codes are counted by classes, `before` brought
+to the member that stands for its class and `after` along with it.
 
-A *grip* names a manoeuvre by what it does in the diagram and not where: places along the rope are told by the arc between two
-visits that they lie in. Arc 0 runs from the base bead to the first visit, the last one back to the base bead.
+A *grip* names a manoeuvre by what it does in the diagram and not where: places along the rope are
+told by the arc between two visits that they lie in. Arc 0 runs from the base bead to the first
+visit, the last one back to the base bead.
 """
 
 from __future__ import annotations
@@ -56,9 +59,14 @@ class Grip(NamedTuple):
     target: float
 
     def spun(self, spin: _Spin, arcs: int) -> Grip:
-        """The same on a rope that was walked the other way, switched over and under, or reflected."""
+        """The same on a rope that was walked the other way, switched over and under, or
+        reflected.
+        """
         reverse, switch, _ = spin
-        bead, target = (arcs - self.bead if reverse else self.bead), (arcs - self.target if reverse and self.target >= 0 else self.target)
+        bead, target = (
+            (arcs - self.bead if reverse else self.bead),
+            (arcs - self.target if reverse and self.target >= 0 else self.target),
+        )
         return Grip(self.kind, -self.side if switch else self.side, bead, target)
 
 
@@ -82,7 +90,9 @@ class Transitions:
 
     def change(self, before: GaussCode, after: GaussCode, grip: Grip) -> None:
         """Count a code that a manoeuvre showed for the first time."""
-        spin = min(_spins(before, class_of(before)), key=lambda one: (_order(spun(after, one)), one))
+        spin = min(
+            _spins(before, class_of(before)), key=lambda one: (_order(spun(after, one)), one)
+        )
         key = class_of(before), spun(after, spin)
         self.seen[key] += 1
         kept = self.grips.setdefault(key, [])
@@ -99,13 +109,26 @@ class Transitions:
 
     def pruned(self, *, max_nx: int, least: int) -> Transitions:
         """Without codes of more than max_nx crossings and changes seen fewer than `least` times."""
-        keys = [key for key, count in self.seen.items() if count >= least and max(code.nx for code in key) <= max_nx]
+        keys = [
+            key
+            for key, count in self.seen.items()
+            if count >= least and max(code.nx for code in key) <= max_nx
+        ]
         tried = Counter({code: count for code, count in self.tried.items() if code.nx <= max_nx})
-        return Transitions(tried, Counter({key: self.seen[key] for key in keys}), {key: self.grips[key] for key in keys})
+        return Transitions(
+            tried,
+            Counter({key: self.seen[key] for key in keys}),
+            {key: self.grips[key] for key in keys},
+        )
 
     def write(self, group: h5py.Group) -> None:
         """Write into an HDF5 group."""
-        codes = {code: row for row, code in enumerate(dict.fromkeys([*self.tried, *(code for key in self.seen for code in key)]))}
+        codes = {
+            code: row
+            for row, code in enumerate(
+                dict.fromkeys([*self.tried, *(code for key in self.seen for code in key)])
+            )
+        }
         grips = [(row, grip) for row, key in enumerate(self.seen) for grip in self.grips[key]]
         squeezed = {"compression": "gzip", "compression_opts": 9, "shuffle": True}
         text = "\n".join(code.chiral for code in codes).encode()
@@ -118,7 +141,11 @@ class Transitions:
             "grip_of": np.array([row for row, _ in grips], dtype=np.int32),
             "grip_kind": np.array([KINDS.index(grip.kind) for _, grip in grips], dtype=np.int8),
             "grip_side": np.array([grip.side for _, grip in grips], dtype=np.int8),
-            "grip_places": np.array([(grip.bead, grip.target) for _, grip in grips], dtype=np.float16).reshape(-1, 2),
+            "grip_places": (
+                np.array([(grip.bead, grip.target) for _, grip in grips], dtype=np.float16).reshape(
+                    -1, 2
+                )
+            ),
         }
         for name, values in columns.items():
             group.create_dataset(name, data=values, **(squeezed if values.size else {}))
@@ -128,8 +155,17 @@ class Transitions:
         """Read what `write` wrote."""
         text = bytes(group["codes"][()]).decode()
         codes = [GaussCode.parse(line) for line in text.split("\n")] if len(group["tried"]) else []
-        tried = Counter({code: count for code, count in zip(codes, group["tried"][()].tolist(), strict=True) if count})
-        keys = [(codes[a], codes[b]) for a, b in zip(group["before"][()].tolist(), group["after"][()].tolist(), strict=True)]
+        tried = Counter(
+            {
+                code: count
+                for code, count in zip(codes, group["tried"][()].tolist(), strict=True)
+                if count
+            }
+        )
+        keys = [
+            (codes[a], codes[b])
+            for a, b in zip(group["before"][()].tolist(), group["after"][()].tolist(), strict=True)
+        ]
         grips: dict[tuple[GaussCode, GaussCode], list[Grip]] = {key: [] for key in keys}
         columns = (group[f"grip_{name}"][()].tolist() for name in ("of", "kind", "side", "places"))
         for row, kind, side, (bead, target) in zip(*columns, strict=True):
@@ -154,11 +190,18 @@ class Transitions:
             raise FileNotFoundError(f"no transitions at {path}")
         try:
             with h5py.File(path, "r") as file:
-                if (file.attrs.get("format"), file.attrs.get("format_version")) != (FORMAT, FORMAT_VERSION):
-                    raise InvalidTransitions(f"{path} holds no transitions of format {FORMAT!r} version {FORMAT_VERSION}")
+                if (file.attrs.get("format"), file.attrs.get("format_version")) != (
+                    FORMAT,
+                    FORMAT_VERSION,
+                ):
+                    raise InvalidTransitions(
+                        f"{path} holds no transitions of format {FORMAT!r} version {FORMAT_VERSION}"
+                    )
                 return cls.read(file)
         except (OSError, KeyError, RuntimeError, IndexError) as error:
-            raise InvalidTransitions(f"{path} holds no whole transitions: {' '.join(str(error).split())}") from error
+            raise InvalidTransitions(
+                f"{path} holds no whole transitions: {' '.join(str(error).split())}"
+            ) from error
 
 
 class Places:
@@ -173,17 +216,24 @@ class Places:
         """Arc and fraction of a bead's middle."""
         place = (bead + 0.5 - self._roll) % self._beads
         arc = min(int(np.searchsorted(self._cuts, place, side="right")) - 1, len(self._cuts) - 2)
-        return arc + min(0.999, float((place - self._cuts[arc]) / max(1e-9, self._cuts[arc + 1] - self._cuts[arc])))
+        return arc + min(
+            0.999,
+            float((place - self._cuts[arc]) / max(1e-9, self._cuts[arc + 1] - self._cuts[arc])),
+        )
 
     def bead(self, place: float) -> int:
         """The bead at an arc and fraction; the inverse of `arc`."""
         arc = min(max(int(place), 0), len(self._cuts) - 2)
-        along = self._cuts[arc] + min(max(place - arc, 0.0), 1.0) * (self._cuts[arc + 1] - self._cuts[arc])
+        along = self._cuts[arc] + min(max(place - arc, 0.0), 1.0) * (
+            self._cuts[arc + 1] - self._cuts[arc]
+        )
         return int(along + self._roll) % self._beads
 
 
 class Watch:
-    """Follows one rope through one manoeuvre after the other and counts what it shows, walked from each of `rolls`."""
+    """Follows one rope through one manoeuvre after the other and counts what it shows, walked from
+    each of `rolls`.
+    """
 
     def __init__(self, rolls: list[int], beads: int) -> None:
         self.transitions = Transitions()
@@ -195,7 +245,9 @@ class Watch:
     def set_out(self, crossings: Crossings, manoeuvre: Manoeuvre) -> None:
         """A manoeuvre begins on a rope that shows `crossings`."""
         self._before = [rolled(crossings, roll) for roll in self._rolls]
-        self._grips = [grip_of(manoeuvre, Places(crossings, self._beads, roll)) for roll in self._rolls]
+        self._grips = [
+            grip_of(manoeuvre, Places(crossings, self._beads, roll)) for roll in self._rolls
+        ]
         self._met = [{code} for code in self._before]
         for before in self._before:
             self.transitions.set_out(before)
@@ -216,7 +268,9 @@ def grip_of(manoeuvre: Manoeuvre, places: Places) -> Grip:
 
 
 def spun(code: GaussCode, spin: _Spin) -> GaussCode:
-    """A code with chirality as shown by the rope walked the other way, switched over and under, reflected; any spin undoes itself."""
+    """A code with chirality as shown by the rope walked the other way, switched over and under,
+    reflected; any spin undoes itself.
+    """
     reverse, switch, reflect = spin
     code = code.reversed() if reverse else code
     code = code.mirrored() if switch else code
@@ -230,7 +284,9 @@ def spins(code: GaussCode) -> Iterator[_Spin]:
 
 @lru_cache(maxsize=200_000)
 def _spins(code: GaussCode, wanted: GaussCode) -> tuple[_Spin, ...]:
-    return tuple((how.reverse, how.switch, how.reflect) for shown, how in variants(code) if shown == wanted)
+    return tuple(
+        (how.reverse, how.switch, how.reflect) for shown, how in variants(code) if shown == wanted
+    )
 
 
 def _order(code: GaussCode) -> tuple[tuple[int, ...], str]:

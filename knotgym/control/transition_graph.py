@@ -1,8 +1,8 @@
 """How far a code is from a goal, in manoeuvres: shortest ways over the counted changes of codes.
 
-A change that one manoeuvre in n makes costs n manoeuvres, and more where few were tried. The distances of all codes to a goal
-come from Dijkstra's algorithm, run backwards from the goal; a code that the counts don't reach is as far as the last one
-reached and farther by its crossings.
+A change that one manoeuvre in n makes costs n manoeuvres, and more where few were tried. The
+distances of all codes to a goal come from Dijkstra's algorithm, run backwards from the goal; a code
+that the counts don't reach is as far as the last one reached and farther by its crossings.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ from knotgym.topology.diagrams import chiralities
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import class_of
 
-DOUBT = 30.0  # failures added to those counted, so that a change seen in two of three manoeuvres isn't taken at its word
+# failures added to those counted, so that a change seen in two of three manoeuvres isn't taken at
+# its word
+DOUBT = 30.0
 STRANGE = 30.0  # manoeuvres that a crossing too many or too few costs where nothing is known
 
 
@@ -68,8 +70,12 @@ class Atlas:
 
     def __init__(self, transitions: Transitions) -> None:
         self._transitions = transitions
-        self._after: dict[GaussCode, list[tuple[GaussCode, float]]] = {}  # class -> changes out of it, with their chances
-        self._before: dict[GaussCode, list[tuple[GaussCode, GaussCode, float]]] = {}  # class shown -> changes that lead to it
+        self._after: dict[
+            GaussCode, list[tuple[GaussCode, float]]
+        ] = {}  # class -> changes out of it, with their chances
+        self._before: dict[
+            GaussCode, list[tuple[GaussCode, GaussCode, float]]
+        ] = {}  # class shown -> changes that lead to it
         for (before, after), seen in transitions.seen.items():
             chance = seen / (transitions.tried[before] + DOUBT)
             self._after.setdefault(before, []).append((after, chance))
@@ -78,20 +84,26 @@ class Atlas:
         self._backwards: dict[GaussCode, list[tuple[GaussCode, float]]] = {}
 
     def distances(self, goal: GaussCode) -> Distances:
-        """Distances of all codes to a goal, whose chirality is left open; kept, as they take about a third of a second."""
+        """Distances of all codes to a goal, whose chirality is left open; kept, as they take about
+        a third of a second.
+        """
         if goal.plain not in self._known:
             self._known[goal.plain] = self._search(goal.plain)
         return self._known[goal.plain]
 
     def steps(self, code: GaussCode, distances: Distances) -> list[Step]:
-        """Changes out of a code that lead nearer to the goal, with chances and grips for a rope that shows this very code."""
+        """Changes out of a code that lead nearer to the goal, with chances and grips for a rope
+        that shows this very code.
+        """
         out = []
         base, here, arcs = class_of(code), distances(code), 2 * code.nx + 1
         for spin in spins(code):
             for shown, chance in self._after.get(base, []):
                 after = spun(shown, spin)
                 if distances(after) < here - 1e-9:
-                    grips = tuple(grip.spun(spin, arcs) for grip in self._transitions.grips[base, shown])
+                    grips = tuple(
+                        grip.spun(spin, arcs) for grip in self._transitions.grips[base, shown]
+                    )
                     out.append(Step(after, chance, here - distances(after), grips))
         return out
 
@@ -99,7 +111,9 @@ class Atlas:
         goals = frozenset(GaussCode(goal.visits, letters) for letters in chiralities(goal))
         out = Distances(goal.nx, goals)
         ties = itertools.count()
-        queue: list[tuple[float, int, int, GaussCode]] = [(0.0, next(ties), 0, code) for code in sorted(goals, key=lambda one: one.chiral)]
+        queue: list[tuple[float, int, int, GaussCode]] = [
+            (0.0, next(ties), 0, code) for code in sorted(goals, key=lambda one: one.chiral)
+        ]
         while queue:
             far, _, hops, code = heapq.heappop(queue)
             if code in out.far:
@@ -127,7 +141,9 @@ class Atlas:
 def _between(one: GaussCode, other: GaussCode) -> tuple[tuple[bool, bool, bool], ...]:
     """The spins that take one code to another of its class."""
     each = (False, True)
-    return tuple((a, b, c) for a in each for b in each for c in each if spun(one, (a, b, c)) == other)
+    return tuple(
+        (a, b, c) for a in each for b in each for c in each if spun(one, (a, b, c)) == other
+    )
 
 
 @lru_cache(maxsize=4)

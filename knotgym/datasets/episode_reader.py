@@ -1,11 +1,16 @@
 """Reading episode files: whole episodes or single frames, in any process.
 
-    /                   attributes: format, format_version, task (JSON), rope, stored, versions (JSON), card (JSON, in datasets);
-                        index, int32 (n, 2): the k and T of each episode, in order of k (missing in files made before there was one)
-    /episode_{k}        attributes: id, number, total_steps, policy, goal_gauss_code, relabelled, hold, digest, seed, options/start, options/goal
+    /                   attributes: format, format_version, task (JSON), rope, stored, versions
+                        (JSON), card (JSON, in datasets);
+                        index, int32 (n, 2): the k and T of each episode, in order of k (missing in
+                               files made before there was one)
+    /episode_{k}        attributes: id, number, total_steps, policy, goal_gauss_code, relabelled,
+                        hold, digest, seed, options/start, options/goal
         actions rewards terminations truncations infos/*            what Minari reads
-        observations    pixels and state, one of them, or none      what Minari reads; redrawn from `rope/points`, they are the same bytes
-        rope/start_qpos rope/points rope/goal_points                float64: what everything else can be made from again
+        observations    pixels and state, one of them, or none      what Minari reads; redrawn from
+                        `rope/points`, they are the same bytes
+        rope/start_qpos rope/points rope/goal_points                float64: what everything else
+                                                                    can be made from again
 
 `stored` is "pixels", "state", "both" or, in the compact form, "none".
 """
@@ -46,7 +51,8 @@ class Chosen(NamedTuple):
 
 
 class EpisodeReader:
-    """Reads an episode file or a dataset, whole episodes or single frames; opens it once in each process, pickles without it.
+    """Reads an episode file or a dataset, whole episodes or single frames; opens it once in each
+    process, pickles without it.
 
     Attributes:
         path: of the HDF5 file.
@@ -57,10 +63,12 @@ class EpisodeReader:
     """
 
     def __init__(self, source: Any) -> None:
-        """Open a file, a dataset's folder or id, a `Chosen`, or a `minari.MinariDataset` (of whose episodes it keeps to the chosen ones).
+        """Open a file, a dataset's folder or id, a `Chosen`, or a `minari.MinariDataset` (of whose
+        episodes it keeps to the chosen ones).
 
         Raises:
-            InvalidEpisodeFile: not written by knotgym, truncated, or of a format this version doesn't know.
+            InvalidEpisodeFile: not written by knotgym, truncated, or of a format this version
+                doesn't know.
             FileNotFoundError: there is none.
         """
         self.path = episode_file(source)
@@ -68,10 +76,15 @@ class EpisodeReader:
         try:
             attributes = dict(self.file.attrs)
         except OSError as error:
-            raise InvalidEpisodeFile(f"{self.path} isn't a whole HDF5 file: {' '.join(str(error).split())}") from error
+            raise InvalidEpisodeFile(
+                f"{self.path} isn't a whole HDF5 file: {' '.join(str(error).split())}"
+            ) from error
         found = attributes.get("format", "none"), attributes.get("format_version", "none")
         if found != (FORMAT, FORMAT_VERSION):
-            raise InvalidEpisodeFile(f"{self.path} has format {found[0]!r} version {found[1]}; this one reads {FORMAT!r} version {FORMAT_VERSION}")
+            raise InvalidEpisodeFile(
+                f"{self.path} has format {found[0]!r} version {found[1]}; this one reads {FORMAT!r}"
+                f" version {FORMAT_VERSION}"
+            )
         self.task = TaskConfig(**json.loads(attributes["task"]))
         self.stored = str(attributes["stored"])
         self.rope = str(attributes["rope"])
@@ -81,8 +94,14 @@ class EpisodeReader:
         else:
             present = sorted(int(name.removeprefix("episode_")) for name in self.file)
             index = {row: int(self.file[f"episode_{row}"].attrs["total_steps"]) for row in present}
-        self.rows: list[int] = [int(row) for row in source.episode_indices] if hasattr(source, "episode_indices") else list(index)
-        self.lengths: NDArray[np.int64] = np.array([index[row] for row in self.rows], dtype=np.int64)
+        self.rows: list[int] = (
+            [int(row) for row in source.episode_indices]
+            if hasattr(source, "episode_indices")
+            else list(index)
+        )
+        self.lengths: NDArray[np.int64] = np.array(
+            [index[row] for row in self.rows], dtype=np.int64
+        )
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_opened": None}
@@ -123,22 +142,38 @@ class EpisodeReader:
         """
         try:
             group = self.group(index)
-            arrays = {name: _read(group[place(name)]) for name in (*_ROPE, *_STEPS, *INFOS) if name != "move" or place(name) in group}
+            arrays = {
+                name: _read(group[place(name)])
+                for name in (*_ROPE, *_STEPS, *INFOS)
+                if name != "move" or place(name) in group
+            }
             said = dict(group.attrs)
             return Episode(
                 **arrays,
                 goal_gauss_code=str(said["goal_gauss_code"]),
                 policy=str(said["policy"]),
                 seed=int(said["seed"]) if "seed" in said else None,
-                options={name.removeprefix("options/"): int(row) for name, row in said.items() if name.startswith("options/")},
+                options={
+                    name.removeprefix("options/"): int(row)
+                    for name, row in said.items()
+                    if name.startswith("options/")
+                },
                 relabelled=bool(said["relabelled"]),
                 hold=int(said["hold"]) if "hold" in said else None,
             )
         except (KeyError, OSError, RuntimeError, TypeError, InvalidEpisode) as error:
-            raise InvalidEpisodeFile(f"{self.path}, episode {self.rows[index]}: {' '.join(str(error).split())}") from error
+            raise InvalidEpisodeFile(
+                f"{self.path}, episode {self.rows[index]}: {' '.join(str(error).split())}"
+            ) from error
 
     def observations(
-        self, index: int, steps: slice = slice(None), *, goal_step: int | None = None, observation: str = "", picture: Any = None
+        self,
+        index: int,
+        steps: slice = slice(None),
+        *,
+        goal_step: int | None = None,
+        observation: str = "",
+        picture: Any = None,
     ) -> Any:
         """What the agent saw at some states of an episode.
 
@@ -147,20 +182,29 @@ class EpisodeReader:
             steps: which of its T + 1 states.
             goal_step: show this state of the episode as the goal instead.
             observation: "pixels", "state" or "both"; "" for the task's.
-            picture: a `knotgym.rendering.picture.PictureConfig` to draw with, instead of what the file holds.
+            picture: a `knotgym.rendering.picture.PictureConfig` to draw with, instead of what the
+                file holds.
 
         Returns:
-            uint8 (n, size, 2 size, 3), float32 (n, 6 beads), or a dict of both; drawn where the file holds none.
+            uint8 (n, size, 2 size, 3), float32 (n, 6 beads), or a dict of both; drawn where the
+            file holds none.
         """
         wanted = observation or self.task.observation
         if wanted not in STORED[:3]:
             raise InvalidEpisodeFile(f"observation must be pixels, state or both, got {wanted!r}")
         held = self.stored in (wanted, "both") and picture is None
-        return self._stored(index, steps, goal_step, wanted) if held else self._drawn(index, steps, goal_step, wanted, picture)
+        return (
+            self._stored(index, steps, goal_step, wanted)
+            if held
+            else self._drawn(index, steps, goal_step, wanted, picture)
+        )
 
     def _stored(self, index: int, steps: slice, goal_step: int | None, wanted: str) -> Any:
         found = self.group(index)["observations"]
-        seen = {name: (found[name] if self.stored == "both" else found)[steps] for name in (("pixels", "state") if wanted == "both" else (wanted,))}
+        seen = {
+            name: (found[name] if self.stored == "both" else found)[steps]
+            for name in (("pixels", "state") if wanted == "both" else (wanted,))
+        }
         if goal_step is not None:
             for name, array in seen.items():
                 goal = (found[name] if self.stored == "both" else found)[goal_step]
@@ -169,7 +213,9 @@ class EpisodeReader:
                 np.moveaxis(array, side, 0)[half:] = np.moveaxis(goal[None], side, 0)[:half]
         return seen if wanted == "both" else seen[wanted]
 
-    def _drawn(self, index: int, steps: slice, goal_step: int | None, wanted: str, picture: Any) -> Any:
+    def _drawn(
+        self, index: int, steps: slice, goal_step: int | None, wanted: str, picture: Any
+    ) -> Any:
         from knotgym.rendering.observations import observe, picture_config
 
         points = self.group(index)["rope/points"]
@@ -178,7 +224,9 @@ class EpisodeReader:
 
 
 def episode_file(source: Any) -> Path:
-    """The HDF5 file of a dataset: a file, a dataset's folder or the `data` in it, a `minari.MinariDataset`, or an id that Minari would find."""
+    """The HDF5 file of a dataset: a file, a dataset's folder or the `data` in it, a
+    `minari.MinariDataset`, or an id that Minari would find.
+    """
     if isinstance(source, Chosen):
         return episode_file(source.source)
     if hasattr(source, "storage"):
@@ -188,7 +236,9 @@ def episode_file(source: Any) -> Path:
         for inside in (path, path / "main_data.hdf5", path / "data" / "main_data.hdf5"):
             if inside.is_file():
                 return inside
-    raise FileNotFoundError(f"no episodes at {tried[0]}, nor a dataset of this id under {minari_root()}")
+    raise FileNotFoundError(
+        f"no episodes at {tried[0]}, nor a dataset of this id under {minari_root()}"
+    )
 
 
 def minari_root() -> Path:

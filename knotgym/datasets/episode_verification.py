@@ -1,4 +1,5 @@
-"""Whether episodes tell the truth: everything stored twice or computable is computed again and compared.
+"""Whether episodes tell the truth: everything stored twice or computable is computed again and
+compared.
 
 Points are compared bit for bit, as are rewards and observations; a code is asked of both labellers.
 """
@@ -47,17 +48,27 @@ def replay(episodes: Sequence[Episode], task: TaskConfig, threads: int = 1) -> l
         if step:
             simulation.act(np.array([episodes[i].actions[step - 1] for i in going]), going)
         for i in going:
-            if different[i] is None and not np.array_equal(simulation.points[i], episodes[i].points[step]):
+            if different[i] is None and not np.array_equal(
+                simulation.points[i], episodes[i].points[step]
+            ):
                 different[i] = step
     return different
 
 
-def verify_episodes(source: Any, *, frames: int | None = 4, pyknotid: bool = True, act_out: bool = False, threads: int = 1) -> list[str]:
+def verify_episodes(
+    source: Any,
+    *,
+    frames: int | None = 4,
+    pyknotid: bool = True,
+    act_out: bool = False,
+    threads: int = 1,
+) -> list[str]:
     """Check an episode file or a Minari dataset.
 
     Args:
         source: what `EpisodeReader` takes.
-        frames: stored observations redrawn in each episode, evenly spread from the first to the last; None for all.
+        frames: stored observations redrawn in each episode, evenly spread from the first to the
+            last; None for all.
         pyknotid: ask the independent labeller about each episode's last state, about 10 ms each.
         act_out: `replay` every episode without a fault.
         threads: of the simulation that does.
@@ -81,9 +92,16 @@ def verify_episodes(source: Any, *, frames: int | None = 4, pyknotid: bool = Tru
                 found.append("its contents don't have the digest they were written with")
             found += episode_faults(episode, reader.task, rope)
             found += _observation_faults(reader, index, episode, frames)
-            second = pyknotid_code(episode.points[-1]).chiral if pyknotid else episode.gauss_code_chiral[-1]
+            second = (
+                pyknotid_code(episode.points[-1]).chiral
+                if pyknotid
+                else episode.gauss_code_chiral[-1]
+            )
             if second != episode.gauss_code_chiral[-1]:
-                found.append(f"step {len(episode)}: pyknotid reads {second!r}, the file says {str(episode.gauss_code_chiral[-1])!r}")
+                found.append(
+                    f"step {len(episode)}: pyknotid reads {second!r}, the file says"
+                    f" {str(episode.gauss_code_chiral[-1])!r}"
+                )
         except (InvalidEpisodeFile, OSError, KeyError, ValueError) as error:
             found.append(" ".join(str(error).split()).removeprefix(f"{where}: "))
         faults += [f"{where}: {fault}" for fault in found]
@@ -91,17 +109,30 @@ def verify_episodes(source: Any, *, frames: int | None = 4, pyknotid: bool = Tru
             right.append(index)
     for start in range(0, len(right) if act_out else 0, _BATCH):
         batch = right[start : start + _BATCH]
-        for index, step in zip(batch, replay([reader.episode(index) for index in batch], reader.task, threads), strict=True):
+        for index, step in zip(
+            batch,
+            replay([reader.episode(index) for index in batch], reader.task, threads),
+            strict=True,
+        ):
             if step is not None:
-                faults.append(f"{reader.path}, episode {reader.rows[index]}: step {step}: acted out again, the rope lies elsewhere")
+                faults.append(
+                    f"{reader.path}, episode {reader.rows[index]}: step {step}: acted out again,"
+                    " the rope lies elsewhere"
+                )
     reader.close()
     return faults
 
 
 def episode_faults(episode: Episode, task: TaskConfig, rope: Rope) -> list[str]:
-    """What is wrong in an episode of a task: numbers, labels, rewards and ends, each fault with its step."""
+    """What is wrong in an episode of a task: numbers, labels, rewards and ends, each fault with its
+    step.
+    """
     numbers = {name: array for name, array in episode.arrays().items() if array.dtype.kind == "f"}
-    faults = [f"{name} holds a number that isn't finite" for name, array in numbers.items() if not np.isfinite(array).all()]
+    faults = [
+        f"{name} holds a number that isn't finite"
+        for name, array in numbers.items()
+        if not np.isfinite(array).all()
+    ]
     if faults:
         return faults
     codes = label_many(episode.points)
@@ -116,18 +147,30 @@ def episode_faults(episode: Episode, task: TaskConfig, rope: Rope) -> list[str]:
         stored = getattr(episode, name)
         wrong = np.flatnonzero((stored != right).reshape(len(right), -1).any(axis=1))
         if len(wrong):
-            faults.append(f"step {wrong[0]}: {name} is {stored[wrong[0]].tolist()!r}, should be {right[wrong[0]].tolist()!r} ({len(wrong)} such)")
+            faults.append(
+                f"step {wrong[0]}: {name} is {stored[wrong[0]].tolist()!r}, should be"
+                f" {right[wrong[0]].tolist()!r} ({len(wrong)} such)"
+            )
     if np.abs(episode.actions).max() > 1:
         faults.append("an action lies outside [-1, 1]")
     if str(label(episode.goal_points)) != episode.goal_gauss_code:
-        faults.append(f"the goal shows {str(label(episode.goal_points))!r}, goal_gauss_code says {episode.goal_gauss_code!r}")
+        faults.append(
+            f"the goal shows {str(label(episode.goal_points))!r}, goal_gauss_code says"
+            f" {episode.goal_gauss_code!r}"
+        )
     if not np.array_equal(rope.points(episode.start_qpos), episode.points[0]):
         faults.append("step 0: the rope doesn't lie where start_qpos lays it")
     if episode.relabelled and not np.array_equal(episode.goal_points, episode.points[-1]):
         faults.append("relabelled, but its goal isn't its last state")
     ended = episode.terminations | episode.truncations
-    if np.flatnonzero(ended).tolist() != [len(episode) - 1] or (episode.terminations & episode.truncations).any():
-        faults.append(f"ends at step {np.flatnonzero(ended).tolist()}, should end once, at step {len(episode) - 1}, either terminated or truncated")
+    if (
+        np.flatnonzero(ended).tolist() != [len(episode) - 1]
+        or (episode.terminations & episode.truncations).any()
+    ):
+        faults.append(
+            f"ends at step {np.flatnonzero(ended).tolist()}, should end once, at step"
+            f" {len(episode) - 1}, either terminated or truncated"
+        )
     return faults
 
 
@@ -167,22 +210,40 @@ def show_episodes(source: Any) -> dict[str, Any]:
 def _file_faults(reader: EpisodeReader, rope: Rope) -> list[str]:
     faults = []
     if reader.rope != rope.config.fingerprint:
-        faults.append(f"{reader.path}: made with rope model {reader.rope}, this version has {rope.config.fingerprint}")
-    there = {int(name.removeprefix("episode_")): int(group.attrs["total_steps"]) for name, group in reader.file.items()}
-    if "index" in reader.file.attrs and {int(row): int(steps) for row, steps in reader.file.attrs["index"]} != there:
+        faults.append(
+            f"{reader.path}: made with rope model {reader.rope}, this version has"
+            f" {rope.config.fingerprint}"
+        )
+    there = {
+        int(name.removeprefix("episode_")): int(group.attrs["total_steps"])
+        for name, group in reader.file.items()
+    }
+    if (
+        "index" in reader.file.attrs
+        and {int(row): int(steps) for row, steps in reader.file.attrs["index"]} != there
+    ):
         faults.append(f"{reader.path}: its index isn't that of its episodes")
     if sorted(reader.rows) != list(range(len(reader.file))):
-        faults.append(f"{reader.path}: episodes aren't numbered from 0 to {len(reader.file) - 1}, as Minari counts them")
+        faults.append(
+            f"{reader.path}: episodes aren't numbered from 0 to {len(reader.file) - 1}, as Minari"
+            " counts them"
+        )
     beside = reader.path.with_name("metadata.json")
     if beside.is_file():
         entries = json.loads(beside.read_text(encoding="utf-8"))
-        for name, right in {"total_episodes": len(reader), "total_steps": int(reader.lengths.sum()), "jpeg_encoding": False}.items():
+        for name, right in {
+            "total_episodes": len(reader),
+            "total_steps": int(reader.lengths.sum()),
+            "jpeg_encoding": False,
+        }.items():
             if entries.get(name) != right:
                 faults.append(f"{beside}: {name} is {entries.get(name)}, should be {right}")
     return faults
 
 
-def _observation_faults(reader: EpisodeReader, index: int, episode: Episode, frames: int | None) -> list[str]:
+def _observation_faults(
+    reader: EpisodeReader, index: int, episode: Episode, frames: int | None
+) -> list[str]:
     """Compare stored observations with what the environment shows of the same points."""
     if reader.stored == "none":
         return []
@@ -191,27 +252,51 @@ def _observation_faults(reader: EpisodeReader, index: int, episode: Episode, fra
     count = len(episode) + 1
     found = reader.group(index)["observations"]
     faults = []
-    for name, data in {"pixels": found["pixels"], "state": found["state"]}.items() if reader.stored == "both" else [(reader.stored, found)]:
+    for name, data in (
+        {"pixels": found["pixels"], "state": found["state"]}.items()
+        if reader.stored == "both"
+        else [(reader.stored, found)]
+    ):
         if len(data) != count:
             faults.append(f"{len(data)} observations ({name}), should be {count}")
             continue
-        steps = np.arange(count) if frames is None else np.unique(np.linspace(0, count - 1, min(frames, count)).astype(int))
-        right = observe(episode.points[steps], episode.goal_points, name, picture_config(reader.task))
-        wrong = [int(step) for step, one in zip(steps, right, strict=True) if not np.array_equal(data[step], one)]
+        steps = (
+            np.arange(count)
+            if frames is None
+            else np.unique(np.linspace(0, count - 1, min(frames, count)).astype(int))
+        )
+        right = observe(
+            episode.points[steps], episode.goal_points, name, picture_config(reader.task)
+        )
+        wrong = [
+            int(step)
+            for step, one in zip(steps, right, strict=True)
+            if not np.array_equal(data[step], one)
+        ]
         if wrong:
-            faults.append(f"step {wrong[0]}: the stored {name} isn't what the environment shows ({len(wrong)} of {len(steps)} looked at)")
+            faults.append(
+                f"step {wrong[0]}: the stored {name} isn't what the environment shows ({len(wrong)}"
+                f" of {len(steps)} looked at)"
+            )
     return faults
 
 
 def _pulled(episode: Episode, rope: Rope) -> dict[str, NDArray[Any]]:
     """The beads and forces that the actions stand for."""
-    apart = episode.points[:-1] - rope.config.reach * episode.actions[:, None, :3].astype(np.float64)
+    apart = episode.points[:-1] - rope.config.reach * episode.actions[:, None, :3].astype(
+        np.float64
+    )
     bead = np.argmin((apart**2).sum(axis=2), axis=1)
     force = rope.config.max_force * episode.actions[:, 3:].astype(np.float64)
-    return {"bead": np.concatenate([[-1], bead]), "force": np.concatenate([np.zeros((1, 3)), force])}
+    return {
+        "bead": np.concatenate([[-1], bead]),
+        "force": np.concatenate([np.zeros((1, 3)), force]),
+    }
 
 
-def _outcome(episode: Episode, codes: Sequence[GaussCode], task: TaskConfig) -> dict[str, NDArray[Any]]:
+def _outcome(
+    episode: Episode, codes: Sequence[GaussCode], task: TaskConfig
+) -> dict[str, NDArray[Any]]:
     """What the environment pays and says for these codes, up to the step the episode ends at."""
     goal = GaussCode.parse(episode.goal_gauss_code)
     held, hold = 0, episode.hold or task.hold
@@ -221,8 +306,15 @@ def _outcome(episode: Episode, codes: Sequence[GaussCode], task: TaskConfig) -> 
         success[step] = held >= hold and not failed[step]
     late = np.arange(1, len(codes)) >= task.horizon
     truncations = failed[1:] | (late & ~success[1:])
-    rewards = np.where(success[1:], task.success_reward, np.where(late & ~failed[1:], task.failure_reward, 0.0))
-    return {"is_success": success, "terminations": success[1:], "truncations": truncations, "rewards": rewards}
+    rewards = np.where(
+        success[1:], task.success_reward, np.where(late & ~failed[1:], task.failure_reward, 0.0)
+    )
+    return {
+        "is_success": success,
+        "terminations": success[1:],
+        "truncations": truncations,
+        "rewards": rewards,
+    }
 
 
 def _spread(values: NDArray[Any]) -> dict[str, float] | None:

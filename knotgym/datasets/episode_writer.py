@@ -1,7 +1,9 @@
-"""Writing episode files, one episode at a time, and merging them; the layout is in `episode_reader`.
+"""Writing episode files, one episode at a time, and merging them; the layout is in
+`episode_reader`.
 
-A picture is stored in strips, a few rows of eight frames at a time, so that gzip finds the goal that stands still: its fastest level then
-makes files as small as a slower one does of a frame a chunk, and a frame still reads in under 1 ms.
+A picture is stored in strips, a few rows of eight frames at a time, so that gzip finds the goal
+that stands still: its fastest level then makes files as small as a slower one does of a frame a
+chunk, and a frame still reads in under 1 ms.
 """
 
 from __future__ import annotations
@@ -24,12 +26,21 @@ from numpy.typing import NDArray
 
 import knotgym
 from knotgym.atomic_files import new_hdf5, whole
-from knotgym.datasets.episode_reader import FORMAT, FORMAT_VERSION, STORED, EpisodeReader, InvalidEpisodeFile, place
+from knotgym.datasets.episode_reader import (
+    FORMAT,
+    FORMAT_VERSION,
+    STORED,
+    EpisodeReader,
+    InvalidEpisodeFile,
+    place,
+)
 from knotgym.datasets.trajectory import Episode
 from knotgym.tasks import TaskConfig
 
 _STRIP_FRAMES = 8
-_STRIP_BYTES = 12288  # of one frame; the same rows of the frame before then lie inside gzip's window of 32 kB
+_STRIP_BYTES = (
+    12288  # of one frame; the same rows of the frame before then lie inside gzip's window of 32 kB
+)
 _GZIP = 1  # level
 _LONG = 64  # steps in a chunk of anything but pictures
 _INTERMEDIATE = h5py.h5p.create(h5py.h5p.LINK_CREATE)
@@ -38,9 +49,13 @@ _SMALL = 4096  # bytes under which a chunk costs more than it saves
 
 
 class EpisodeWriter:
-    """Writes episodes one by one, each out of memory when the next comes; the file takes its name when the `with` block ends well."""
+    """Writes episodes one by one, each out of memory when the next comes; the file takes its name
+    when the `with` block ends well.
+    """
 
-    def __init__(self, path: str | os.PathLike[str], task: TaskConfig, *, compact: bool = False) -> None:
+    def __init__(
+        self, path: str | os.PathLike[str], task: TaskConfig, *, compact: bool = False
+    ) -> None:
         """Prepare a file of episodes of one task.
 
         Args:
@@ -57,11 +72,18 @@ class EpisodeWriter:
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
-            self._file = stack.enter_context(_created(stack.enter_context(whole(self.path)), _attributes(self.task, self.stored)))
+            self._file = stack.enter_context(
+                _created(stack.enter_context(whole(self.path)), _attributes(self.task, self.stored))
+            )
             self._stack = stack.pop_all()
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         with self._stack:
             if error is not None:
                 raise error
@@ -72,13 +94,20 @@ class EpisodeWriter:
 
         Args:
             episode: of the writer's task.
-            number: its place among the episodes of all the files to be merged; by default one more than the last one's.
+            number: its place among the episodes of all the files to be merged; by default one more
+                than the last one's.
         """
         number = self._next if number is None else number
         self._next = number + 1
         self._index.append((number, len(episode)))
         group = self._file.create_group(f"episode_{number}")
-        written = {"id": number, "number": number, "total_steps": len(episode), "digest": episode.digest(), **episode.labels()}
+        written = {
+            "id": number,
+            "number": number,
+            "total_steps": len(episode),
+            "digest": episode.digest(),
+            **episode.labels(),
+        }
         options = {f"options/{name}": row for name, row in written.pop("options").items()}
         for name, value in {**written, **options}.items():
             if value is not None:
@@ -96,15 +125,18 @@ def merge(
     concatenate: bool = False,
     attributes: Mapping[str, str] | None = None,
 ) -> None:
-    """Put the episodes of several files into one, numbered from 0; what stays the same is copied, not encoded again.
+    """Put the episodes of several files into one, numbered from 0; what stays the same is copied,
+    not encoded again.
 
     The same episodes give the same bytes, whatever files they came in.
 
     Args:
         sources: what `EpisodeReader` takes; of one task and rope.
         target: the file, replaced if there is one.
-        store: observations in the target, "pixels", "state", "both" or "none"; those that differ from the source's are drawn. None keeps them.
-        concatenate: the sources one after another; else, as for the shards of one run, by the episodes' numbers.
+        store: observations in the target, "pixels", "state", "both" or "none"; those that differ
+            from the source's are drawn. None keeps them.
+        concatenate: the sources one after another; else, as for the shards of one run, by the
+            episodes' numbers.
         attributes: of the target, beside its own.
 
     Raises:
@@ -120,25 +152,45 @@ def merge(
         for name in ("task", "rope", "stored"):
             if getattr(other, name) != getattr(first, name):
                 raise InvalidEpisodeFile(
-                    f"files of one {name} can be merged; {first.path} has {getattr(first, name)}, {other.path} has {getattr(other, name)}"
+                    f"files of one {name} can be merged; {first.path} has {getattr(first, name)},"
+                    f" {other.path} has {getattr(other, name)}"
                 )
-    order = [(0 if concatenate else int(reader.group(i).attrs["number"]), reader, i) for reader in readers for i in range(len(reader))]
+    order = [
+        (0 if concatenate else int(reader.group(i).attrs["number"]), reader, i)
+        for reader in readers
+        for i in range(len(reader))
+    ]
     order.sort(key=lambda one: one[0])
     numbers = [number for number, _, _ in order]
     if not concatenate and len(set(numbers)) < len(numbers):
         twice = next(number for number in numbers if numbers.count(number) > 1)
-        raise InvalidEpisodeFile(f"two episodes have number {twice}: shards of one run have none twice; other datasets are merged with concatenate")
+        raise InvalidEpisodeFile(
+            f"two episodes have number {twice}: shards of one run have none twice; other datasets"
+            " are merged with concatenate"
+        )
     store = store or first.stored
     task = replace(first.task, observation=store) if store != "none" else first.task
-    versions = {name: ", ".join(sorted({reader.versions[name] for reader in readers})) for name in first.versions}
-    said = {**(attributes or {}), **_attributes(task, store), "rope": first.rope, "versions": json.dumps(versions)}
+    versions = {
+        name: ", ".join(sorted({reader.versions[name] for reader in readers}))
+        for name in first.versions
+    }
+    said = {
+        **(attributes or {}),
+        **_attributes(task, store),
+        "rope": first.rope,
+        "versions": json.dumps(versions),
+    }
     with whole(target) as part, _created(part, said) as file:
         for number, (_, reader, i) in enumerate(order):
             source, group = reader.group(i), file.create_group(f"episode_{number}")
             _copy(source, group, number, keep=store == first.stored)
             if store != first.stored:
-                _observe(group, task, store, source["rope/points"][()], source["rope/goal_points"][()])
-        _write_index(file, [(number, int(reader.lengths[i])) for number, (_, reader, i) in enumerate(order)])
+                _observe(
+                    group, task, store, source["rope/points"][()], source["rope/goal_points"][()]
+                )
+        _write_index(
+            file, [(number, int(reader.lengths[i])) for number, (_, reader, i) in enumerate(order)]
+        )
     for reader in readers:
         reader.close()
 
@@ -161,7 +213,9 @@ def _mujoco() -> str:
 
 
 def _write_index(file: h5py.File, index: list[tuple[int, int]]) -> None:
-    """Say which episodes there are and how long each is, so that a file of many opens without looking into every one."""
+    """Say which episodes there are and how long each is, so that a file of many opens without
+    looking into every one.
+    """
     file.attrs["index"] = np.array(sorted(index), dtype=np.int32).reshape(-1, 2)
 
 
@@ -172,21 +226,33 @@ def _created(path: Path, attributes: dict[str, Any]) -> Iterator[h5py.File]:
         yield file
 
 
-def _observe(group: h5py.Group, task: TaskConfig, stored: str, points: NDArray[np.float64], goal_points: NDArray[np.float64]) -> None:
+def _observe(
+    group: h5py.Group,
+    task: TaskConfig,
+    stored: str,
+    points: NDArray[np.float64],
+    goal_points: NDArray[np.float64],
+) -> None:
     """Draw the observations of an episode and write them."""
     if stored == "none":
         return
     from knotgym.rendering.observations import observe, picture_config
 
     seen = observe(points, goal_points, stored, picture_config(task))
-    for name, array in {f"observations/{kind}": seen[kind] for kind in seen}.items() if stored == "both" else [("observations", seen)]:
+    for name, array in (
+        {f"observations/{kind}": seen[kind] for kind in seen}.items()
+        if stored == "both"
+        else [("observations", seen)]
+    ):
         _write(group, name, array)
 
 
 def _write(group: h5py.Group, name: str, array: NDArray[Any]) -> None:
     if array.dtype.kind == "U":
         encoded = np.char.encode(array, "utf-8")
-        group.create_dataset(name, data=encoded.astype(h5py.string_dtype("utf-8", max(1, encoded.dtype.itemsize))))
+        group.create_dataset(
+            name, data=encoded.astype(h5py.string_dtype("utf-8", max(1, encoded.dtype.itemsize)))
+        )
     elif array.nbytes < _SMALL:
         group.create_dataset(name, data=array)
     else:
@@ -194,7 +260,14 @@ def _write(group: h5py.Group, name: str, array: NDArray[Any]) -> None:
         if array.dtype == np.uint8:
             rows = max(1, min(array.shape[1], _STRIP_BYTES // array[0, 0].nbytes))
             chunks = (min(len(array), _STRIP_FRAMES), rows, *array.shape[2:])
-        group.create_dataset(name, data=array, chunks=chunks, compression="gzip", compression_opts=_GZIP, shuffle=True)
+        group.create_dataset(
+            name,
+            data=array,
+            chunks=chunks,
+            compression="gzip",
+            compression_opts=_GZIP,
+            shuffle=True,
+        )
 
 
 def _copy(source: h5py.Group, target: h5py.Group, number: int, keep: bool) -> None:
@@ -207,13 +280,19 @@ def _copy(source: h5py.Group, target: h5py.Group, number: int, keep: bool) -> No
 
 
 def _copy_dataset(source: h5py.Dataset, target: h5py.Group, name: str) -> None:
-    """Copy an array, compressed chunks as they are; HDF5's own copy would leave bytes that depend on what else is in the source."""
+    """Copy an array, compressed chunks as they are; HDF5's own copy would leave bytes that depend
+    on what else is in the source.
+    """
     like = source.id.get_create_plist()
-    copied = h5py.h5d.create(target.id, name.encode(), source.id.get_type(), source.id.get_space(), like, _INTERMEDIATE)
+    copied = h5py.h5d.create(
+        target.id, name.encode(), source.id.get_type(), source.id.get_space(), like, _INTERMEDIATE
+    )
     if source.chunks is None:
         h5py.Dataset(copied)[()] = source[()]
         return
-    for start in product(*(range(0, size, chunk) for size, chunk in zip(source.shape, source.chunks, strict=True))):
+    for start in product(
+        *(range(0, size, chunk) for size, chunk in zip(source.shape, source.chunks, strict=True))
+    ):
         mask, stored = source.id.read_direct_chunk(start)
         copied.write_direct_chunk(start, stored, mask)
 
@@ -221,5 +300,7 @@ def _copy_dataset(source: h5py.Dataset, target: h5py.Group, name: str) -> None:
 def _members(group: h5py.Group) -> list[str]:
     """The paths of all the arrays of an episode, the observations last, as when they are drawn."""
     found: list[str] = []
-    group.visititems(lambda name, item: found.append(name) if isinstance(item, h5py.Dataset) else None)
+    group.visititems(
+        lambda name, item: found.append(name) if isinstance(item, h5py.Dataset) else None
+    )
     return sorted(found, key=lambda name: (name.startswith("observations"), name))

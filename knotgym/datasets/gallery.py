@@ -17,7 +17,10 @@ _GREY, _WHITE = (40, 40, 40), (225, 225, 225)
 
 
 def contact_sheet(
-    images: NDArray[np.uint8], captions: Sequence[Sequence[str]], colours: Sequence[tuple[int, int, int]] | None = None, columns: int = 8
+    images: NDArray[np.uint8],
+    captions: Sequence[Sequence[str]],
+    colours: Sequence[tuple[int, int, int]] | None = None,
+    columns: int = 8,
 ) -> NDArray[np.uint8]:
     """Lay pictures out in rows.
 
@@ -39,7 +42,10 @@ def contact_sheet(
         sheet[top : top + size, left : left + size] = image
         colour = colours[k] if colours else _WHITE
         for number, line in enumerate(lines[:2]):
-            scale = min(0.4, 0.4 * size / max(1, cv2.getTextSize(line, cv2.FONT_HERSHEY_SIMPLEX, 0.4, 1)[0][0]))
+            scale = min(
+                0.4,
+                0.4 * size / max(1, cv2.getTextSize(line, cv2.FONT_HERSHEY_SIMPLEX, 0.4, 1)[0][0]),
+            )
             at = (left, top + size + 13 + 14 * number)
             cv2.putText(sheet, line, at, cv2.FONT_HERSHEY_SIMPLEX, scale, colour, 1, cv2.LINE_AA)
     return sheet
@@ -49,9 +55,17 @@ def write_gallery(path: str | os.PathLike[str], states: States, columns: int = 8
     """Write a contact sheet of every state, by crossings and code, train before test, as PNG."""
     if states.image is None:
         raise ValueError("a gallery needs states read with their images")
-    order = sorted(range(len(states)), key=lambda i: (states.nx[i], states.gauss_code[i], states.split[i] != "train"))
-    captions = [(states.gauss_code_chiral[i] or "loop", f"nx {states.nx[i]}  {states.split[i]}  row {i}") for i in order]
-    write_png(path, contact_sheet(states.image[order], captions, columns=min(columns, max(1, len(order)))))
+    order = sorted(
+        range(len(states)),
+        key=lambda i: (states.nx[i], states.gauss_code[i], states.split[i] != "train"),
+    )
+    captions = [
+        (states.gauss_code_chiral[i] or "loop", f"nx {states.nx[i]}  {states.split[i]}  row {i}")
+        for i in order
+    ]
+    write_png(
+        path, contact_sheet(states.image[order], captions, columns=min(columns, max(1, len(order))))
+    )
 
 
 def write_png(path: str | os.PathLike[str], image: NDArray[np.uint8]) -> None:

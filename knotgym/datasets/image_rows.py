@@ -1,4 +1,6 @@
-"""A shard of a perception table: chosen configurations measured, drawn and written; the same bytes whoever does it."""
+"""A shard of a perception table: chosen configurations measured, drawn and written; the same bytes
+whoever does it.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,8 @@ class Row:
     Attributes:
         points: float64 (beads, 3), metres.
         code: that it must show, with chirality.
-        source: as in datasets.images.COLUMNS; `seed` and `row` decide its appearance and its noise draws.
+        source: as in datasets.images.COLUMNS; `seed` and `row` decide its appearance and its noise
+            draws.
     """
 
     points: Array
@@ -46,7 +49,9 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class Shard:
-    """A file to be written, and a file for its checksum, by which a later sitting knows that it is whole."""
+    """A file to be written, and a file for its checksum, by which a later sitting knows that it is
+    whole.
+    """
 
     path: Path
     seal: Path
@@ -60,7 +65,11 @@ def write_shard(shard: Shard) -> Path:
     Raises:
         Untrue: one of the two labellers reads another code than the row's.
     """
-    if not (shard.path.is_file() and shard.seal.is_file() and shard.seal.read_bytes() == sha256(shard.path).encode()):
+    if not (
+        shard.path.is_file()
+        and shard.seal.is_file()
+        and shard.seal.read_bytes() == sha256(shard.path).encode()
+    ):
         write_rows(shard.path, [record(row, shard.appearance) for row in shard.rows])
         with whole(shard.seal) as part:
             part.write_text(sha256(shard.path))
@@ -71,9 +80,19 @@ def record(row: Row, config: AppearanceConfig) -> dict[str, Any]:
     """Every column of a row by name, `image` as PNG bytes."""
     found, second = find_crossings(row.points), pyknotid_code(row.points)
     if not found.code == second == row.code:
-        raise Untrue(f"row {row.source['row']} should show {row.code.chiral}; ours reads {found.code.chiral}, pyknotid {second.chiral}")
-    look = appearance(row.points, config, np.random.default_rng([row.source["seed"], 8, row.source["row"]]))
-    return {**labels(row.points, found, look), **measures(row.points, found, row.source), **picture(row.points, look), "split": row.split}
+        raise Untrue(
+            f"row {row.source['row']} should show {row.code.chiral}; ours reads"
+            f" {found.code.chiral}, pyknotid {second.chiral}"
+        )
+    look = appearance(
+        row.points, config, np.random.default_rng([row.source["seed"], 8, row.source["row"]])
+    )
+    return {
+        **labels(row.points, found, look),
+        **measures(row.points, found, row.source),
+        **picture(row.points, look),
+        "split": row.split,
+    }
 
 
 def labels(points: Array, found: Crossings, look: Appearance) -> dict[str, Any]:
@@ -88,24 +107,38 @@ def labels(points: Array, found: Crossings, look: Appearance) -> dict[str, Any]:
         "points": points.ravel().tolist(),
         "crossings": [
             {"x": x, "y": y, "over_place": over, "under_place": under, "sign": sign}
-            for x, y, over, under, sign in zip(*(column.tolist() for column in columns), strict=True)
+            for x, y, over, under, sign in zip(
+                *(column.tolist() for column in columns), strict=True
+            )
         ],
     }
 
 
 def measures(points: Array, found: Crossings, source: dict[str, Any]) -> dict[str, Any]:
-    """The columns that say how well it can be read, in the published picture, and where it is from."""
-    survival = noise_survival(points, NOISE, np.random.default_rng([source["seed"], 7, source["row"]]))
+    """The columns that say how well it can be read, in the published picture, and where it is
+    from.
+    """
+    survival = noise_survival(
+        points, NOISE, np.random.default_rng([source["seed"], 7, source["row"]])
+    )
     limits = Limits()
     quality = measure(points, found)
     values = {**asdict(quality), "noise_survival": survival}
     accepted = not limits.faults(quality, found.nx) and survival >= limits.noise_survival
-    return {"accepted": accepted, "grade": grade(quality, limits), "quality": values, "source": source}
+    return {
+        "accepted": accepted,
+        "grade": grade(quality, limits),
+        "quality": values,
+        "source": source,
+    }
 
 
 def picture(points: Array, look: Appearance) -> dict[str, Any]:
     """The picture and how it was drawn."""
-    return {"image": encode(render(points, look)), "appearance": {**asdict(look), **{name: list(getattr(look, name)) for name in _RGB}}}
+    return {
+        "image": encode(render(points, look)),
+        "appearance": {**asdict(look), **{name: list(getattr(look, name)) for name in _RGB}},
+    }
 
 
 _RGB = ("first", "last", "background")

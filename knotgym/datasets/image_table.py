@@ -1,8 +1,10 @@
-"""Perception tables: pictures of ropes with everything that is known about them, one row a picture, as Parquet shards.
+"""Perception tables: pictures of ropes with everything that is known about them, one row a picture,
+as Parquet shards.
 
-A folder holds `data/SPLIT-00000-of-00012.parquet` (`test-code` is spelt `test_code` there, for Hugging Face's sake), the walks
-that led to the configurations (`walks.h5`), a card and a manifest. Pixel coordinates are `knotgym.rendering.picture`'s: continuous, x to
-the right and y down. Pictures are PNG, lossless, in the layout of Hugging Face's Image feature. pyarrow is imported when needed.
+A folder holds `data/SPLIT-00000-of-00012.parquet` (`test-code` is spelt `test_code` there, for
+Hugging Face's sake), the walks that led to the configurations (`walks.h5`), a card and a manifest.
+Pixel coordinates are `knotgym.rendering.picture`'s: continuous, x to the right and y down. Pictures
+are PNG, lossless, in the layout of Hugging Face's Image feature. pyarrow is imported when needed.
 """
 
 from __future__ import annotations
@@ -42,7 +44,8 @@ _QUALITY = (
     "noise_survival",
 )
 
-# A column's type: the name of a value's type, {name: type} for a struct, [type, length or None] for a list. Both schemas,
+# A column's type: the name of a value's type, {name: type} for a struct, [type, length or None] for
+# a list. Both schemas,
 # pyarrow's and Hugging Face's, are made from this one.
 COLUMNS: dict[str, Any] = {
     "image": "image",
@@ -51,7 +54,16 @@ COLUMNS: dict[str, Any] = {
     "nx": "int64",
     "knot": "string",
     "points": ["float64", 300],
-    "crossings": [{"x": "float64", "y": "float64", "over_place": "float64", "under_place": "float64", "sign": "int8"}, None],
+    "crossings": [
+        {
+            "x": "float64",
+            "y": "float64",
+            "over_place": "float64",
+            "under_place": "float64",
+            "sign": "int8",
+        },
+        None,
+    ],
     "split": "string",
     "accepted": "bool",
     "grade": "string",
@@ -92,7 +104,10 @@ class MissingArrow(KnotgymError, ImportError):
     """Parquet was asked for and pyarrow isn't installed."""
 
     def __init__(self) -> None:
-        super().__init__("perception tables need pyarrow, which isn't installed; install it: pip install 'knotgym[huggingface]'")
+        super().__init__(
+            "perception tables need pyarrow, which isn't installed; install it: pip install"
+            " 'knotgym[huggingface]'"
+        )
 
 
 def arrow(module: str = "pyarrow") -> Any:
@@ -115,11 +130,14 @@ def schema() -> Any:
         "huggingface": json.dumps({"info": {"features": features}}, sort_keys=True),
         "knotgym": json.dumps({"format": FORMAT, "format_version": FORMAT_VERSION}, sort_keys=True),
     }
-    return pa.schema([(name, _arrow_type(pa, kind)) for name, kind in COLUMNS.items()], metadata=metadata)
+    return pa.schema(
+        [(name, _arrow_type(pa, kind)) for name, kind in COLUMNS.items()], metadata=metadata
+    )
 
 
 def write_rows(path: str | os.PathLike[str], rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write a shard; it appears under its name whole or not at all. The same rows give the same bytes.
+    """Write a shard; it appears under its name whole or not at all. The same rows give the same
+    bytes.
 
     Args:
         path: of the shard.
@@ -132,12 +150,16 @@ def write_rows(path: str | os.PathLike[str], rows: Sequence[Mapping[str, Any]]) 
 def write_table(path: str | os.PathLike[str], table: Any) -> None:
     """As `write_rows`, of a pyarrow.Table that has the schema."""
     with whole(path) as part:
-        arrow("pyarrow.parquet").write_table(table, part, row_group_size=ROW_GROUP, compression="zstd", write_page_index=True)
+        arrow("pyarrow.parquet").write_table(
+            table, part, row_group_size=ROW_GROUP, compression="zstd", write_page_index=True
+        )
 
 
 def encode(image: NDArray[np.uint8]) -> bytes:
     """A picture, uint8 (size, size, 3), RGB, as PNG."""
-    done, data = cv2.imencode(".png", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    done, data = cv2.imencode(
+        ".png", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_PNG_COMPRESSION, 9]
+    )
     if not done:
         raise InvalidImages(f"a picture is uint8 (size, size, 3), got {image.dtype} {image.shape}")
     return bytes(data)
@@ -181,17 +203,26 @@ def shards(path: str | os.PathLike[str], split: str | None = None) -> list[Path]
     if split is not None and given.is_dir():
         found = [one for one in found if one.name.startswith(split.replace("-", "_") + "-")]
     if not found:
-        raise InvalidImages(f"no Parquet shard {'of split ' + split + ' ' if split else ''}at {path}; knotgym images writes them")
+        raise InvalidImages(
+            f"no Parquet shard {'of split ' + split + ' ' if split else ''}at {path}; knotgym"
+            " images writes them"
+        )
     return found
 
 
 def is_images(path: str | os.PathLike[str]) -> bool:
     """Whether a path means a perception table: a Parquet file, or a folder with some."""
     given = Path(path)
-    return given.suffix == ".parquet" if given.is_file() else any(given.glob("*.parquet")) or any(given.glob("data/*.parquet"))
+    return (
+        given.suffix == ".parquet"
+        if given.is_file()
+        else any(given.glob("*.parquet")) or any(given.glob("data/*.parquet"))
+    )
 
 
-def read_table(path: str | os.PathLike[str], split: str | None = None, columns: Sequence[str] | None = None) -> Any:
+def read_table(
+    path: str | os.PathLike[str], split: str | None = None, columns: Sequence[str] | None = None
+) -> Any:
     """Read a table, or some of its columns, as a pyarrow.Table.
 
     Args:
@@ -202,15 +233,21 @@ def read_table(path: str | os.PathLike[str], split: str | None = None, columns: 
         InvalidImages: a file is foreign, truncated, or of a format this version doesn't know.
     """
     pa = arrow()
-    wanted = None if columns is None else list(dict.fromkeys([*columns, *(["split"] if split else [])]))
+    wanted = (
+        None if columns is None else list(dict.fromkeys([*columns, *(["split"] if split else [])]))
+    )
     table = pa.concat_tables([_read(path, wanted) for path in shards(path, split)])
     if split is not None:
         table = table.filter(arrow("pyarrow.compute").equal(table["split"], split))
     return table
 
 
-def read_rows(path: str | os.PathLike[str], split: str | None = None, columns: Sequence[str] | None = None) -> Iterator[dict[str, Any]]:
-    """Read row by row, shard by shard: dicts of Python values, `image` as PNG bytes; arguments and errors as of `read_table`."""
+def read_rows(
+    path: str | os.PathLike[str], split: str | None = None, columns: Sequence[str] | None = None
+) -> Iterator[dict[str, Any]]:
+    """Read row by row, shard by shard: dicts of Python values, `image` as PNG bytes; arguments and
+    errors as of `read_table`.
+    """
     for shard in shards(path, split):
         for batch in read_table(shard, split, columns).to_batches():
             for row in batch.to_pylist():
@@ -231,11 +268,18 @@ def _read(path: Path, columns: list[str] | None) -> Any:
         file = parquet.ParquetFile(path)
         found = json.loads((file.schema_arrow.metadata or {}).get(b"knotgym", b"{}"))
         if (found.get("format"), found.get("format_version")) != (FORMAT, FORMAT_VERSION):
-            was = f"format {found.get('format', 'none')!r} version {found.get('format_version', 'none')}"
-            raise InvalidImages(f"{path} has {was}; this version reads {FORMAT!r} version {FORMAT_VERSION}")
+            was = (
+                f"format {found.get('format', 'none')!r} version"
+                f" {found.get('format_version', 'none')}"
+            )
+            raise InvalidImages(
+                f"{path} has {was}; this version reads {FORMAT!r} version {FORMAT_VERSION}"
+            )
         return file.read(columns=columns)
     except (OSError, KeyError, pa.ArrowException) as error:
-        raise InvalidImages(f"{path} isn't a whole Parquet shard: {' '.join(str(error).split())}") from error
+        raise InvalidImages(
+            f"{path} isn't a whole Parquet shard: {' '.join(str(error).split())}"
+        ) from error
 
 
 def _arrow_type(pa: Any, kind: Any) -> Any:
@@ -252,5 +296,9 @@ def _feature(kind: Any) -> Any:
     if isinstance(kind, dict):
         return {name: _feature(one) for name, one in kind.items()}
     if isinstance(kind, list):
-        return {"feature": _feature(kind[0]), "length": -1 if kind[1] is None else kind[1], "_type": "List"}
+        return {
+            "feature": _feature(kind[0]),
+            "length": -1 if kind[1] is None else kind[1],
+            "_type": "List",
+        }
     return {"_type": "Image"} if kind == "image" else {"dtype": kind, "_type": "Value"}

@@ -1,4 +1,6 @@
-"""Check of a perception table: every label, measure and picture recomputed, every walk made again, no leak between splits."""
+"""Check of a perception table: every label, measure and picture recomputed, every walk made again,
+no leak between splits.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,17 @@ from rich.table import Table
 from knotgym.atomic_files import sha256
 from knotgym.datasets.image_folder import WALKS_FORMAT, WALKS_VERSION, summary
 from knotgym.datasets.image_rows import labels, measures
-from knotgym.datasets.image_table import GRADES, SPLITS, InvalidImages, arrow, encode, points_of, read_rows, read_table, shards
+from knotgym.datasets.image_table import (
+    GRADES,
+    SPLITS,
+    InvalidImages,
+    arrow,
+    encode,
+    points_of,
+    read_rows,
+    read_table,
+    shards,
+)
 from knotgym.datasets.near_duplicates import NEAR, distances
 from knotgym.generate.images.selection import at_base
 from knotgym.generate.images.walks import CLEARANCE, VISITS, WALKS, retrace
@@ -29,7 +41,9 @@ from knotgym.topology.symmetry import Symmetry
 
 
 class _Trip(NamedTuple):
-    """Some walks to be made again, and the rows that come from them: (where, place among the walks, source, points)."""
+    """Some walks to be made again, and the rows that come from them: (where, place among the walks,
+    source, points).
+    """
 
     states: Array
     beads: np.ndarray
@@ -38,10 +52,12 @@ class _Trip(NamedTuple):
 
 
 def image_faults(path: str | Path, workers: int = 0) -> Iterator[str]:
-    """Faults of a table: manifest and checksums first, then the rows, then the splits, then the walks.
+    """Faults of a table: manifest and checksums first, then the rows, then the splits, then the
+    walks.
 
     Args:
-        path: a folder that `knotgym images` made, or a shard, of which only the rows can be checked.
+        path: a folder that `knotgym images` made, or a shard, of which only the rows can be
+            checked.
         workers: processes, 0 for one a core.
     """
     folder, config = Path(path), None
@@ -59,14 +75,20 @@ def image_faults(path: str | Path, workers: int = 0) -> Iterator[str]:
             elif sha256(folder / name) != digest:
                 yield f"{name} is not the file the manifest lists (SHA-256 differs)"
         if config is not None:
-            yield from (f"{one.name} is not in the manifest" for one in shards(folder) if f"data/{one.name}" not in listed)
+            yield from (
+                f"{one.name} is not in the manifest"
+                for one in shards(folder)
+                if f"data/{one.name}" not in listed
+            )
     with engine(workers) as pool:
         whole = True
         for found in pool.map(shard_faults, shards(path)):
             yield from found
             whole &= not any("Parquet shard" in fault or "format" in fault for fault in found)
         if whole:
-            yield from _split_faults(read_table(path, columns=["gauss_code", "nx", "split", "points", "source"]))
+            yield from _split_faults(
+                read_table(path, columns=["gauss_code", "nx", "split", "points", "source"])
+            )
             if folder.is_dir():
                 trips, found = _trips(folder)
                 yield from found
@@ -77,7 +99,11 @@ def image_faults(path: str | Path, workers: int = 0) -> Iterator[str]:
 def shard_faults(path: Path) -> list[str]:
     """Faults of the rows of a shard, each by itself."""
     try:
-        return [f"{path.name} row {number}: {fault}" for number, row in enumerate(read_rows(path)) for fault in row_faults(row)]
+        return [
+            f"{path.name} row {number}: {fault}"
+            for number, row in enumerate(read_rows(path))
+            for fault in row_faults(row)
+        ]
     except InvalidImages as error:
         return [str(error)]
 
@@ -88,7 +114,12 @@ def row_faults(row: dict[str, Any]) -> Iterator[str]:
     if not np.isfinite(points).all():
         yield "coordinates are not finite"
         return
-    found, look = find_crossings(points), Appearance(**{**row["appearance"], **{name: tuple(row["appearance"][name]) for name in _RGB}})
+    found, look = (
+        find_crossings(points),
+        Appearance(
+            **{**row["appearance"], **{name: tuple(row["appearance"][name]) for name in _RGB}}
+        ),
+    )
     right = {**labels(points, found, look), **measures(points, found, row["source"])}
     for name in ("gauss_code", "gauss_code_chiral", "nx", "knot", "crossings", "accepted", "grade"):
         if row[name] != right[name]:
@@ -101,8 +132,15 @@ def row_faults(row: dict[str, Any]) -> Iterator[str]:
         yield f"pyknotid reads {second.chiral} where ours is {found.code.chiral}"
     if row["split"] not in SPLITS or row["grade"] not in GRADES:
         yield f"split is {row['split']!r} and grade {row['grade']!r}"
-    if visit_spacing(found, len(points)).visits < VISITS or at_base(found, len(points)) or right["quality"]["clearance"] < CLEARANCE:
-        yield "the label is in doubt: crossings too close along the rope, at the base bead, or pressed together"
+    if (
+        visit_spacing(found, len(points)).visits < VISITS
+        or at_base(found, len(points))
+        or right["quality"]["clearance"] < CLEARANCE
+    ):
+        yield (
+            "the label is in doubt: crossings too close along the rope, at the base bead, or"
+            " pressed together"
+        )
     if row["image"] != encode(render(points, look)):
         yield "image is not the picture of points with this appearance"
 
@@ -110,37 +148,62 @@ def row_faults(row: dict[str, Any]) -> Iterator[str]:
 def show_images(path: str, console: Console) -> None:
     """Print what a perception table holds."""
     facts, size = summary(path), sum(one.stat().st_size for one in shards(path))
-    console.print(f"{path}: {facts['pictures']} pictures, {size / facts['pictures']:.0f} bytes each", highlight=False, soft_wrap=True)
+    console.print(
+        f"{path}: {facts['pictures']} pictures, {size / facts['pictures']:.0f} bytes each",
+        highlight=False,
+        soft_wrap=True,
+    )
     for by in ("nx", "splits"):
         table = Table()
         for column in (by, "pictures", "codes", "chiral", "of a code", "accepted", *GRADES):
             table.add_column(column, justify="right")
         for name, one in facts[by].items():
-            own = [one["pictures"], one["codes"], one["codes_with_chirality"], "/".join(map(str, one["of_a_code"]))]
+            own = [
+                one["pictures"],
+                one["codes"],
+                one["codes_with_chirality"],
+                "/".join(map(str, one["of_a_code"])),
+            ]
             table.add_row(name, *map(str, [*own, one["accepted"], *one["grade"].values()]))
         console.print(table)
-    console.print("chiral: codes with chirality; of a code: fewest/most pictures; accepted: as good as curated states", highlight=False)
+    console.print(
+        "chiral: codes with chirality; of a code: fewest/most pictures; accepted: as good as"
+        " curated states",
+        highlight=False,
+    )
     for name, spread in facts["quality"].items():
-        console.print(f"{name:24} 5 % {spread[0]:<9.3g} median {spread[1]:<9.3g} 95 % {spread[2]:.3g}", highlight=False)
-    console.print(f"sizes {facts['sizes']}, colours {facts['colours']}", highlight=False, markup=False)
+        console.print(
+            f"{name:24} 5 % {spread[0]:<9.3g} median {spread[1]:<9.3g} 95 % {spread[2]:.3g}",
+            highlight=False,
+        )
+    console.print(
+        f"sizes {facts['sizes']}, colours {facts['colours']}", highlight=False, markup=False
+    )
 
 
 _RGB = ("first", "last", "background")
 
 
 def _split_faults(table: Any) -> Iterator[str]:
-    """Near-duplicates and shared families between splits; codes and crossings where they don't belong."""
+    """Near-duplicates and shared families between splits; codes and crossings where they don't
+    belong.
+    """
     split, codes, nx = (np.array(table[name].to_pylist()) for name in ("split", "gauss_code", "nx"))
     points, sources = points_of(table), table["source"].to_pylist()
     family, row = np.array([one["family"] for one in sources]), [one["row"] for one in sources]
-    size = np.sqrt(((points - points.mean(axis=1, keepdims=True)) ** 2).sum(axis=(1, 2)) / points.shape[1])
+    size = np.sqrt(
+        ((points - points.mean(axis=1, keepdims=True)) ** 2).sum(axis=(1, 2)) / points.shape[1]
+    )
     order = np.argsort(size, kind="stable")
     for place, one in enumerate(order):  # only configurations of like size can be near
         near = order[place + 1 : np.searchsorted(size[order], size[one] + NEAR, side="right")]
         near = near[split[near] != split[one]]
         if len(near):
             for other in near[distances(points[one], points[near]) < NEAR]:
-                yield f"rows {row[one]} ({split[one]}) and {row[other]} ({split[other]}) are near-duplicates"
+                yield (
+                    f"rows {row[one]} ({split[one]}) and {row[other]} ({split[other]}) are"
+                    " near-duplicates"
+                )
     for number in np.unique(family):
         shared = sorted(set(split[family == number].tolist()))
         if len(shared) > 1:
@@ -148,7 +211,11 @@ def _split_faults(table: Any) -> Iterator[str]:
     taught = set(codes[(split == "train") | (split == "test")].tolist())
     for code in sorted(set(codes[split == "test-code"].tolist()) & taught):
         yield f"code {code or 'loop'} is in test-code and in train or test"
-    if (split == "test-nx").any() and (split == "train").any() and nx[split == "test-nx"].min() <= nx[split == "train"].max():
+    if (
+        (split == "test-nx").any()
+        and (split == "train").any()
+        and nx[split == "test-nx"].min() <= nx[split == "train"].max()
+    ):
         yield "test-nx has pictures with no more crossings than train"
     if len(set(row)) != len(row):
         yield "two rows have the same number"
@@ -160,12 +227,21 @@ def _trips(folder: Path) -> tuple[list[_Trip], list[str]]:
     points, sources = points_of(table), table["source"].to_pylist()
     try:
         with h5py.File(folder / "walks.h5", "r") as file:
-            found = file.attrs.get("format"), file.attrs.get("format_version"), file.attrs.get("rope")
+            found = (
+                file.attrs.get("format"),
+                file.attrs.get("format_version"),
+                file.attrs.get("rope"),
+            )
             if found != (WALKS_FORMAT, WALKS_VERSION, RopeConfig().fingerprint):
                 return [], [
-                    f"walks.h5 has format, version and rope {found}; this version's are {(WALKS_FORMAT, WALKS_VERSION, RopeConfig().fingerprint)}"
+                    f"walks.h5 has format, version and rope {found}; this version's are"
+                    f" {(WALKS_FORMAT, WALKS_VERSION, RopeConfig().fingerprint)}"
                 ]
-            states, beads, forces = file["state"][()][file["start"][()]], file["beads"][()], file["forces"][()]
+            states, beads, forces = (
+                file["state"][()][file["start"][()]],
+                file["beads"][()],
+                file["forces"][()],
+            )
             place = {number: row for row, number in enumerate(file["number"][()].tolist())}
     except (OSError, KeyError) as error:
         return [], [f"walks.h5 can't be read: {' '.join(str(error).split())}"]
@@ -176,9 +252,13 @@ def _trips(folder: Path) -> tuple[list[_Trip], list[str]]:
         if at is None:
             faults.append(f"row {source['row']}: walk {source['walk']} is not in walks.h5")
         else:
-            rows.setdefault(at // WALKS, []).append((f"row {source['row']}", at % WALKS, source, own))
+            rows.setdefault(at // WALKS, []).append(
+                (f"row {source['row']}", at % WALKS, source, own)
+            )
     parts = [slice(part * WALKS, (part + 1) * WALKS) for part in sorted(rows)]
-    return [_Trip(states[part], beads[part], forces[part], rows[part.start // WALKS]) for part in parts], faults
+    return [
+        _Trip(states[part], beads[part], forces[part], rows[part.start // WALKS]) for part in parts
+    ], faults
 
 
 def _trip_faults(trip: _Trip) -> list[str]:
@@ -187,7 +267,9 @@ def _trip_faults(trip: _Trip) -> list[str]:
     for where, place, source, stored in trip.rows:
         frame = traces[place, source["pulls"]]
         points = relaxed(frame, source["rounds"], rope) if source["rounds"] else frame
-        symmetry = Symmetry(**{name: source[name] for name in ("reflect", "switch", "reverse", "roll")})
+        symmetry = Symmetry(
+            **{name: source[name] for name in ("reflect", "switch", "reverse", "roll")}
+        )
         if points is None or not np.array_equal(symmetry.configuration(points), stored):
             out.append(f"{where}: its walk, made again, does not end in its points bit for bit")
     return out

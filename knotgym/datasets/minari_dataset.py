@@ -1,10 +1,13 @@
-"""Minari datasets: episode files in the folder that Minari looks in, with the metadata that it reads.
+"""Minari datasets: episode files in the folder that Minari looks in, with the metadata that it
+reads.
 
     {out}/{dataset id}/data/main_data.hdf5      an episode file, see `episode_reader`
     {out}/{dataset id}/data/metadata.json       Minari's, images declared lossless
-    {out}/{dataset id}/data/states.h5           the states it resets from, where they aren't those that ship
+    {out}/{dataset id}/data/states.h5           the states it resets from, where they aren't those
+                                                that ship
 
-Minari itself would store images as JPEG, and lose seeds and options when datasets are combined; so the files are written here.
+Minari itself would store images as JPEG, and lose seeds and options when datasets are combined; so
+the files are written here.
 """
 
 from __future__ import annotations
@@ -40,7 +43,8 @@ class MinariMetadata:
         description: Markdown.
         author, author_email: names and addresses.
         code_permalink: where the code that made it can be seen.
-        ref_min_score, ref_max_score: mean returns of a random and of an expert policy, for `minari.get_normalized_score`.
+        ref_min_score, ref_max_score: mean returns of a random and of an expert policy, for
+            `minari.get_normalized_score`.
         num_episodes_average_score: episodes those means were taken over.
         eval_split: the states that the evaluation environment draws from.
 
@@ -61,9 +65,14 @@ class MinariMetadata:
 
     def __post_init__(self) -> None:
         if _ID.fullmatch(self.dataset_id) is None:
-            raise InvalidEpisodeFile(f"a dataset id is namespace/name-v0, letters, digits, - and _; got {self.dataset_id!r}")
+            raise InvalidEpisodeFile(
+                "a dataset id is namespace/name-v0, letters, digits, - and _; got"
+                f" {self.dataset_id!r}"
+            )
         if (self.ref_min_score is None) != (self.ref_max_score is None):
-            raise InvalidEpisodeFile("reference scores come in pairs: give both ref_min_score and ref_max_score")
+            raise InvalidEpisodeFile(
+                "reference scores come in pairs: give both ref_min_score and ref_max_score"
+            )
         for name in ("author", "author_email"):
             object.__setattr__(self, name, tuple(sorted(getattr(self, name))))
 
@@ -78,56 +87,85 @@ def publish(
     overwrite: bool = False,
     states: str | os.PathLike[str] | None = None,
 ) -> Path:
-    """Merge episode files, compact ones too, into a Minari dataset, which appears whole or not at all.
+    """Merge episode files, compact ones too, into a Minari dataset, which appears whole or not at
+    all.
 
     Args:
         sources: as `merge`.
         metadata: what Minari says of it.
         out: the root under which Minari would find the id; None for Minari's own.
-        store: observations, "pixels", "state" or "both"; None for the sources' (the task's, if those are compact).
+        store: observations, "pixels", "state" or "both"; None for the sources' (the task's, if
+            those are compact).
         concatenate: as `merge`.
         overwrite: replace a dataset of this id.
-        states: a state file to carry along; a task whose `states` is the dataset's id resets from it, wherever the dataset goes.
+        states: a state file to carry along; a task whose `states` is the dataset's id resets from
+            it, wherever the dataset goes.
 
     Returns:
         The dataset's folder.
 
     Raises:
-        InvalidEpisodeFile: as `merge`; or there is a dataset of this id, or nothing is to be stored.
+        InvalidEpisodeFile: as `merge`; or there is a dataset of this id, or nothing is to be
+            stored.
     """
     folder = Path(out or minari_root()) / metadata.dataset_id
     if folder.exists() and not overwrite:
-        raise InvalidEpisodeFile(f"there is a dataset at {folder}: take another id or version, or ask to overwrite it")
+        raise InvalidEpisodeFile(
+            f"there is a dataset at {folder}: take another id or version, or ask to overwrite it"
+        )
     first = EpisodeReader(sources[0]) if sources else None
     if first is not None and store is None and first.stored == "none":
         store = first.task.observation
     if store == "none":
-        raise InvalidEpisodeFile("a Minari dataset has observations; the compact form is a file, see `compact`")
+        raise InvalidEpisodeFile(
+            "a Minari dataset has observations; the compact form is a file, see `compact`"
+        )
     with whole(folder) as part:
         data = part / "data"
         data.mkdir(parents=True)
-        merge(sources, data / "main_data.hdf5", store=store, concatenate=concatenate, attributes={"metadata": json.dumps(asdict(metadata))})
+        merge(
+            sources,
+            data / "main_data.hdf5",
+            store=store,
+            concatenate=concatenate,
+            attributes={"metadata": json.dumps(asdict(metadata))},
+        )
         merged = EpisodeReader(part)
-        entries = {**minari_entries(metadata, merged.task), "total_episodes": len(merged), "total_steps": int(merged.lengths.sum())}
+        entries = {
+            **minari_entries(metadata, merged.task),
+            "total_episodes": len(merged),
+            "total_steps": int(merged.lengths.sum()),
+        }
         merged.close()
         if states is not None:
             shutil.copyfile(states, data / "states.h5")
-        entries["dataset_size"] = round((sum(file.stat().st_size for file in data.iterdir()) + len(json.dumps(entries))) / 1e6, 1)
+        entries["dataset_size"] = round(
+            (sum(file.stat().st_size for file in data.iterdir()) + len(json.dumps(entries))) / 1e6,
+            1,
+        )
         (data / "metadata.json").write_text(json.dumps(entries, sort_keys=True), encoding="utf-8")
     return folder
 
 
 def compact(source: Any, target: str | os.PathLike[str]) -> None:
-    """Write the compact form of a dataset: the same episodes and metadata in one file without observations.
+    """Write the compact form of a dataset: the same episodes and metadata in one file without
+    observations.
 
     `publish([target], metadata_of(target))` makes the dataset again.
     """
     metadata = metadata_of(source)
-    merge([source], target, store="none", attributes={} if metadata is None else {"metadata": json.dumps(asdict(metadata))})
+    merge(
+        [source],
+        target,
+        store="none",
+        attributes={} if metadata is None else {"metadata": json.dumps(asdict(metadata))},
+    )
 
 
 def metadata_of(source: Any) -> MinariMetadata | None:
-    """What was said of a dataset, or of the one that a compact file came from; None of an episode file that never was one."""
+    """What was said of a dataset, or of the one that a compact file came from; None of an episode
+    file that never was one.
+    """
     reader = EpisodeReader(source)
     said = reader.file.attrs.get("metadata")
     reader.close()
@@ -141,7 +179,11 @@ def minari_entries(metadata: MinariMetadata, task: TaskConfig) -> dict[str, Any]
 
     from knotgym.env import action_space, observation_space
 
-    said = {name: value for name, value in asdict(metadata).items() if name != "eval_split" and value not in (None, ())}
+    said = {
+        name: value
+        for name, value in asdict(metadata).items()
+        if name != "eval_split" and value not in (None, ())
+    }
     here = [] if "+" in knotgym.__version__ else [f"knotgym>={knotgym.__version__}"]
     return {
         **said,
@@ -157,7 +199,9 @@ def minari_entries(metadata: MinariMetadata, task: TaskConfig) -> dict[str, Any]
 
 
 def environment_spec(task: TaskConfig) -> gymnasium.envs.registration.EnvSpec:
-    """The registered environment with every setting spelled out, so that a later default changes nothing."""
+    """The registered environment with every setting spelled out, so that a later default changes
+    nothing.
+    """
     spec = copy.deepcopy(gymnasium.spec(f"knotgym/{task.task.capitalize()}-v0"))
     spec.kwargs = asdict(task)
     return spec

@@ -1,7 +1,8 @@
-"""Near-duplicates: when two configurations are so alike that one may not be for training and the other for testing.
+"""Near-duplicates: when two configurations are so alike that one may not be for training and the
+other for testing.
 
-Two configurations are near-duplicates when one, turned about z and moved, comes within NEAR of the other: root mean square
-distance of their beads, which is three pixels of the picture.
+Two configurations are near-duplicates when one, turned about z and moved, comes within NEAR of the
+other: root mean square distance of their beads, which is three pixels of the picture.
 """
 
 from __future__ import annotations
@@ -13,9 +14,12 @@ NEAR = 0.015  # metres
 
 
 def apart(points: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which of configurations float64 (n, beads, 3), metres, to keep, bool (n,): those not near an earlier one that is kept."""
+    """Which of configurations float64 (n, beads, 3), metres, to keep, bool (n,): those not near an
+    earlier one that is kept.
+    """
     centred = points - points.mean(axis=1, keepdims=True)
-    size = np.sqrt((centred**2).sum(axis=(1, 2)) / points.shape[1])  # those of near-duplicates differ by less than NEAR
+    # those of near-duplicates differ by less than NEAR
+    size = np.sqrt((centred**2).sum(axis=(1, 2)) / points.shape[1])
     order = np.argsort(size, kind="stable")
     first, last = (np.searchsorted(size[order], size + way * NEAR) for way in (-1, 1))
     kept = np.ones(len(points), dtype=bool)
@@ -41,4 +45,8 @@ def distances(points: NDArray[np.float64], others: NDArray[np.float64]) -> NDArr
     flat_a, flat_b = a[:, 0] + 1j * a[:, 1], b[..., 0] + 1j * b[..., 1]
     # the best turn makes the sum of conj(a) b real and positive
     agreement = np.abs(flat_b @ flat_a.conj()) + b[..., 2] @ a[:, 2]
-    return np.asarray(np.sqrt(np.maximum(0.0, (a**2).sum() + (b**2).sum(axis=(1, 2)) - 2 * agreement) / len(points)))
+    return np.asarray(
+        np.sqrt(
+            np.maximum(0.0, (a**2).sum() + (b**2).sum(axis=(1, 2)) - 2 * agreement) / len(points)
+        )
+    )

@@ -13,7 +13,9 @@ from knotgym.datasets.states import States
 
 
 def summary(states: States) -> dict[str, Any]:
-    """Counts of a state file: by nx, code, chirality and split, and the spread of every quality measure; JSON-able."""
+    """Counts of a state file: by nx, code, chirality and split, and the spread of every quality
+    measure; JSON-able.
+    """
     out: dict[str, Any] = {"states": len(states), "nx": {}}
     for nx in sorted(set(states.nx.tolist())):
         rows = np.flatnonzero(states.nx == nx)
@@ -26,13 +28,22 @@ def summary(states: States) -> dict[str, Any]:
             "codes_with_chirality": len(set(states.gauss_code_chiral[rows].tolist())),
             "train": split["train"],
             "test": split["test"],
-            "codes_in_both_splits": len(_codes(states, rows, "train") & _codes(states, rows, "test")),
+            "codes_in_both_splits": len(
+                _codes(states, rows, "train") & _codes(states, rows, "test")
+            ),
             "positive_crossings": letters["c"],
             "negative_crossings": letters["a"],
-            "actions_to_reach": [] if steps is None else [int(steps.min()), int(np.median(steps)), int(steps.max())],
+            "actions_to_reach": (
+                [] if steps is None else [int(steps.min()), int(np.median(steps)), int(steps.max())]
+            ),
         }
     out["quality"] = {
-        name: {"unit": states.units[name], "min": float(values.min()), "median": float(np.median(values)), "max": float(values.max())}
+        name: {
+            "unit": states.units[name],
+            "min": float(values.min()),
+            "median": float(np.median(values)),
+            "max": float(values.max()),
+        }
         for name, values in states.quality.items()
         if len(values)
     }
@@ -61,8 +72,15 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         )
         for nx, one in facts["nx"].items()
     ]
-    quality = [_row(name, one["unit"], *(f"{one[key]:.3g}" for key in ("min", "median", "max"))) for name, one in facts["quality"].items()]
-    rejected = [_row(nx, reason, count) for nx, reasons in report["rejected"].items() for reason, count in most_first(reasons)]
+    quality = [
+        _row(name, one["unit"], *(f"{one[key]:.3g}" for key in ("min", "median", "max")))
+        for name, one in facts["quality"].items()
+    ]
+    rejected = [
+        _row(nx, reason, count)
+        for nx, reasons in report["rejected"].items()
+        for reason, count in most_first(reasons)
+    ]
     return "\n".join(
         [
             "---",
@@ -72,11 +90,16 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
             "",
             f"# Rope states with {', '.join(facts['nx'])} crossings",
             "",
-            f"{len(states)} configurations of a closed rope in MuJoCo (knot type {report['knot']}), each labelled with its Gauss code, made by "
-            f"`knotgym generate` {report['version']} (MuJoCo {report['mujoco']}) with seed {config['seed']}. `states.h5` holds one row a state, "
-            "`minari/` the trajectories that lead from the start to each of them, `archive.h5` what the search found (`--archive` goes on "
-            "from it), `gallery.png` shows all states, `manifest.json` lists "
-            "checksums, configuration and counts. `knotgym dataset verify` recomputes every label and replays every trajectory.",
+            (
+                f"{len(states)} configurations of a closed rope in MuJoCo (knot type"
+                f" {report['knot']}), each labelled with its Gauss code, made by `knotgym generate`"
+                f" {report['version']} (MuJoCo {report['mujoco']}) with seed {config['seed']}."
+                " `states.h5` holds one row a state, `minari/` the trajectories that lead from the"
+                " start to each of them, `archive.h5` what the search found (`--archive` goes on"
+                " from it), `gallery.png` shows all states, `manifest.json` lists checksums,"
+                " configuration and counts. `knotgym dataset verify` recomputes every label and"
+                " replays every trajectory."
+            ),
             "",
             "## States",
             "",
@@ -101,8 +124,10 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
             "",
             "## Rejected",
             "",
-            f"{report['attempts']} instances were made, in {report['actions']} environment steps with the search. One can be rejected for "
-            "several reasons.",
+            (
+                f"{report['attempts']} instances were made, in {report['actions']} environment"
+                " steps with the search. One can be rejected for several reasons."
+            ),
             "",
             "| nx | reason | instances |",
             "| --- | --- | --- |",
@@ -124,13 +149,18 @@ def _grown(report: Mapping[str, Any]) -> list[str]:
     if not found:
         return []
     head = ["steps", *(f"nx {nx}: known / accepted" for nx in found[-1]["known"])]
-    rows = [_row(one["steps"], *(f"{one['known'][nx]} / {one['accepted'][nx]}" for nx in one["known"])) for one in found]
+    rows = [
+        _row(one["steps"], *(f"{one['known'][nx]} / {one['accepted'][nx]}" for nx in one["known"]))
+        for one in found
+    ]
     said = "Codes known to the search, and states accepted, by environment steps."
     return ["## Growth", "", said, "", _row(*head), _row(*["---"] * len(head)), *rows, ""]
 
 
 def growth(report: Mapping[str, Any], rows: int = 12) -> list[dict[str, Any]]:
-    """So many rows of a job's growth, each at about the same multiple of the steps of the one before, the last among them."""
+    """So many rows of a job's growth, each at about the same multiple of the steps of the one
+    before, the last among them.
+    """
     found: list[dict[str, Any]] = report.get("growth", [])
     if len(found) <= rows:
         return found

@@ -14,7 +14,9 @@ from knotgym.datasets.states import InvalidStates, States, read_states
 
 
 def state_faults(states: States) -> Iterator[str]:
-    """Faults of the rows: schema, labels by both labellers, knot type, picture, replay of the provenance, split leakage."""
+    """Faults of the rows: schema, labels by both labellers, knot type, picture, replay of the
+    provenance, split leakage.
+    """
     from knotgym.rendering.picture import draw
     from knotgym.rope import Rope
     from knotgym.simulation import Simulation
@@ -24,7 +26,10 @@ def state_faults(states: States) -> Iterator[str]:
 
     rope = Rope()
     if states.attributes.get("rope") != rope.config.fingerprint:
-        yield f"rope model {states.attributes.get('rope')} is not this version's, {rope.config.fingerprint}"
+        yield (
+            f"rope model {states.attributes.get('rope')} is not this version's,"
+            f" {rope.config.fingerprint}"
+        )
         return
     misshapen = _misshapen(states, rope.nq, rope.config.beads)
     if misshapen:
@@ -48,7 +53,10 @@ def state_faults(states: States) -> Iterator[str]:
             if stored != right:
                 yield f"{where}: {name} is {stored!s}, recomputed {right}"
         if pyknotid_code(points) != code:
-            yield f"{where}: pyknotid reads {pyknotid_code(points).chiral} where ours is {code.chiral}"
+            yield (
+                f"{where}: pyknotid reads {pyknotid_code(points).chiral} where ours is"
+                f" {code.chiral}"
+            )
         if states.image is not None and not np.array_equal(states.image[row], draw(points)):
             yield f"{where}: image is not the picture of points"
         if states.split[row] not in ("train", "test"):
@@ -57,13 +65,17 @@ def state_faults(states: States) -> Iterator[str]:
         actions = states.source["actions"][row, : states.source["steps"][row]]
         if not (np.abs(actions) <= 1).all():
             yield f"{where}: an action lies outside [-1, 1]"
-        elif not all(simulation.act(action[None]).all() for action in actions) or not np.array_equal(simulation.qpos()[0], states.qpos[row]):
+        elif not all(
+            simulation.act(action[None]).all() for action in actions
+        ) or not np.array_equal(simulation.qpos()[0], states.qpos[row]):
             yield f"{where}: replay of its start and actions does not end in qpos bit for bit"
     yield from _leaks(states)
 
 
 def folder_faults(folder: Path) -> Iterator[str]:
-    """Faults of a folder that `knotgym generate` made: manifest and checksums first, then the rows, then the trajectories."""
+    """Faults of a folder that `knotgym generate` made: manifest and checksums first, then the rows,
+    then the trajectories.
+    """
     from knotgym.datasets.episode_verification import verify_episodes
 
     try:
@@ -87,21 +99,45 @@ def folder_faults(folder: Path) -> Iterator[str]:
         yield from verify_episodes(dataset, act_out=True)
     if config is not None:
         if config.get("split_by") == "code":
-            shared = set(states.gauss_code[states.split == "train"]) & set(states.gauss_code[states.split == "test"])
-            yield from (f"code {code or 'loop'} is in both splits, which share no code" for code in sorted(shared))
+            shared = set(states.gauss_code[states.split == "train"]) & set(
+                states.gauss_code[states.split == "test"]
+            )
+            yield from (
+                f"code {code or 'loop'} is in both splits, which share no code"
+                for code in sorted(shared)
+            )
         yield from _misplaced(states, manifest)
 
 
 def _misshapen(states: States, nq: int, beads: int) -> list[str]:
     """Columns that a curated state needs and that are missing or of another shape."""
     n, out = len(states), []
-    columns = {"qpos": states.qpos, "points": states.points, **{f"source/{name}": values for name, values in states.source.items()}}
-    shapes = {"qpos": (n, nq), "points": (n, beads, 3), "source/start_qpos": (n, nq), "source/actions": (n, None, 6)}
+    columns = {
+        "qpos": states.qpos,
+        "points": states.points,
+        **{f"source/{name}": values for name, values in states.source.items()},
+    }
+    shapes = {
+        "qpos": (n, nq),
+        "points": (n, beads, 3),
+        "source/start_qpos": (n, nq),
+        "source/actions": (n, None, 6),
+    }
     for name, shape in {**shapes, "source/steps": (n,), "source/seed": (n, None)}.items():
         found = columns[name].shape if name in columns else None
-        if found is None or len(found) != len(shape) or any(right is not None and size != right for size, right in zip(found, shape, strict=True)):
+        if (
+            found is None
+            or len(found) != len(shape)
+            or any(
+                right is not None and size != right
+                for size, right in zip(found, shape, strict=True)
+            )
+        ):
             yours = "missing" if found is None else f"of shape {found}"
-            out.append(f"states.h5: {name} is {yours}, should be ({', '.join('any' if size is None else str(size) for size in shape)})")
+            out.append(
+                f"states.h5: {name} is {yours}, should be"
+                f" ({', '.join('any' if size is None else str(size) for size in shape)})"
+            )
     return out
 
 
@@ -118,9 +154,18 @@ def _leaks(states: States) -> Iterator[str]:
     """Near-duplicates and shared trajectories between the splits."""
     train, test = np.flatnonzero(states.split == "train"), np.flatnonzero(states.split == "test")
     for row in test:
-        near = train[distances(states.points[row], states.points[train]) < NEAR] if len(train) else train
-        yield from (f"states.h5 rows {other} (train) and {row} (test) are near-duplicates" for other in near)
+        near = (
+            train[distances(states.points[row], states.points[train]) < NEAR]
+            if len(train)
+            else train
+        )
+        yield from (
+            f"states.h5 rows {other} (train) and {row} (test) are near-duplicates" for other in near
+        )
     seeds = {tuple(states.source["seed"][row]): row for row in train}
     for row in test:
         if tuple(states.source["seed"][row]) in seeds:
-            yield f"states.h5 rows {seeds[tuple(states.source['seed'][row])]} (train) and {row} (test) come from one trajectory"
+            yield (
+                f"states.h5 rows {seeds[tuple(states.source['seed'][row])]} (train) and {row}"
+                " (test) come from one trajectory"
+            )

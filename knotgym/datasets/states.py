@@ -1,8 +1,10 @@
-"""The state file, `states.h5`: curated rope states that an environment resets from, one row a state.
+"""The state file, `states.h5`: curated rope states that an environment resets from, one row a
+state.
 
-Layout (n rows): qpos (n, nq), points (n, beads, 3), image (n, 128, 128, 3), gauss_code, gauss_code_chiral, knot, nx, split,
-quality/* (n,) with a `unit` attribute each, source/* (what makes the row again: start, actions, seed, policy). The file's
-attributes name the format, the versions of the package and of MuJoCo, the rope's fingerprint and the whole configuration.
+Layout (n rows): qpos (n, nq), points (n, beads, 3), image (n, 128, 128, 3), gauss_code,
+gauss_code_chiral, knot, nx, split, quality/* (n,) with a `unit` attribute each, source/* (what
+makes the row again: start, actions, seed, policy). The file's attributes name the format, the
+versions of the package and of MuJoCo, the rope's fingerprint and the whole configuration.
 """
 
 from __future__ import annotations
@@ -46,8 +48,9 @@ class States:
         nx: int64 (n,).
         quality: measure -> float64 (n,).
         units: measure -> its unit.
-        source: name -> (n, ...); `start_qpos` float64 (n, nq) laid at rest, then `actions` float32 (n, T, 6), of which the
-            first `steps` are taken, end in the row's qpos bit for bit; `seed`, `policy`, `trajectory` say where from.
+        source: name -> (n, ...); `start_qpos` float64 (n, nq) laid at rest, then `actions` float32
+            (n, T, 6), of which the first `steps` are taken, end in the row's qpos bit for bit;
+            `seed`, `policy`, `trajectory` say where from.
         attributes: of the file.
     """
 
@@ -66,7 +69,9 @@ class States:
 
     def __post_init__(self) -> None:
         n = len(self.qpos)
-        columns = {name: getattr(self, name) for name in _COLUMNS if getattr(self, name) is not None}
+        columns = {
+            name: getattr(self, name) for name in _COLUMNS if getattr(self, name) is not None
+        }
         for name, column in {**columns, **self.quality, **self.source}.items():
             if len(column) != n:
                 raise InvalidStates(f"column {name} has {len(column)} rows, qpos has {n}")
@@ -81,7 +86,9 @@ class States:
 
 
 def shipped() -> Path:
-    """The curated states that come with the package: 17 loops and 40 states for each nx from 1 to 4."""
+    """The curated states that come with the package: 17 loops and 40 states for each nx from 1 to
+    4.
+    """
     return Path(str(files("knotgym.datasets") / "curated" / "states.h5"))
 
 
@@ -98,7 +105,11 @@ def write_states(path: str | os.PathLike[str], states: States) -> None:
     if states.image is None:
         raise InvalidStates("a state file holds images; these states were read without")
     with whole(path) as part, new_hdf5(part) as file:
-        for name, value in {"format": FORMAT, "format_version": FORMAT_VERSION, **states.attributes}.items():
+        for name, value in {
+            "format": FORMAT,
+            "format_version": FORMAT_VERSION,
+            **states.attributes,
+        }.items():
             file.attrs[name] = json.dumps(value) if isinstance(value, dict) else value
         for name in _COLUMNS:
             _write(file, name, getattr(states, name))
@@ -127,8 +138,14 @@ def read_states(path: str | os.PathLike[str], *, images: bool = True) -> States:
         with h5py.File(path, "r") as file:
             found = file.attrs.get("format", "none"), file.attrs.get("format_version", "none")
             if found != (FORMAT, FORMAT_VERSION):
-                raise InvalidStates(f"{path} has format {found[0]!r} version {found[1]}; this version reads {FORMAT!r} version {FORMAT_VERSION}")
-            text = {name: file[name].asstr()[()].astype(np.str_) for name in ("gauss_code", "gauss_code_chiral", "knot", "split")}
+                raise InvalidStates(
+                    f"{path} has format {found[0]!r} version {found[1]}; this version reads"
+                    f" {FORMAT!r} version {FORMAT_VERSION}"
+                )
+            text = {
+                name: file[name].asstr()[()].astype(np.str_)
+                for name in ("gauss_code", "gauss_code_chiral", "knot", "split")
+            }
             return States(
                 qpos=file["qpos"][()],
                 points=file["points"][()],
@@ -137,17 +154,31 @@ def read_states(path: str | os.PathLike[str], *, images: bool = True) -> States:
                 quality={name: data[()] for name, data in file["quality"].items()},
                 units={name: str(data.attrs["unit"]) for name, data in file["quality"].items()},
                 source={name: _column(data) for name, data in file["source"].items()},
-                attributes={name: value for name, value in file.attrs.items() if name not in ("format", "format_version")},
+                attributes={
+                    name: value
+                    for name, value in file.attrs.items()
+                    if name not in ("format", "format_version")
+                },
                 **text,
             )
     except InvalidStates:
         raise
-    except (OSError, KeyError, RuntimeError, TypeError, ValueError, AttributeError) as error:  # whatever h5py says to foreign bytes
-        raise InvalidStates(f"{path} isn't a whole state file: {' '.join(str(error).split())}") from error
+    except (
+        OSError,
+        KeyError,
+        RuntimeError,
+        TypeError,
+        ValueError,
+        AttributeError,
+    ) as error:  # whatever h5py says to foreign bytes
+        raise InvalidStates(
+            f"{path} isn't a whole state file: {' '.join(str(error).split())}"
+        ) from error
 
 
 def merge_states(parts: Sequence[States]) -> States:
-    """Put the rows of several state files one after another, in order of nx; rows of one nx keep their order.
+    """Put the rows of several state files one after another, in order of nx; rows of one nx keep
+    their order.
 
     Args:
         parts: read with images; made for the same rope, with the same measures.
@@ -160,10 +191,15 @@ def merge_states(parts: Sequence[States]) -> States:
     first = parts[0]
     for other in parts[1:]:
         if other.attributes.get("rope") != first.attributes.get("rope"):
-            raise InvalidStates(f"states of one rope model can be merged, got {first.attributes.get('rope')} and {other.attributes.get('rope')}")
+            raise InvalidStates(
+                f"states of one rope model can be merged, got {first.attributes.get('rope')} and"
+                f" {other.attributes.get('rope')}"
+            )
         if set(other.quality) != set(first.quality) or set(other.source) != set(first.source):
             raise InvalidStates("the files have different quality or source columns")
-    longest = max(part.source["actions"].shape[1] for part in parts) if "actions" in first.source else 0
+    longest = (
+        max(part.source["actions"].shape[1] for part in parts) if "actions" in first.source else 0
+    )
     order = np.argsort(np.concatenate([part.nx for part in parts]), kind="stable")
 
     def joined(columns: Sequence[NDArray[Any]]) -> NDArray[Any]:
@@ -185,8 +221,19 @@ def merge_states(parts: Sequence[States]) -> States:
         split=joined([part.split for part in parts]),
         quality={name: joined([part.quality[name] for part in parts]) for name in first.quality},
         units=dict(first.units),
-        source={name: joined([padded(part.source[name]) if name == "actions" else part.source[name] for part in parts]) for name in first.source},
-        attributes={**first.attributes, "config": json.dumps(configs if len(configs) > 1 else configs[0])},
+        source={
+            name: joined(
+                [
+                    padded(part.source[name]) if name == "actions" else part.source[name]
+                    for part in parts
+                ]
+            )
+            for name in first.source
+        },
+        attributes={
+            **first.attributes,
+            "config": json.dumps(configs if len(configs) > 1 else configs[0]),
+        },
     )
 
 
@@ -197,7 +244,9 @@ def _configs(part: States) -> list[Any]:
 
 def _write(file: h5py.File, name: str, values: NDArray[Any]) -> h5py.Dataset:
     if values.dtype.kind == "U":
-        return file.create_dataset(name, data=values.astype(object), dtype=h5py.string_dtype("utf-8"), **_COMPRESSED)
+        return file.create_dataset(
+            name, data=values.astype(object), dtype=h5py.string_dtype("utf-8"), **_COMPRESSED
+        )
     chunks = (1, *values.shape[1:]) if name == "image" and len(values) else None
     options = _COMPRESSED if values.size else {}
     return file.create_dataset(name, data=values, chunks=chunks, **options)

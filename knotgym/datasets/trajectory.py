@@ -1,8 +1,10 @@
-"""Episodes: T actions and the T + 1 states around them; and hindsight, by which a code that was reached becomes the goal.
+"""Episodes: T actions and the T + 1 states around them; and hindsight, by which a code that was
+reached becomes the goal.
 
 states   s0  s1  s2  s3     action t leads from s[t] to s[t + 1]; no action leaves s3
 actions    a0  a1  a2       rewards, terminations and truncations go with the actions
-infos    i0  i1  i2  i3     labels of the states; bead, force and move say what led to the state, nothing led to s0
+infos    i0  i1  i2  i3     labels of the states; bead, force and move say what led to the state,
+                            nothing led to s0
 """
 
 from __future__ import annotations
@@ -20,7 +22,8 @@ from knotgym.errors import KnotgymError
 
 RELABEL = ("last", "all")
 
-# name -> dtype kind, how many there are beyond T (None: one an episode), shape of each ("beads" for the rope's)
+# name -> dtype kind, how many there are beyond T (None: one an episode), shape of each ("beads" for
+# the rope's)
 _ARRAYS: dict[str, tuple[Any, int | None, tuple[Any, ...]]] = {
     "start_qpos": (np.float64, None, (None,)),
     "goal_points": (np.float64, None, ("beads", 3)),
@@ -38,7 +41,16 @@ _ARRAYS: dict[str, tuple[Any, int | None, tuple[Any, ...]]] = {
     "simulation_failed": (np.bool_, 1, ()),
     "move": (np.str_, 1, ()),
 }
-INFOS = ("gauss_code", "gauss_code_chiral", "crossings", "bead", "force", "is_success", "simulation_failed", "move")
+INFOS = (
+    "gauss_code",
+    "gauss_code_chiral",
+    "crossings",
+    "bead",
+    "force",
+    "is_success",
+    "simulation_failed",
+    "move",
+)
 
 
 class InvalidEpisode(KnotgymError, ValueError):
@@ -47,11 +59,12 @@ class InvalidEpisode(KnotgymError, ValueError):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Episode:
-    """T actions, at least one, and the T + 1 states around them; two are the same when their digests are.
+    """T actions, at least one, and the T + 1 states around them; two are the same when their
+    digests are.
 
     Attributes:
-        start_qpos: float64 (nq,); laid there at rest (`Simulation.lay`) and pulled by `actions` (`Simulation.act`), the rope
-            goes through `points` bit for bit.
+        start_qpos: float64 (nq,); laid there at rest (`Simulation.lay`) and pulled by `actions`
+            (`Simulation.act`), the rope goes through `points` bit for bit.
         points: float64 (T + 1, beads, 3), metres.
         goal_points: float64 (beads, 3), metres, the goal's exemplar.
         actions: float32 (T, 6), in [-1, 1].
@@ -59,16 +72,18 @@ class Episode:
         terminations, truncations: bool (T,).
         gauss_code, gauss_code_chiral: str (T + 1,).
         crossings: int64 (T + 1,).
-        bead, force: int64 (T + 1,) and float64 (T + 1, 3), newtons: what was pulled to come here; -1 and 0 at the start.
+        bead, force: int64 (T + 1,) and float64 (T + 1, 3), newtons: what was pulled to come here;
+            -1 and 0 at the start.
         is_success, simulation_failed: bool (T + 1,), as the environment's infos.
-        move: str (T + 1,), why the policy pulled so, "" at the start; None where the policy gives no reasons.
+        move: str (T + 1,), why the policy pulled so, "" at the start; None where the policy gives
+            no reasons.
         goal_gauss_code: the code to reach.
         seed: of the reset, None where no seed makes this episode.
         options: of the reset: rows `start` and `goal` of the state file.
         policy: who acted.
         relabelled: the goal is a state that was reached; then no reset has this goal.
-        hold: consecutive steps that the goal was to be shown in this episode, None where as the task says; the ways to
-            curated states go on past their code until the rope lies open.
+        hold: consecutive steps that the goal was to be shown in this episode, None where as the
+            task says; the ways to curated states go on past their code until the rope lies open.
 
     Raises:
         InvalidEpisode: an array of another dtype, shape or length.
@@ -102,10 +117,18 @@ class Episode:
         beads = np.shape(self.goal_points)[0]
         for name, array in self.arrays().items():
             dtype, beyond, each = _ARRAYS[name]
-            right = (*(() if beyond is None else (len(self) + beyond,)), *(beads if n == "beads" else n for n in each))
-            fits = array.ndim == len(right) and all(n is None or n == m for n, m in zip(right, array.shape, strict=True))
+            right = (
+                *(() if beyond is None else (len(self) + beyond,)),
+                *(beads if n == "beads" else n for n in each),
+            )
+            fits = array.ndim == len(right) and all(
+                n is None or n == m for n, m in zip(right, array.shape, strict=True)
+            )
             if not fits or not np.issubdtype(array.dtype, dtype):
-                raise InvalidEpisode(f"{name} must be {np.dtype(dtype).name} of shape {right}, got {array.dtype} of shape {array.shape}")
+                raise InvalidEpisode(
+                    f"{name} must be {np.dtype(dtype).name} of shape {right}, got {array.dtype} of"
+                    f" shape {array.shape}"
+                )
 
     def __len__(self) -> int:
         """T, the actions."""
@@ -113,24 +136,37 @@ class Episode:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Every array there is, by its attribute's name."""
-        return {name: np.asarray(getattr(self, name)) for name in _ARRAYS if getattr(self, name) is not None}
+        return {
+            name: np.asarray(getattr(self, name))
+            for name in _ARRAYS
+            if getattr(self, name) is not None
+        }
 
     def labels(self) -> dict[str, Any]:
         """What is said once an episode, JSON-able."""
         names = ("goal_gauss_code", "seed", "policy", "relabelled", "hold")
-        return {**{name: getattr(self, name) for name in names}, "options": {name: int(row) for name, row in self.options.items()}}
+        return {
+            **{name: getattr(self, name) for name in names},
+            "options": {name: int(row) for name, row in self.options.items()},
+        }
 
     def digest(self) -> str:
         """Hexadecimal SHA-256 of all it holds."""
         hashed = hashlib.sha256(json.dumps(self.labels(), sort_keys=True).encode())
         for name, array in self.arrays().items():
-            whole = "\n".join(array.tolist()).encode() if array.dtype.kind == "U" else np.ascontiguousarray(array).tobytes()
-            hashed.update(f"{name} {array.shape} {'U' if array.dtype.kind == 'U' else array.dtype.str} ".encode() + whole)
+            whole = (
+                "\n".join(array.tolist()).encode()
+                if array.dtype.kind == "U"
+                else np.ascontiguousarray(array).tobytes()
+            )
+            kind = "U" if array.dtype.kind == "U" else array.dtype.str
+            hashed.update(f"{name} {array.shape} {kind} ".encode() + whole)
         return hashed.hexdigest()
 
 
 def goals_reached(codes: Sequence[str] | NDArray[np.str_], hold: int = 1) -> list[int]:
-    """The states at which a code other than the first is shown for the `hold`-th time running, the first time for each code.
+    """The states at which a code other than the first is shown for the `hold`-th time running, the
+    first time for each code.
 
     >>> goals_reached(["", "1+,1-", "", "1+,1-", "1-,1+"])
     [1, 4]
@@ -147,7 +183,9 @@ def goals_reached(codes: Sequence[str] | NDArray[np.str_], hold: int = 1) -> lis
 
 
 def goal_steps(codes: Sequence[str] | NDArray[np.str_], relabel: str, hold: int = 1) -> list[int]:
-    """Where to cut an episode that shows these codes: at the "last" of `goals_reached`, or at "all" of them; perhaps nowhere."""
+    """Where to cut an episode that shows these codes: at the "last" of `goals_reached`, or at "all"
+    of them; perhaps nowhere.
+    """
     if relabel not in RELABEL:
         raise InvalidEpisode(f"relabel must be {' or '.join(map(repr, RELABEL))}, got {relabel!r}")
     steps = goals_reached(codes, hold)
@@ -168,9 +206,16 @@ def relabelled(episode: Episode, goal_step: int, *, hold: int = 1, reward: float
     """
     possible = goals_reached(episode.gauss_code, hold)
     if goal_step not in possible:
-        raise InvalidEpisode(f"goal_step must be a state that reaches another code first, one of {possible}, got {goal_step}")
+        raise InvalidEpisode(
+            f"goal_step must be a state that reaches another code first, one of {possible}, got"
+            f" {goal_step}"
+        )
     end = np.arange(goal_step + 1) == goal_step
-    cut = {name: array[: goal_step + (_ARRAYS[name][1] or 0)] for name, array in episode.arrays().items() if _ARRAYS[name][1] is not None}
+    cut = {
+        name: array[: goal_step + (_ARRAYS[name][1] or 0)]
+        for name, array in episode.arrays().items()
+        if _ARRAYS[name][1] is not None
+    }
     return replace(
         episode,
         **{
@@ -187,8 +232,12 @@ def relabelled(episode: Episode, goal_step: int, *, hold: int = 1, reward: float
     )
 
 
-def relabel_all(episodes: Iterable[Episode], relabel: str = "last", *, hold: int = 1, reward: float = 5.0) -> Iterator[Episode]:
-    """Yield each episode cut at its `goal_steps`; an episode that shows no code but its first yields nothing."""
+def relabel_all(
+    episodes: Iterable[Episode], relabel: str = "last", *, hold: int = 1, reward: float = 5.0
+) -> Iterator[Episode]:
+    """Yield each episode cut at its `goal_steps`; an episode that shows no code but its first
+    yields nothing.
+    """
     for episode in episodes:
         for step in goal_steps(episode.gauss_code, relabel, hold):
             yield relabelled(episode, step, hold=hold, reward=reward)

@@ -25,10 +25,27 @@ class UnknownFilm(KnotgymError, ValueError):
 def captioned(frame: NDArray[np.uint8], lines: Sequence[str], scale: int = 3) -> NDArray[np.uint8]:
     """Enlarge a picture, uint8 (height, width, 3), and write lines of text below it."""
     large = np.repeat(np.repeat(frame, scale, axis=0), scale, axis=1)
-    below = np.zeros((_TEXT * len(lines) + 8 + (large.shape[0] + _TEXT * len(lines)) % 2, large.shape[1], 3), dtype=np.uint8)
+    below = np.zeros(
+        (_TEXT * len(lines) + 8 + (large.shape[0] + _TEXT * len(lines)) % 2, large.shape[1], 3),
+        dtype=np.uint8,
+    )
     for number, line in enumerate(lines):
-        size = min(0.45, 0.45 * (large.shape[1] - 12) / max(1, cv2.getTextSize(line, cv2.FONT_HERSHEY_SIMPLEX, 0.45, 1)[0][0]))
-        cv2.putText(below, line, (6, _TEXT * (number + 1) - 2), cv2.FONT_HERSHEY_SIMPLEX, size, (225, 225, 225), 1, cv2.LINE_AA)
+        size = min(
+            0.45,
+            0.45
+            * (large.shape[1] - 12)
+            / max(1, cv2.getTextSize(line, cv2.FONT_HERSHEY_SIMPLEX, 0.45, 1)[0][0]),
+        )
+        cv2.putText(
+            below,
+            line,
+            (6, _TEXT * (number + 1) - 2),
+            cv2.FONT_HERSHEY_SIMPLEX,
+            size,
+            (225, 225, 225),
+            1,
+            cv2.LINE_AA,
+        )
     return np.concatenate([large, below])
 
 
@@ -44,10 +61,18 @@ def write_film(path: str | os.PathLike[str], frames: Sequence[NDArray[np.uint8]]
     with whole(path) as part:
         if kind == ".gif":
             images = [Image.fromarray(frame) for frame in frames]
-            images[0].save(part, save_all=True, append_images=images[1:], duration=1000 // FRAMES_PER_SECOND, loop=0)
+            images[0].save(
+                part,
+                save_all=True,
+                append_images=images[1:],
+                duration=1000 // FRAMES_PER_SECOND,
+                loop=0,
+            )
             return
         height, width = frames[0].shape[:2]
-        writer = cv2.VideoWriter(str(part), cv2.VideoWriter.fourcc(*"mp4v"), FRAMES_PER_SECOND, (width, height))
+        writer = cv2.VideoWriter(
+            str(part), cv2.VideoWriter.fourcc(*"mp4v"), FRAMES_PER_SECOND, (width, height)
+        )
         if not writer.isOpened():
             raise UnknownFilm("this build of OpenCV has no mp4 encoder; write a .gif")
         for frame in frames:

@@ -1,7 +1,9 @@
-"""Shards of one run put together: what `--shard i/n` made in n folders becomes what one run leaves in one.
+"""Shards of one run put together: what `--shard i/n` made in n folders becomes what one run leaves
+in one.
 
-Episodes come out byte for byte as from a run without shards. States and pictures are another draw than that run's, as true
-and as even; near-duplicates between shards go, the later one of two, and states are split anew so that the shares hold.
+Episodes come out byte for byte as from a run without shards. States and pictures are another draw
+than that run's, as true and as even; near-duplicates between shards go, the later one of two, and
+states are split anew so that the shares hold.
 """
 
 from __future__ import annotations
@@ -21,7 +23,15 @@ from knotgym.control.planner import PlannerConfig
 from knotgym.control.policies import PolicyConfig
 from knotgym.datasets import image_folder
 from knotgym.datasets.episode_reader import Chosen
-from knotgym.datasets.image_table import SPLITS, arrow, points_of, read_table, shard_name, shards, write_table
+from knotgym.datasets.image_table import (
+    SPLITS,
+    arrow,
+    points_of,
+    read_table,
+    shard_name,
+    shards,
+    write_table,
+)
 from knotgym.datasets.near_duplicates import apart
 from knotgym.datasets.states import States, merge_states, read_states, write_states
 from knotgym.errors import KnotgymError
@@ -70,7 +80,11 @@ def shard_of(source: str) -> Shard | None:
         except (OSError, ValueError, KeyError, TypeError):
             continue
         asked = {"config": config, "source": said.get("source"), "version": said.get("version")}
-        return None if part.whole else Shard(folder, _FORMATS.get(said.get("format"), "episodes"), part, asked, said)
+        return (
+            None
+            if part.whole
+            else Shard(folder, _FORMATS.get(said.get("format"), "episodes"), part, asked, said)
+        )
     return None
 
 
@@ -92,23 +106,33 @@ def merge_shards(found: Sequence[Shard], out: Path) -> Path:
     first = ordered[0]
     for other in ordered[1:]:
         if (other.kind, other.part.of, other.asked) != (first.kind, first.part.of, first.asked):
-            raise InvalidMerge(f"{first.folder} and {other.folder} are not shards of one run: they were asked for different things")
+            raise InvalidMerge(
+                f"{first.folder} and {other.folder} are not shards of one run: they were asked for"
+                " different things"
+            )
     numbers = [shard.part.number for shard in ordered]
     missing = sorted(set(range(1, first.part.of + 1)) - set(numbers))
     if missing:
-        raise InvalidMerge(f"of {first.part.of} shards {', '.join(map(str, missing))} {'is' if len(missing) == 1 else 'are'} missing")
+        raise InvalidMerge(
+            f"of {first.part.of} shards {', '.join(map(str, missing))}"
+            f" {'is' if len(missing) == 1 else 'are'} missing"
+        )
     if len(numbers) > first.part.of:
         raise InvalidMerge(f"a shard is named twice: {', '.join(map(str, numbers))}")
     for shard in ordered:
         for name, digest in shard.said["files"].items():
             path = shard.folder / name
             if not path.is_file() or sha256(path) != digest:
-                raise InvalidMerge(f"{path} is missing or spoilt (SHA-256 differs); make shard {shard.part} again")
+                raise InvalidMerge(
+                    f"{path} is missing or spoilt (SHA-256 differs); make shard {shard.part} again"
+                )
     folder = out / first.asked["config"]["dataset_id"] if first.kind == "episodes" else out
     if folder.exists():
         raise Occupied(f"{folder} is there already; choose another --out, or remove it")
     with held(folder, resume=False) as partial:
-        made = {"states": _states, "episodes": _episodes, "images": _images}[first.kind](ordered, partial / "whole")
+        made = {"states": _states, "episodes": _episodes, "images": _images}[first.kind](
+            ordered, partial / "whole"
+        )
         made.rename(folder)
         shutil.rmtree(partial)
     return folder
@@ -127,19 +151,44 @@ def _states(ordered: Sequence[Shard], folder: Path) -> Path:
     for nx in config["nx"]:
         mine = np.flatnonzero(merged.nx == nx)
         codes = [GaussCode.parse(text) for text in merged.gauss_code[mine]]
-        splits[mine] = split(codes, config["split_by"], config["train_share"], np.random.default_rng([config["seed"], 5, nx]))
+        splits[mine] = split(
+            codes,
+            config["split_by"],
+            config["train_share"],
+            np.random.default_rng([config["seed"], 5, nx]),
+        )
         place[mine] = np.arange(len(mine))
-    trajectories, attributes = merged.source["trajectory"], {**merged.attributes, "config": json.dumps(config, sort_keys=True)}
-    merged = replace(merged, split=splits, source={**merged.source, "trajectory": place}, attributes=attributes)
+    trajectories, attributes = (
+        merged.source["trajectory"],
+        {
+            **merged.attributes,
+            "config": json.dumps(config, sort_keys=True),
+        },
+    )
+    merged = replace(
+        merged, split=splits, source={**merged.source, "trajectory": place}, attributes=attributes
+    )
     folder.mkdir(parents=True)
     write_states(folder / "states.h5", merged)
     for nx in sorted(set(merged.nx.tolist())):
         mine = np.flatnonzero(merged.nx == nx)
         ways = [
-            Chosen(output.ways_folder(shard.folder / "minari", nx), trajectories[mine[number[mine] == k]].tolist()) for k, shard in enumerate(ordered)
+            Chosen(
+                output.ways_folder(shard.folder / "minari", nx),
+                trajectories[mine[number[mine] == k]].tolist(),
+            )
+            for k, shard in enumerate(ordered)
         ]
-        output.publish_ways(nx, [one for one in ways if one.episode_indices], len(mine), folder / "minari", folder / "states.h5")
-    _archive([Archive.load(shard.folder / "archive.h5") for shard in ordered]).save(folder / "archive.h5")
+        output.publish_ways(
+            nx,
+            [one for one in ways if one.episode_indices],
+            len(mine),
+            folder / "minari",
+            folder / "states.h5",
+        )
+    _archive([Archive.load(shard.folder / "archive.h5") for shard in ordered]).save(
+        folder / "archive.h5"
+    )
     report = _report_of_states([shard.said["report"] for shard in ordered], len(order) - len(kept))
     output.finish(folder, merged, report, config)
     return folder
@@ -148,9 +197,22 @@ def _states(ordered: Sequence[Shard], folder: Path) -> Path:
 def _rows(states: States, rows: np.ndarray) -> States:
     """Some rows of a table."""
     columns: dict[str, Any] = {
-        name: getattr(states, name)[rows] for name in ("qpos", "points", "image", "gauss_code", "gauss_code_chiral", "knot", "nx", "split")
+        name: getattr(states, name)[rows]
+        for name in (
+            "qpos",
+            "points",
+            "image",
+            "gauss_code",
+            "gauss_code_chiral",
+            "knot",
+            "nx",
+            "split",
+        )
     }
-    groups: dict[str, Any] = {name: {key: column[rows] for key, column in getattr(states, name).items()} for name in ("quality", "source")}
+    groups: dict[str, Any] = {
+        name: {key: column[rows] for key, column in getattr(states, name).items()}
+        for name in ("quality", "source")
+    }
     return replace(states, **columns, **groups)
 
 
@@ -165,7 +227,10 @@ def _archive(archives: Sequence[Archive]) -> Archive:
             out.visits[niche] = out.visits.get(niche, 0) + count
         out.transitions.add(other.transitions)
         rounds, actions = len(out.growth), out.growth[-1]["actions"] if out.growth else 0
-        out.growth += [{**row, "round": rounds + row["round"], "actions": actions + row["actions"]} for row in other.growth]
+        out.growth += [
+            {**row, "round": rounds + row["round"], "actions": actions + row["actions"]}
+            for row in other.growth
+        ]
     return out
 
 
@@ -186,29 +251,58 @@ def _report_of_states(reports: Sequence[dict[str, Any]], near: int) -> dict[str,
 
 def _episodes(ordered: Sequence[Shard], folder: Path) -> Path:
     asked = ordered[0].asked["config"]
-    policy = PolicyConfig(**{**_tuples(asked["policy"]), "planner": PlannerConfig(**_tuples(asked["policy"]["planner"]))})
-    config = CollectConfig(**{**_tuples(asked), "task": TaskConfig(**asked["task"]), "policy": policy})
+    policy = PolicyConfig(
+        **{
+            **_tuples(asked["policy"]),
+            "planner": PlannerConfig(**_tuples(asked["policy"]["planner"])),
+        }
+    )
+    config = CollectConfig(
+        **{**_tuples(asked), "task": TaskConfig(**asked["task"]), "policy": policy}
+    )
     if json.loads(json.dumps(asdict(config))) != asked:
-        raise InvalidMerge(f"{ordered[0].folder} was collected by another version of knotgym, with other settings")
+        raise InvalidMerge(
+            f"{ordered[0].folder} was collected by another version of knotgym, with other settings"
+        )
     tally = sum((Tally(**shard.said["tally"]) for shard in ordered), Tally())
-    return write_whole(config, [shard.folder / "main_data.hdf5" for shard in ordered], tally, folder, concatenate=True)
+    return write_whole(
+        config,
+        [shard.folder / "main_data.hdf5" for shard in ordered],
+        tally,
+        folder,
+        concatenate=True,
+    )
 
 
 def _tuples(settings: dict[str, Any]) -> dict[str, Any]:
     """Settings as JSON has them, lists as the tuples they were."""
-    return {name: tuple(value) if isinstance(value, list) else value for name, value in settings.items()}
+    return {
+        name: tuple(value) if isinstance(value, list) else value for name, value in settings.items()
+    }
 
 
 def _images(ordered: Sequence[Shard], folder: Path) -> Path:
     pa = arrow()
     tables = [path for shard in ordered for path in shards(shard.folder)]
     points = [points_of(read_table(path, columns=["points"])) for path in tables]
-    kept = dict(zip(tables, np.split(apart(np.concatenate(points)), np.cumsum([*map(len, points)])[:-1]), strict=True))
+    kept = dict(
+        zip(
+            tables,
+            np.split(apart(np.concatenate(points)), np.cumsum([*map(len, points)])[:-1]),
+            strict=True,
+        )
+    )
     near = sum(int((~rows).sum()) for rows in kept.values())
     config = {**ordered[0].asked["config"], "part": asdict(Part())}
     written: list[Path] = []
     for name in SPLITS:
-        mine = [path for path in tables if path.name.startswith(shard_name(name, 0, 1).removeprefix("data/").split("-")[0] + "-")]
+        mine = [
+            path
+            for path in tables
+            if path.name.startswith(
+                shard_name(name, 0, 1).removeprefix("data/").split("-")[0] + "-"
+            )
+        ]
         count = -(-sum(int(kept[path].sum()) for path in mine) // config["shard"])
         chosen = (read_table(path).filter(pa.array(kept[path])) for path in mine)
         for index, table in enumerate(_cut(chosen, config["shard"])):
@@ -218,10 +312,15 @@ def _images(ordered: Sequence[Shard], folder: Path) -> Path:
     reports = [shard.said["report"] for shard in ordered]
     report = {
         **{name: sum(one[name] for one in reports) for name in ("walks", "frames")},
-        **{name: dict(sorted(sum((Counter(one[name]) for one in reports), Counter()).items())) for name in ("dropped", "refused")},
+        **{
+            name: dict(sorted(sum((Counter(one[name]) for one in reports), Counter()).items()))
+            for name in ("dropped", "refused")
+        },
         "near_duplicates_between_shards": near,
     }
-    image_folder.close(folder, written, {"config": config, "source": ordered[0].asked["source"]}, report)
+    image_folder.close(
+        folder, written, {"config": config, "source": ordered[0].asked["source"]}, report
+    )
     return folder
 
 

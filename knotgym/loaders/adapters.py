@@ -1,4 +1,6 @@
-"""Datasets for the learners' own libraries: a torch Dataset, a d3rlpy replay buffer, a TensorDict."""
+"""Datasets for the learners' own libraries: a torch Dataset, a d3rlpy replay buffer, a
+TensorDict.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +14,15 @@ from knotgym.errors import KnotgymError
 from knotgym.loaders.rows import rows
 from knotgym.loaders.transitions import Transitions
 
-# d3rlpy 2.8.1 pins gymnasium 1.0.0, older than the environments need, so no extra can hold it; the loaders run with any
+# d3rlpy 2.8.1 pins gymnasium 1.0.0, older than the environments need, so no extra can hold it; the
+# loaders run with any
 _HOW = {
     "torch": "pip install 'knotgym[torch]'",
     "tensordict": "pip install 'knotgym[torchrl]'",
-    "d3rlpy": "in an environment of its own, for it pins gymnasium: pip install d3rlpy, then pip install --no-deps knotgym",
+    "d3rlpy": (
+        "in an environment of its own, for it pins gymnasium: pip install d3rlpy, then pip install"
+        " --no-deps knotgym"
+    ),
 }
 
 
@@ -27,18 +33,29 @@ class MissingExtra(KnotgymError, ImportError):
         super().__init__(f"this loader needs {needed}, which isn't installed; install it: {how}")
 
 
-def torch_dataset(dataset: Any, kind: str = "transitions", *, observation: str | None = None, picture: Any = None, relabel: str | None = None) -> Any:
-    """Make a `torch.utils.data.Dataset` that reads from the file when asked; any number of DataLoader workers may share it.
+def torch_dataset(
+    dataset: Any,
+    kind: str = "transitions",
+    *,
+    observation: str | None = None,
+    picture: Any = None,
+    relabel: str | None = None,
+) -> Any:
+    """Make a `torch.utils.data.Dataset` that reads from the file when asked; any number of
+    DataLoader workers may share it.
 
     Args:
         dataset, observation, picture, relabel: see `knotgym.loaders`.
         kind: what an item is:
             "transitions": observation, action, reward, next_observation, terminal, timeout;
-            "episodes": observations (T + 1, ...), actions, rewards, terminals, timeouts (T, ...), of unequal T;
-            "frames": observation, gauss_code, crossings, episode, step: a state, the last of an episode too.
+            "episodes": observations (T + 1, ...), actions, rewards, terminals, timeouts (T, ...),
+                of unequal T;
+            "frames": observation, gauss_code, crossings, episode, step: a state, the last of an
+                episode too.
 
     Returns:
-        A Dataset of dicts of tensors: observations uint8 (size, 2 size, 3) as the environment's, or float32 (6 beads,), or a
+        A Dataset of dicts of tensors: observations uint8 (size, 2 size, 3) as the environment's, or
+            float32 (6 beads,), or a
         dict of both; rewards float32; frames' gauss_code a str.
 
     Raises:
@@ -50,15 +67,20 @@ def torch_dataset(dataset: Any, kind: str = "transitions", *, observation: str |
 
     if kind not in KINDS:
         raise ValueError(f"kind must be one of {', '.join(KINDS)}, got {kind!r}")
-    return KINDS[kind](Transitions(dataset, observation=observation, picture=picture, relabel=relabel))
+    return KINDS[kind](
+        Transitions(dataset, observation=observation, picture=picture, relabel=relabel)
+    )
 
 
-def to_d3rlpy(dataset: Any, *, observation: str | None = None, picture: Any = None, relabel: str | None = None) -> Any:
-    """Make a `d3rlpy.dataset.ReplayBuffer` that holds every transition; pictures channels first, "both" a tuple of pixels and state.
+def to_d3rlpy(
+    dataset: Any, *, observation: str | None = None, picture: Any = None, relabel: str | None = None
+) -> Any:
+    """Make a `d3rlpy.dataset.ReplayBuffer` that holds every transition; pictures channels first,
+    "both" a tuple of pixels and state.
 
-    d3rlpy keeps T observations for T actions and drops the last transition of an episode that didn't terminate, here the one
-    that pays for failing. So such an episode has its last state as one more step, of a zero action and reward: no transition
-    starts there, one ends there.
+    d3rlpy keeps T observations for T actions and drops the last transition of an episode that
+    didn't terminate, here the one that pays for failing. So such an episode has its last state as
+    one more step, of a zero action and reward: no transition starts there, one ends there.
 
     Args:
         dataset, observation, picture, relabel: see `knotgym.loaders`.
@@ -71,27 +93,43 @@ def to_d3rlpy(dataset: Any, *, observation: str | None = None, picture: Any = No
     episodes = []
     for segment in range(transitions.segments):
         part = slice(*transitions.starts[segment : segment + 2])
-        actions, rewards = transitions.actions[part], transitions.rewards[part, None].astype(np.float32)
+        actions, rewards = (
+            transitions.actions[part],
+            transitions.rewards[part, None].astype(np.float32),
+        )
         terminated = bool(transitions.terminals[part][-1])
         if not terminated:
-            actions, rewards = np.concatenate([actions, np.zeros_like(actions[:1])]), np.concatenate([rewards, np.zeros_like(rewards[:1])])
+            actions, rewards = (
+                np.concatenate([actions, np.zeros_like(actions[:1])]),
+                np.concatenate([rewards, np.zeros_like(rewards[:1])]),
+            )
         seen = transitions.observations(segment, 0, len(actions))
         both = isinstance(seen, dict)
-        observations = tuple(_channels_first(seen[name]) for name in seen) if both else _channels_first(seen)
+        observations = (
+            tuple(_channels_first(seen[name]) for name in seen) if both else _channels_first(seen)
+        )
         episodes.append(d3rlpy.dataset.Episode(observations, actions, rewards, terminated))
-    return d3rlpy.dataset.ReplayBuffer(d3rlpy.dataset.InfiniteBuffer(), episodes=episodes, action_space=d3rlpy.ActionSpace.CONTINUOUS, action_size=6)
+    return d3rlpy.dataset.ReplayBuffer(
+        d3rlpy.dataset.InfiniteBuffer(),
+        episodes=episodes,
+        action_space=d3rlpy.ActionSpace.CONTINUOUS,
+        action_size=6,
+    )
 
 
-def to_tensordict(dataset: Any, *, observation: str | None = None, picture: Any = None, relabel: str | None = None) -> Any:
-    """Make a `tensordict.TensorDict` of N transitions in TorchRL's layout, ready for a replay buffer's `extend`.
+def to_tensordict(
+    dataset: Any, *, observation: str | None = None, picture: Any = None, relabel: str | None = None
+) -> Any:
+    """Make a `tensordict.TensorDict` of N transitions in TorchRL's layout, ready for a replay
+    buffer's `extend`.
 
     Args:
         dataset, observation, picture, relabel: see `knotgym.loaders`.
 
     Returns:
-        batch size [N]: observation (or pixels and state, for "both"), action, done, terminated, truncated (N, 1), all False;
-        episode int64 (N,), the number of the segment, a SliceSampler's `traj_key`; and under next: observation, reward
-        float32 (N, 1), done, terminated, truncated.
+        batch size [N]: observation (or pixels and state, for "both"), action, done, terminated,
+        truncated (N, 1), all False; episode int64 (N,), the number of the segment, a SliceSampler's
+        `traj_key`; and under next: observation, reward float32 (N, 1), done, terminated, truncated.
 
     Raises:
         MissingExtra: tensordict or torch isn't installed.
@@ -126,7 +164,11 @@ def to_tensordict(dataset: Any, *, observation: str | None = None, picture: Any 
 
 
 def _channels_first(observations: NDArray[Any]) -> NDArray[Any]:
-    return np.ascontiguousarray(np.moveaxis(observations, -1, 1)) if observations.ndim == 4 else observations
+    return (
+        np.ascontiguousarray(np.moveaxis(observations, -1, 1))
+        if observations.ndim == 4
+        else observations
+    )
 
 
 def _needed(module: str) -> Any:

@@ -24,12 +24,13 @@ class PictureDataset(Dataset[dict[str, Any]]):
         nx          int64 ()
         visits      int64 (2 max_nx,): +label over, -label under, in the order of the walk
         signs       int64 (max_nx,): +1 for "c", -1 for "a", in order of labels
-        crossings   float32 (max_nx, 4): pixel x, y, place of the over strand and of the under strand, beads
-        grade       int64 (): index in `knotgym.datasets.image_table.GRADES`
-        accepted    bool ()
+        crossings   float32 (max_nx, 4): pixel x, y, place of the over strand and of the under
+        strand, beads grade       int64 (): index in `knotgym.datasets.image_table.GRADES` accepted
+        bool ()
 
-    The PNGs stay in memory, about 3 kB a picture of 128 x 128, shared by forked workers; labels are tensors from the start.
-    Pictures of one size batch by themselves; those of several sizes need a batch sampler or a collate function of your own.
+    The PNGs stay in memory, about 3 kB a picture of 128 x 128, shared by forked workers; labels are
+    tensors from the start. Pictures of one size batch by themselves; those of several sizes need a
+    batch sampler or a collate function of your own.
 
     Attributes:
         max_nx: crossings that labels are padded to.
@@ -38,18 +39,25 @@ class PictureDataset(Dataset[dict[str, Any]]):
         labels: name -> tensor (n, ...), all of the above but the images.
     """
 
-    def __init__(self, path: str | os.PathLike[str], split: str | None = None, max_nx: int | None = None) -> None:
+    def __init__(
+        self, path: str | os.PathLike[str], split: str | None = None, max_nx: int | None = None
+    ) -> None:
         """Read a table; see `knotgym.loaders.images`."""
         table = read_table(path, split, columns=_COLUMNS)
         nx = np.array(table["nx"].to_pylist(), dtype=np.int64)
         most = int(nx.max(initial=0)) if max_nx is None else max_nx
         if nx.max(initial=0) > most:
-            raise InvalidImages(f"labels can't be padded to {most} crossings: a picture has {nx.max()}")
+            raise InvalidImages(
+                f"labels can't be padded to {most} crossings: a picture has {nx.max()}"
+            )
         self.max_nx = most
         self._png = arrow("pyarrow.compute").struct_field(table["image"].combine_chunks(), "bytes")
         self.codes: list[str] = []
         self.splits: list[str] = table["split"].to_pylist()
-        visits, signs = np.zeros((len(nx), 2 * most), dtype=np.int64), np.zeros((len(nx), most), dtype=np.int64)
+        visits, signs = (
+            np.zeros((len(nx), 2 * most), dtype=np.int64),
+            np.zeros((len(nx), most), dtype=np.int64),
+        )
         for row, text in enumerate(table["gauss_code_chiral"].to_pylist()):
             code = GaussCode.parse(text)
             self.codes.append(str(code))
@@ -59,7 +67,9 @@ class PictureDataset(Dataset[dict[str, Any]]):
             "visits": torch.from_numpy(visits),
             "signs": torch.from_numpy(signs),
             "crossings": torch.from_numpy(_crossings(table["crossings"].to_pylist(), most)),
-            "grade": torch.tensor([GRADES.index(grade) for grade in table["grade"].to_pylist()], dtype=torch.int64),
+            "grade": torch.tensor(
+                [GRADES.index(grade) for grade in table["grade"].to_pylist()], dtype=torch.int64
+            ),
             "accepted": torch.tensor(table["accepted"].to_pylist(), dtype=torch.bool),
         }
 
@@ -70,11 +80,16 @@ class PictureDataset(Dataset[dict[str, Any]]):
         if not -len(self) <= index < len(self):
             raise IndexError(f"index {index} is outside a dataset of {len(self)}")
         row = index % len(self)
-        return {"image": torch.from_numpy(self.picture(row)), **{name: column[row] for name, column in self.labels.items()}}
+        return {
+            "image": torch.from_numpy(self.picture(row)),
+            **{name: column[row] for name, column in self.labels.items()},
+        }
 
     def picture(self, row: int) -> NDArray[np.uint8]:
         """The picture of a row, uint8 (3, size, size), RGB."""
-        image = cv2.imdecode(np.frombuffer(self._png[row].as_buffer(), dtype=np.uint8), cv2.IMREAD_COLOR_RGB)
+        image = cv2.imdecode(
+            np.frombuffer(self._png[row].as_buffer(), dtype=np.uint8), cv2.IMREAD_COLOR_RGB
+        )
         return np.ascontiguousarray(np.moveaxis(np.asarray(image, dtype=np.uint8), -1, 0))
 
 

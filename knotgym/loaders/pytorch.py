@@ -23,7 +23,10 @@ class TransitionDataset(Dataset[dict[str, Any]]):
     def __getitem__(self, index: int) -> dict[str, Any]:
         row = _checked(index, len(self))
         segment, step = self.transitions.place(row)
-        seen, own = self.transitions.observations(segment, step, step + 2), self.transitions.columns(segment)
+        seen, own = (
+            self.transitions.observations(segment, step, step + 2),
+            self.transitions.columns(segment),
+        )
         return {
             "observation": _tensor(_at(seen, 0)),
             "action": torch.from_numpy(own.actions[step].copy()),
@@ -87,8 +90,14 @@ def _checked(index: int, length: int) -> int:
 
 
 def _at(seen: Any, row: int) -> Any:
-    return {name: array[row] for name, array in seen.items()} if isinstance(seen, dict) else seen[row]
+    return (
+        {name: array[row] for name, array in seen.items()} if isinstance(seen, dict) else seen[row]
+    )
 
 
 def _tensor(seen: Any) -> Any:
-    return {name: _tensor(array) for name, array in seen.items()} if isinstance(seen, dict) else torch.from_numpy(np.ascontiguousarray(seen))
+    return (
+        {name: _tensor(array) for name, array in seen.items()}
+        if isinstance(seen, dict)
+        else torch.from_numpy(np.ascontiguousarray(seen))
+    )

@@ -1,4 +1,6 @@
-"""A whole dataset in memory, as a dict of arrays with one row a transition (the keys of D4RL and OGBench)."""
+"""A whole dataset in memory, as a dict of arrays with one row a transition (the keys of D4RL and
+OGBench).
+"""
 
 from __future__ import annotations
 
@@ -9,15 +11,17 @@ import numpy as np
 from knotgym.loaders.transitions import Transitions
 
 
-def arrays(dataset: Any, *, observation: str | None = None, picture: Any = None, relabel: str | None = None) -> dict[str, Any]:
+def arrays(
+    dataset: Any, *, observation: str | None = None, picture: Any = None, relabel: str | None = None
+) -> dict[str, Any]:
     """Load a dataset of N transitions, episode after episode.
 
     Args:
         dataset, observation, picture, relabel: see `knotgym.loaders`.
 
     Returns:
-        observations, next_observations: uint8 (N, size, 2 size, 3) or float32 (N, 6 beads), or dicts of both. They hold each
-            picture twice: 200 kB a transition at size 128.
+        observations, next_observations: uint8 (N, size, 2 size, 3) or float32 (N, 6 beads), or
+            dicts of both. They hold each picture twice: 200 kB a transition at size 128.
         actions: float32 (N, 6).
         rewards: float64 (N,).
         terminals, timeouts: bool (N,); each episode's last row has one of them set.

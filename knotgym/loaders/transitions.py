@@ -1,6 +1,8 @@
-"""A dataset as one long row of transitions: small columns kept once they are read, observations read or drawn when asked for.
+"""A dataset as one long row of transitions: small columns kept once they are read, observations
+read or drawn when asked for.
 
-Segments lie one after another: an episode as it was, or, with hindsight, the part of one that leads to a code it reached.
+Segments lie one after another: an episode as it was, or, with hindsight, the part of one that leads
+to a code it reached.
 """
 
 from __future__ import annotations
@@ -18,7 +20,9 @@ _KEPT = 256  # segments whose codes are kept
 
 
 class Columns(NamedTuple):
-    """What is small of the T transitions of a segment: float32 (T, 6), float64 (T,), bool (T,), bool (T,)."""
+    """What is small of the T transitions of a segment: float32 (T, 6), float64 (T,), bool (T,),
+    bool (T,).
+    """
 
     actions: NDArray[np.float32]
     rewards: NDArray[np.float64]
@@ -27,26 +31,38 @@ class Columns(NamedTuple):
 
 
 class Transitions:
-    """N transitions in S segments; pickles, and reads from any process. A million open at once: columns are read when needed.
+    """N transitions in S segments; pickles, and reads from any process. A million open at once:
+    columns are read when needed.
 
     Attributes:
         episode: int64 (S,), index in the dataset of the episode that a segment is of.
-        goal_step: int64 (S,), which of its states is the goal, -1 where the goal is the episode's own.
+        goal_step: int64 (S,), which of its states is the goal, -1 where the goal is the episode's
+            own.
         starts: int64 (S + 1,), the first transition of each segment, then N.
         actions: float32 (N, 6).
         rewards: float64 (N,).
         terminals, timeouts: bool (N,).
     """
 
-    def __init__(self, dataset: Any, *, observation: str | None = None, picture: Any = None, relabel: str | None = None) -> None:
+    def __init__(
+        self,
+        dataset: Any,
+        *,
+        observation: str | None = None,
+        picture: Any = None,
+        relabel: str | None = None,
+    ) -> None:
         """Find the segments.
 
         Args:
-            dataset: a Minari dataset's id or folder or `minari.MinariDataset`, or an episode file, compact or not.
+            dataset: a Minari dataset's id or folder or `minari.MinariDataset`, or an episode file,
+                compact or not.
             observation: "pixels", "state" or "both"; None for the environment's.
-            picture: a `knotgym.rendering.picture.PictureConfig` to draw with; None for the environment's pictures.
-            relabel: hindsight: None; "last": of each episode the part up to the last new code it reached, that code the goal;
-                "all": one such part for every code it reached. An episode that shows no code but its first gives none.
+            picture: a `knotgym.rendering.picture.PictureConfig` to draw with; None for the
+                environment's pictures.
+            relabel: hindsight: None; "last": of each episode the part up to the last new code it
+                reached, that code the goal; "all": one such part for every code it reached. An
+                episode that shows no code but its first gives none.
         """
         self._reader = EpisodeReader(dataset)
         self._seen: dict[str, Any] = {"observation": observation or "", "picture": picture}
@@ -58,7 +74,11 @@ class Transitions:
             lengths = self._reader.lengths.tolist()
         else:
             hold = self._reader.task.hold
-            parts = [(k, goal) for k in range(len(self._reader)) for goal in goal_steps(self._reader.column(k, "gauss_code"), relabel, hold)]
+            parts = [
+                (k, goal)
+                for k in range(len(self._reader))
+                for goal in goal_steps(self._reader.column(k, "gauss_code"), relabel, hold)
+            ]
             lengths = [goal for _, goal in parts]
         self.episode, self.goal_step = np.array(parts, dtype=np.int64).reshape(-1, 2).T
         self.starts: NDArray[np.int64] = np.cumsum([0, *lengths])
@@ -84,18 +104,30 @@ class Transitions:
         return self._all(3, np.empty(0, bool))
 
     def columns(self, segment: int) -> Columns:
-        """The small columns of a segment of T transitions, read when first asked for and then kept."""
+        """The small columns of a segment of T transitions, read when first asked for and then
+        kept.
+        """
         if segment not in self._read:
             index, goal = int(self.episode[segment]), int(self.goal_step[segment])
-            own = [self._reader.column(index, name) for name in ("actions", "rewards", "terminations", "truncations")]
+            own = [
+                self._reader.column(index, name)
+                for name in ("actions", "rewards", "terminations", "truncations")
+            ]
             if self._relabelled:
                 end = np.arange(goal) == goal - 1
-                own = [own[0][:goal], np.where(end, self._reader.task.success_reward, 0.0), end, np.zeros(goal, dtype=bool)]
+                own = [
+                    own[0][:goal],
+                    np.where(end, self._reader.task.success_reward, 0.0),
+                    end,
+                    np.zeros(goal, dtype=bool),
+                ]
             self._read[segment] = Columns(*own)
         return self._read[segment]
 
     def _all(self, column: int, empty: NDArray[Any]) -> NDArray[Any]:
-        return np.concatenate([empty, *(self.columns(segment)[column] for segment in range(self.segments))])
+        return np.concatenate(
+            [empty, *(self.columns(segment)[column] for segment in range(self.segments))]
+        )
 
     def __len__(self) -> int:
         """N, the transitions."""
@@ -118,7 +150,8 @@ class Transitions:
         return segment, int(frame - starts[segment])
 
     def observations(self, segment: int, start: int = 0, stop: int | None = None) -> Any:
-        """Observations of the states [start, stop) of a segment of T transitions; its states are 0 to T.
+        """Observations of the states [start, stop) of a segment of T transitions; its states are 0
+        to T.
 
         Returns:
             uint8 (n, size, 2 size, 3), float32 (n, 6 beads), or a dict of both.
@@ -126,10 +159,14 @@ class Transitions:
         last = int(self.starts[segment + 1] - self.starts[segment]) + 1
         goal = int(self.goal_step[segment])
         steps = slice(start, last if stop is None else min(stop, last))
-        return self._reader.observations(int(self.episode[segment]), steps, goal_step=None if goal < 0 else goal, **self._seen)
+        return self._reader.observations(
+            int(self.episode[segment]), steps, goal_step=None if goal < 0 else goal, **self._seen
+        )
 
     def codes(self, segment: int) -> list[str]:
-        """The Gauss codes of a segment's T + 1 states; those of the segments asked for last are kept."""
+        """The Gauss codes of a segment's T + 1 states; those of the segments asked for last are
+        kept.
+        """
         if segment not in self._codes:
             if len(self._codes) == _KEPT:
                 del self._codes[next(iter(self._codes))]

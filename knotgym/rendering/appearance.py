@@ -1,8 +1,10 @@
-"""What a perception picture may vary without its label becoming false: colours, width, background, camera, noise, blur, size.
+"""What a perception picture may vary without its label becoming false: colours, width, background,
+camera, noise, blur, size.
 
-A turn or a zoom moves the crossings' pixels (they are recomputed) and no code. Under colours "published" and "gradient" the
-picture shows which way the walk runs: towards red, or from the bright end to the dark one. Under "single" only the white base
-bead is shown, so the code and the code of the walk the other way fit the picture equally well.
+A turn or a zoom moves the crossings' pixels (they are recomputed) and no code. Under colours
+"published" and "gradient" the picture shows which way the walk runs: towards red, or from the
+bright end to the dark one. Under "single" only the white base bead is shown, so the code and the
+code of the walk the other way fit the picture equally well.
 """
 
 from __future__ import annotations
@@ -37,7 +39,8 @@ class AppearanceConfig:
         width: range of the factor on the rope's width.
         zoom: range of the magnification; never so large that the rope leaves the picture.
         noise: largest standard deviation of the Gaussian noise, levels of 255.
-        blur: largest standard deviation of the Gaussian blur, pixels of a picture of 128; larger pictures take more.
+        blur: largest standard deviation of the Gaussian blur, pixels of a picture of 128; larger
+            pictures take more.
     """
 
     vary: tuple[str, ...] = ()
@@ -50,17 +53,26 @@ class AppearanceConfig:
     def __post_init__(self) -> None:
         for name in self.vary:
             if name not in VARIED:
-                raise InvalidAppearance(f"{name!r} can't be varied; these can: {', '.join(VARIED)}, or all, or none")
+                raise InvalidAppearance(
+                    f"{name!r} can't be varied; these can: {', '.join(VARIED)}, or all, or none"
+                )
         object.__setattr__(self, "vary", tuple(name for name in VARIED if name in self.vary))
-        if not self.sizes or any(type(size) is not int or not SIZES[0] <= size <= SIZES[1] for size in self.sizes):
-            raise InvalidAppearance(f"sizes are whole pixels from {SIZES[0]} to {SIZES[1]}, got {', '.join(map(str, self.sizes)) or 'none'}")
+        if not self.sizes or any(
+            type(size) is not int or not SIZES[0] <= size <= SIZES[1] for size in self.sizes
+        ):
+            raise InvalidAppearance(
+                f"sizes are whole pixels from {SIZES[0]} to {SIZES[1]}, got"
+                f" {', '.join(map(str, self.sizes)) or 'none'}"
+            )
         for name in ("width", "zoom"):
             low, high = getattr(self, name)
             if not 0 < low <= high < math.inf:
                 raise InvalidAppearance(f"{name} is a range (low, high) above 0, got {(low, high)}")
         for name in ("noise", "blur"):
             if not 0 <= getattr(self, name) < math.inf:
-                raise InvalidAppearance(f"{name} must be at least 0 and finite, got {getattr(self, name)}")
+                raise InvalidAppearance(
+                    f"{name} must be at least 0 and finite, got {getattr(self, name)}"
+                )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,11 +84,13 @@ class Appearance:
         turn: of the camera about z, radians, anticlockwise.
         zoom: magnification.
         width: factor on the rope's width.
-        colours: "published"; "single", the rope in the RGB `first`; "gradient", from `first` at bead 1 to `last`.
+        colours: "published"; "single", the rope in the RGB `first`; "gradient", from `first` at
+            bead 1 to `last`.
         first, last: RGB; all 0 where not used.
         background: RGB.
         noise: standard deviation of the Gaussian noise, levels.
-        blur: standard deviation of the Gaussian blur, pixels of this picture; blurred first, noise after.
+        blur: standard deviation of the Gaussian blur, pixels of this picture; blurred first, noise
+            after.
         seed: the noise is that of `np.random.default_rng(seed)`.
     """
 
@@ -94,7 +108,13 @@ class Appearance:
 
     def picture(self) -> PictureConfig:
         """The camera and the rope's width; colours are `bead_colours`."""
-        return PictureConfig(size=self.size, turn=self.turn, zoom=self.zoom, width=self.width, background=self.background)
+        return PictureConfig(
+            size=self.size,
+            turn=self.turn,
+            zoom=self.zoom,
+            width=self.width,
+            background=self.background,
+        )
 
     def bead_colours(self, beads: int) -> NDArray[np.uint8]:
         """RGB of every bead, uint8 (beads, 3); the base bead is white."""
@@ -102,7 +122,9 @@ class Appearance:
             return rope_colours(beads)
         last = self.first if self.colours == "single" else self.last
         along = np.linspace(0.0, 1.0, beads)[:, None]
-        colours: NDArray[np.uint8] = np.rint((1 - along) * np.array(self.first) + along * np.array(last)).astype(np.uint8)
+        colours: NDArray[np.uint8] = np.rint(
+            (1 - along) * np.array(self.first) + along * np.array(last)
+        ).astype(np.uint8)
         colours[0] = 255
         return colours
 
@@ -118,10 +140,16 @@ def appearance(points: Array, config: AppearanceConfig, rng: np.random.Generator
         most = _largest_zoom(points, turn, width)
         low, high = config.zoom
         zoom = float(rng.uniform(min(low, most), min(high, most)))
-    kind = ("published", "single", "gradient")[int(rng.integers(3))] if "colours" in vary else plain.colours
+    kind = (
+        ("published", "single", "gradient")[int(rng.integers(3))]
+        if "colours" in vary
+        else plain.colours
+    )
     background = _rgb(rng.integers(0, 81, 3)) if "background" in vary else plain.background
     first, last = _rgb(rng.integers(150, 256, 3)), plain.last
-    if kind == "gradient":  # from bright to dark, another hue at the end, never as dark as a background
+    if (
+        kind == "gradient"
+    ):  # from bright to dark, another hue at the end, never as dark as a background
         dark = rng.integers(20, 60, 3)
         dark[rng.integers(3)] = rng.integers(150, 200)
         last = _rgb(dark)
@@ -156,7 +184,10 @@ def render(points: Array, look: Appearance) -> NDArray[np.uint8]:
 def _largest_zoom(points: Array, turn: float, width: float) -> float:
     """The zoom at which the rope comes within MARGIN of the picture's edge."""
     plain = PictureConfig(turn=turn, width=width)
-    out = np.abs(project(points, plain) - plain.size / 2).max() / plain.pixels_per_metre + plain.drawn_radius
+    out = (
+        np.abs(project(points, plain) - plain.size / 2).max() / plain.pixels_per_metre
+        + plain.drawn_radius
+    )
     return float((plain.size / 2 - MARGIN) / plain.pixels_per_metre / out)
 
 

@@ -1,9 +1,12 @@
-"""The picture of a rope by MuJoCo's classic renderer: capsules with flat colours, the same picture as knotgym.rendering.picture draws, through OpenGL.
+"""The picture of a rope by MuJoCo's classic renderer: capsules with flat colours, the same picture
+as knotgym.rendering.picture draws, through OpenGL.
 
-Imported only when a picture with renderer="mujoco" is asked for. OpenGL contexts are costly and belong to one thread of one process, so one is
-kept for each (process, thread, side of the canvas); nothing else holds them, so environments pickle. A process that has drawn may not be forked
-and draw in the child: the drivers hang, so that it is refused. The backend is the user's MUJOCO_GL; when that is unset, EGL where it is installed,
-otherwise OSMesa, otherwise a window system. The environment variable itself is never written.
+Imported only when a picture with renderer="mujoco" is asked for. OpenGL contexts are costly and
+belong to one thread of one process, so one is kept for each (process, thread, side of the canvas);
+nothing else holds them, so environments pickle. A process that has drawn may not be forked and draw
+in the child: the drivers hang, so that it is refused. The backend is the user's MUJOCO_GL; when
+that is unset, EGL where it is installed, otherwise OSMesa, otherwise a window system. The
+environment variable itself is never written.
 """
 
 import atexit
@@ -22,7 +25,11 @@ from numpy.typing import NDArray
 from knotgym.errors import KnotgymError
 from knotgym.rendering.picture import PictureConfig, average
 
-_NEAR, _MARGIN = 0.01, 0.5  # metres: nearest thing the camera sees; free space kept above and below the rope
+# metres: nearest thing the camera sees; free space kept above and below the rope
+_NEAR, _MARGIN = (
+    0.01,
+    0.5,
+)
 
 _STAGE = """
 <mujoco>
@@ -36,7 +43,10 @@ _STAGE = """
 """
 
 
-_REMEDY = "install EGL (libegl1) or OSMesa (libosmesa6), name one in MUJOCO_GL, or use renderer='opencv', which needs none"
+_REMEDY = (
+    "install EGL (libegl1) or OSMesa (libosmesa6), name one in MUJOCO_GL, or use renderer='opencv',"
+    " which needs none"
+)
 
 
 class GraphicsUnavailable(KnotgymError):
@@ -44,7 +54,8 @@ class GraphicsUnavailable(KnotgymError):
 
 
 class Painter:
-    """An OpenGL canvas of one size, and the scene that is drawn on it; to be used in the thread that made it.
+    """An OpenGL canvas of one size, and the scene that is drawn on it; to be used in the thread
+    that made it.
 
     Args:
         side: pixels of the canvas, both sides.
@@ -60,14 +71,21 @@ class Painter:
             self._gl: Any = importlib.import_module(f"mujoco.{backend}").GLContext(side, side)
             self._gl.make_current()
             self._context: Any = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
-        except Exception as error:  # each backend fails in its own way: ImportError, AttributeError, RuntimeError, GLError, FatalError
-            raise _unavailable(f"{backend}: {(str(error).strip() or type(error).__name__).splitlines()[0]}") from error
+        # each backend fails in its own way: ImportError, AttributeError, RuntimeError, GLError,
+        # FatalError
+        except Exception as error:
+            raise _unavailable(
+                f"{backend}: {(str(error).strip() or type(error).__name__).splitlines()[0]}"
+            ) from error
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
         self._model, self._side = model, side
         self._scene = _stage(model, 256)
 
-    def paint(self, points: NDArray[np.float64], colours: NDArray[np.uint8], config: PictureConfig) -> NDArray[np.uint8]:
-        """Paint a rope on the canvas: uint8, shape (side, side, 3), row 0 at the top, not yet averaged to the picture's size.
+    def paint(
+        self, points: NDArray[np.float64], colours: NDArray[np.uint8], config: PictureConfig
+    ) -> NDArray[np.uint8]:
+        """Paint a rope on the canvas: uint8, shape (side, side, 3), row 0 at the top, not yet
+        averaged to the picture's size.
 
         Args:
             points: float64, shape (beads, 3), metres.
@@ -80,17 +98,29 @@ class Painter:
         self._look(points, config)
         rgba = np.ones((beads, 4), dtype=np.float32)
         rgba[:, :3] = colours / 255.0
-        nowhere, upright, capsule = np.zeros(3), np.eye(3).ravel(), mujoco.mjtGeom.mjGEOM_CAPSULE.value
+        nowhere, upright, capsule = (
+            np.zeros(3),
+            np.eye(3).ravel(),
+            mujoco.mjtGeom.mjGEOM_CAPSULE.value,
+        )
         geoms = self._scene.geoms
         for bead in range(beads):
             mujoco.mjv_initGeom(geoms[bead], capsule, nowhere, nowhere, upright, rgba[bead])
-            mujoco.mjv_connector(geoms[bead], capsule, config.drawn_radius, points[bead], points[(bead + 1) % beads])
+            mujoco.mjv_connector(
+                geoms[bead], capsule, config.drawn_radius, points[bead], points[(bead + 1) % beads]
+            )
         self._scene.ngeom = beads
-        if any(config.background):  # an unlit picture is black by itself; any other background is a floor under the rope
+        if any(
+            config.background
+        ):  # an unlit picture is black by itself; any other background is a floor under the rope
             floor = np.array([100.0, 100.0, 0.01])
             below = np.array([0.0, 0.0, points[:, 2].min() - 0.5 * _MARGIN])
-            shade = np.array([*(level / 255.0 for level in config.background), 1.0], dtype=np.float32)
-            mujoco.mjv_initGeom(geoms[beads], mujoco.mjtGeom.mjGEOM_BOX.value, floor, below, upright, shade)
+            shade = np.array(
+                [*(level / 255.0 for level in config.background), 1.0], dtype=np.float32
+            )
+            mujoco.mjv_initGeom(
+                geoms[beads], mujoco.mjtGeom.mjGEOM_BOX.value, floor, below, upright, shade
+            )
             self._scene.ngeom = beads + 1
         self._gl.make_current()
         canvas = np.empty((self._side, self._side, 3), dtype=np.uint8)
@@ -114,7 +144,10 @@ class Painter:
             camera.orthographic = int(config.camera == "orthographic")
             camera.frustum_center, camera.frustum_width = 0.0, half
             camera.frustum_bottom, camera.frustum_top = -half, half
-            camera.frustum_near, camera.frustum_far = near, height - float(points[:, 2].min()) + _MARGIN
+            camera.frustum_near, camera.frustum_far = (
+                near,
+                height - float(points[:, 2].min()) + _MARGIN,
+            )
 
     def close(self) -> None:
         """Free the context; closing twice is nothing."""
@@ -129,7 +162,9 @@ _painters: dict[tuple[int, int, int], Painter] = {}
 _processes: set[int] = set()  # that have made a context: this one and those it was forked from
 
 
-def draw(points: NDArray[np.float64], colours: NDArray[np.uint8], config: PictureConfig) -> NDArray[np.uint8]:
+def draw(
+    points: NDArray[np.float64], colours: NDArray[np.uint8], config: PictureConfig
+) -> NDArray[np.uint8]:
     """Draw one rope; knotgym.rendering.picture.draw checks the arguments and says what they are.
 
     Raises:
@@ -141,10 +176,13 @@ def draw(points: NDArray[np.float64], colours: NDArray[np.uint8], config: Pictur
     if key not in _painters:
         if _processes - {process}:  # drivers hang there
             raise _unavailable(
-                "this process was forked from one that had drawn already", "start workers by 'spawn' or 'forkserver', or use renderer='opencv'"
+                "this process was forked from one that had drawn already",
+                "start workers by 'spawn' or 'forkserver', or use renderer='opencv'",
             )
         _painters[key] = Painter(side)
-        if not _processes:  # not before the first context, so as to run before the backend's own clearing up
+        if (
+            not _processes
+        ):  # not before the first context, so as to run before the backend's own clearing up
             atexit.register(close)
         _processes.add(process)
     return average(_painters[key].paint(points, colours, config), config.supersampling)
@@ -160,7 +198,9 @@ def _stage(model: mujoco.MjModel, geoms: int) -> mujoco.MjvScene:
     """An empty scene for so many geoms, lit evenly from everywhere."""
     scene = mujoco.MjvScene(model, maxgeom=geoms)
     everything = mujoco.mjtCatBit.mjCAT_ALL.value
-    mujoco.mjv_updateScene(model, mujoco.MjData(model), mujoco.MjvOption(), None, mujoco.MjvCamera(), everything, scene)
+    mujoco.mjv_updateScene(
+        model, mujoco.MjData(model), mujoco.MjvOption(), None, mujoco.MjvCamera(), everything, scene
+    )
     for flag in ("SHADOW", "REFLECTION", "FOG", "HAZE", "SKYBOX"):
         scene.flags[getattr(mujoco.mjtRndFlag, f"mjRND_{flag}")] = False
     return scene

@@ -1,7 +1,8 @@
-"""What the agent sees of a rope and its goal: the picture of both side by side, or the vertices of both.
+"""What the agent sees of a rope and its goal: the picture of both side by side, or the vertices of
+both.
 
-The environment, the datasets and the loaders all observe through this one module, so that a stored observation is the
-environment's byte for byte.
+The environment, the datasets and the loaders all observe through this one module, so that a stored
+observation is the environment's byte for byte.
 """
 
 from __future__ import annotations
@@ -17,11 +18,17 @@ from knotgym.tasks import TaskConfig
 
 def picture_config(task: TaskConfig) -> PictureConfig:
     """How a task's environment draws."""
-    settings: dict[str, Any] = {"size": task.image_size, "camera": task.camera, "renderer": task.renderer}
+    settings: dict[str, Any] = {
+        "size": task.image_size,
+        "camera": task.camera,
+        "renderer": task.renderer,
+    }
     return PictureConfig(**settings)
 
 
-def pixels(points: ArrayLike, goal_picture: NDArray[np.uint8], picture: PictureConfig) -> NDArray[np.uint8]:
+def pixels(
+    points: ArrayLike, goal_picture: NDArray[np.uint8], picture: PictureConfig
+) -> NDArray[np.uint8]:
     """Ropes left, their one goal right.
 
     Args:
@@ -37,13 +44,19 @@ def pixels(points: ArrayLike, goal_picture: NDArray[np.uint8], picture: PictureC
 
 
 def state(points: ArrayLike, goal_points: ArrayLike) -> NDArray[np.float32]:
-    """Vertices of ropes (n, beads, 3), then those of their one goal (beads, 3), metres: float32 (n, 6 beads)."""
+    """Vertices of ropes (n, beads, 3), then those of their one goal (beads, 3), metres: float32 (n,
+    6 beads).
+    """
     ropes = np.asarray(points, dtype=np.float64)
     ropes = ropes.reshape(len(ropes), -1)
-    return np.concatenate([ropes, np.broadcast_to(np.ravel(goal_points), ropes.shape)], axis=1).astype(np.float32)
+    return np.concatenate(
+        [ropes, np.broadcast_to(np.ravel(goal_points), ropes.shape)], axis=1
+    ).astype(np.float32)
 
 
-def observe(points: ArrayLike, goal_points: ArrayLike, observation: str, picture: PictureConfig) -> Any:
+def observe(
+    points: ArrayLike, goal_points: ArrayLike, observation: str, picture: PictureConfig
+) -> Any:
     """What an agent sees at each of n states.
 
     Args:

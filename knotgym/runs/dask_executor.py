@@ -1,8 +1,8 @@
 """Work on a Dask cluster; imported only when one is asked for.
 
-Workers read and write the files of a run themselves, so they must see its folder under the same path: start them anywhere on
-one shared file system. They must have this version of knotgym. A worker that dies costs the pieces it was at: Dask gives
-them to others, who make the same bytes.
+Workers read and write the files of a run themselves, so they must see its folder under the same
+path: start them anywhere on one shared file system. They must have this version of knotgym. A
+worker that dies costs the pieces it was at: Dask gives them to others, who make the same bytes.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ WAIT = 60.0  # seconds to wait for a first worker, and for another when the last
 
 _GONE = "the scheduler is gone; --resume goes on from there, on any engine"
 
-_one_at_a_time = threading.Lock()  # simulations are kept by process: two threads of a worker may not share them
+# simulations are kept by process: two threads of a worker may not share them
+_one_at_a_time = threading.Lock()
 
 
 class _Awaited:
@@ -45,7 +46,10 @@ class _Awaited:
             try:
                 return self._future.result(timeout=None if done else 2.0)
             except KilledWorker as error:
-                raise LostWorkers("workers of the cluster died again and again over one piece of work; --resume goes on from there") from error
+                raise LostWorkers(
+                    "workers of the cluster died again and again over one piece of work; --resume"
+                    " goes on from there"
+                ) from error
             except TimeoutError:
                 if done:  # the work itself timed out
                     raise
@@ -55,7 +59,9 @@ class _Awaited:
                 alone = not self._client.nthreads()
             alone_since = (alone_since or time.monotonic()) if alone else None
             if alone_since is not None and time.monotonic() - alone_since > WAIT:
-                raise LostWorkers(f"the cluster has had no worker for {WAIT:.0f} s; --resume goes on from there")
+                raise LostWorkers(
+                    f"the cluster has had no worker for {WAIT:.0f} s; --resume goes on from there"
+                )
 
 
 class Cluster:
@@ -70,7 +76,10 @@ class Cluster:
 
         def submit(piece: Any) -> Promise:
             with _answering():
-                return _Awaited(self._client, self._client.submit(_call, function, piece, folder, self._about, pure=False))
+                return _Awaited(
+                    self._client,
+                    self._client.submit(_call, function, piece, folder, self._about, pure=False),
+                )
 
         with _answering():
             workers = len(self._client.nthreads())
@@ -87,23 +96,40 @@ def cluster(scheduler: str) -> Iterator[Cluster]:
     try:
         from distributed import Client
     except ModuleNotFoundError as error:
-        raise InvalidEngine("--engine dask needs Dask distributed, which isn't installed; install it: pip install 'knotgym[dask]'") from error
-    for name in ("distributed", *(one for one in logging.root.manager.loggerDict if one.startswith(("distributed.", "tornado")))):
+        raise InvalidEngine(
+            "--engine dask needs Dask distributed, which isn't installed; install it: pip install"
+            " 'knotgym[dask]'"
+        ) from error
+    for name in (
+        "distributed",
+        *(
+            one
+            for one in logging.root.manager.loggerDict
+            if one.startswith(("distributed.", "tornado"))
+        ),
+    ):
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)  # what matters comes as an exception
     try:
         client = Client(scheduler, timeout=CONNECT, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise InvalidEngine(f"no Dask scheduler answers at {scheduler}: start one with `dask scheduler`, or check the address") from error
+        raise InvalidEngine(
+            f"no Dask scheduler answers at {scheduler}: start one with `dask scheduler`, or check"
+            " the address"
+        ) from error
     try:
         try:
             client.wait_for_workers(1, timeout=WAIT)
         except TimeoutError as error:
-            raise InvalidEngine(f"the cluster at {scheduler} has no worker: start some with `dask worker {scheduler} --nthreads 1`") from error
+            raise InvalidEngine(
+                f"the cluster at {scheduler} has no worker: start some with `dask worker"
+                f" {scheduler} --nthreads 1`"
+            ) from error
         threads = client.nthreads()
         if max(threads.values()) > 1:
             raise InvalidEngine(
-                f"a worker at {scheduler} has {max(threads.values())} threads: a process works on one piece at a time; "
-                f"start them with `dask worker {scheduler} --nthreads 1 --nworkers CORES`"
+                f"a worker at {scheduler} has {max(threads.values())} threads: a process works on"
+                f" one piece at a time; start them with `dask worker {scheduler} --nthreads 1"
+                " --nworkers CORES`"
             )
         yield Cluster(client)
     finally:
@@ -115,7 +141,11 @@ def _answering() -> Iterator[None]:
     """Ask the scheduler something."""
     try:
         yield
-    except (OSError, TypeError, CancelledError) as error:  # TypeError: the client has given up the connection
+    except (
+        OSError,
+        TypeError,
+        CancelledError,
+    ) as error:  # TypeError: the client has given up the connection
         raise LostWorkers(_GONE) from error
 
 
@@ -125,7 +155,10 @@ def _call(function: Callable[[Any], Any], piece: Any, folder: str, about: tuple[
 
     here = knotgym.__version__, mujoco.__version__
     if here != about:
-        raise InvalidEngine(f"a worker has knotgym {here[0]} and MuJoCo {here[1]}, the run {about[0]} and {about[1]}: their bytes could differ")
+        raise InvalidEngine(
+            f"a worker has knotgym {here[0]} and MuJoCo {here[1]}, the run {about[0]} and"
+            f" {about[1]}: their bytes could differ"
+        )
     with _one_at_a_time:
         if os.getcwd() != folder:
             os.chdir(folder)  # relative paths are the run's

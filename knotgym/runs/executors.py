@@ -1,7 +1,8 @@
 """Where work runs: in this process, in processes of this machine, or on a Dask cluster.
 
-Results come in the order of the work, whatever the engine, and only so much of it is under way at a time that memory stays
-flat. A piece of work is a function of its argument alone, so the engine doesn't change a byte of what is made.
+Results come in the order of the work, whatever the engine, and only so much of it is under way at a
+time that memory stays flat. A piece of work is a function of its argument alone, so the engine
+doesn't change a byte of what is made.
 """
 
 from __future__ import annotations
@@ -66,7 +67,9 @@ class Processes:
 
 
 def ordered(submit: Callable[[Any], Promise], work: Iterable[Any], ahead: int) -> Iterator[Any]:
-    """Results in the order of the work, at most `ahead` pieces under way at a time; the first of them are from now on."""
+    """Results in the order of the work, at most `ahead` pieces under way at a time; the first of
+    them are from now on.
+    """
     rest = iter(work)
     promised = deque(submit(piece) for piece in islice(rest, ahead))
 
@@ -85,7 +88,8 @@ def cores() -> int:
 
 
 def scheduler_of(engine: str, scheduler: str, workers: int) -> str:
-    """What the options --engine, --scheduler and --workers say: the address of a cluster's scheduler, "" for this machine.
+    """What the options --engine, --scheduler and --workers say: the address of a cluster's
+    scheduler, "" for this machine.
 
     Raises:
         InvalidEngine: they don't go together.
@@ -95,15 +99,22 @@ def scheduler_of(engine: str, scheduler: str, workers: int) -> str:
     if engine == "local" and scheduler:
         raise InvalidEngine(f"--scheduler {scheduler} is for --engine dask")
     if engine == "dask" and not scheduler:
-        raise InvalidEngine("--engine dask needs the address of a scheduler, such as --scheduler tcp://127.0.0.1:8786")
+        raise InvalidEngine(
+            "--engine dask needs the address of a scheduler, such as --scheduler"
+            " tcp://127.0.0.1:8786"
+        )
     if engine == "dask" and workers:
-        raise InvalidEngine(f"--workers {workers} is for --engine local; a cluster has the workers that were started for it")
+        raise InvalidEngine(
+            f"--workers {workers} is for --engine local; a cluster has the workers that were"
+            " started for it"
+        )
     return scheduler
 
 
 @contextmanager
 def engine(workers: int, scheduler: str = "") -> Iterator[Pool]:
-    """A pool of `workers` processes, 0 for one a core; 1 works in this process. With a scheduler's address, its cluster.
+    """A pool of `workers` processes, 0 for one a core; 1 works in this process. With a scheduler's
+    address, its cluster.
 
     Raises:
         InvalidEngine: the cluster can't be used.
@@ -132,12 +143,17 @@ def engine(workers: int, scheduler: str = "") -> Iterator[Pool]:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Hold Ctrl-C and SIGTERM back until the block ends: a process half begun would complain on its own."""
+    """Hold Ctrl-C and SIGTERM back until the block ends: a process half begun would complain on its
+    own.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     came: list[tuple[int, Any]] = []
-    handlers = {number: signal.signal(number, lambda *said: came.append(said)) for number in (signal.SIGINT, signal.SIGTERM)}
+    handlers = {
+        number: signal.signal(number, lambda *said: came.append(said))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
     try:
         yield
     finally:
@@ -148,14 +164,17 @@ def uninterrupted() -> Iterator[None]:
 
 
 def _context() -> multiprocessing.context.BaseContext:
-    """How processes begin: from a server that holds no copies of this process's threads and simulations.
+    """How processes begin: from a server that holds no copies of this process's threads and
+    simulations.
 
-    They leave Ctrl-C to their parent. The server, and all it starts, inherit that it is blocked, so none is interrupted before it can say so.
+    They leave Ctrl-C to their parent. The server, and all it starts, inherit that it is blocked, so
+    none is interrupted before it can say so.
     """
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     with uninterrupted():
-        resource_tracker.ensure_running()  # else the server starts it, which unblocks the signals here
+        # else the server starts it, which unblocks the signals here
+        resource_tracker.ensure_running()
         blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             forkserver.ensure_running()

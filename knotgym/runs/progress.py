@@ -1,4 +1,6 @@
-"""What a person sees while a job runs: a live table on a terminal, plain lines elsewhere, nothing when asked to be quiet."""
+"""What a person sees while a job runs: a live table on a terminal, plain lines elsewhere, nothing
+when asked to be quiet.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ class Progress:
 
     def __init__(self, console: Console, quiet: bool) -> None:
         self._console, self._quiet = console, quiet
-        self._live = Live(console=console, transient=True) if console.is_terminal and not quiet else None
+        self._live = (
+            Live(console=console, transient=True) if console.is_terminal and not quiet else None
+        )
         self._began, self._told = time.perf_counter(), 0.0
 
     def __enter__(self) -> Progress:
@@ -39,14 +43,22 @@ class Progress:
         wanted = sum(job.wanted(nx) for nx in job.config.nx)
         actions = job.steps()
         seconds = time.perf_counter() - self._began
-        codes = len({instance.code.plain for instances in job.accepted.values() for instance in instances})
+        codes = len(
+            {instance.code.plain for instances in job.accepted.values() for instance in instances}
+        )
         rejected: Counter[str] = sum(job.rejected.values(), Counter())
         left = seconds * (wanted - accepted) / accepted if accepted else float("nan")
         facts = {
             "states accepted": f"{accepted} of {wanted}",
             "distinct codes": f"{codes}",
-            "codes the search knows": ", ".join(f"nx {nx}: {len(job.archive.codes(nx))} of {job.existing[nx]}" for nx in job.config.nx),
-            "rejected": ", ".join(f"{reason} {count}" for reason, count in rejected.most_common(4)) or "none",
+            "codes the search knows": ", ".join(
+                f"nx {nx}: {len(job.archive.codes(nx))} of {job.existing[nx]}"
+                for nx in job.config.nx
+            ),
+            "rejected": (
+                ", ".join(f"{reason} {count}" for reason, count in rejected.most_common(4))
+                or "none"
+            ),
             "steps per second": f"{actions / max(job.seconds, 1e-9):.0f}",
             "time left, about": "?" if left != left else f"{left:.0f} s",
         }
@@ -58,5 +70,8 @@ class Progress:
         elif seconds - self._told > _EVERY or accepted >= wanted:
             self._told = seconds
             self._console.print(
-                f"{seconds:5.0f} s  " + "; ".join(f"{name} {value}" for name, value in facts.items()), soft_wrap=True, highlight=False
+                f"{seconds:5.0f} s  "
+                + "; ".join(f"{name} {value}" for name, value in facts.items()),
+                soft_wrap=True,
+                highlight=False,
             )

@@ -1,7 +1,8 @@
-"""Parts of a run: `--shard 2/8` does the second eighth of it, in a folder of its own, without knowing of the others.
+"""Parts of a run: `--shard 2/8` does the second eighth of it, in a folder of its own, without
+knowing of the others.
 
-What a part makes depends on the configuration, the seed and its number alone. Counters that key random draws begin at
-`first`, so that no two parts draw the same; a whole run is part 1 of 1.
+What a part makes depends on the configuration, the seed and its number alone. Counters that key
+random draws begin at `first`, so that no two parts draw the same; a whole run is part 1 of 1.
 """
 
 from __future__ import annotations
@@ -55,7 +56,8 @@ class Part:
         return (self.number - 1) * _STRIDE
 
     def share(self, count: int) -> range:
-        """Which of `count` things in a row are this part's; where they don't divide, the first parts have one more.
+        """Which of `count` things in a row are this part's; where they don't divide, the first
+        parts have one more.
 
         >>> [Part(number, 3).share(8) for number in (1, 2, 3)]
         [range(0, 3), range(3, 6), range(6, 8)]
@@ -65,7 +67,9 @@ class Part:
         return range(begin, begin + each + (self.number <= more))
 
     def dealt(self, things: Sequence[Any]) -> Sequence[Any]:
-        """Those of the things that fall to this part when they are dealt out in turn, as many as `share` says."""
+        """Those of the things that fall to this part when they are dealt out in turn, as many as
+        `share` says.
+        """
         return things[self.number - 1 :: self.of]
 
     def folder(self, out: Path) -> Path:

@@ -1,4 +1,6 @@
-"""Runs that can be killed and resumed: one process at a time works in a hidden folder beside what it makes."""
+"""Runs that can be killed and resumed: one process at a time works in a hidden folder beside what
+it makes.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ class Occupied(KnotgymError, ValueError):
 
 
 def partial_of(out: Path) -> Path:
-    """The folder `.NAME.partial` beside `out`, in which everything stands until `out` is finished."""
+    """The folder `.NAME.partial` beside `out`, in which everything stands until `out` is
+    finished.
+    """
     return out.parent / f".{out.name}.partial"
 
 
@@ -40,7 +44,8 @@ def held(out: Path, resume: bool) -> Iterator[Path]:
 
 @contextmanager
 def locked(partial: Path) -> Iterator[None]:
-    """Hold a folder, as it is; the lock goes with the process, however it ends, so that none is ever stale.
+    """Hold a folder, as it is; the lock goes with the process, however it ends, so that none is
+    ever stale.
 
     Raises:
         Occupied: another process holds it.
@@ -51,6 +56,9 @@ def locked(partial: Path) -> Iterator[None]:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise Occupied(f"another run is writing {partial.name[1:-8]} now") from error
-        if not (partial / "lock").is_file() or not os.path.samestat(os.stat(partial / "lock"), os.fstat(lock.fileno())):
-            raise Occupied(f"another run has just finished {partial.name[1:-8]}")  # and taken the folder away
+        if not (partial / "lock").is_file() or not os.path.samestat(
+            os.stat(partial / "lock"), os.fstat(lock.fileno())
+        ):
+            # and taken the folder away
+            raise Occupied(f"another run has just finished {partial.name[1:-8]}")
         yield

@@ -1,1 +1,3 @@
-"""Knot theory of the rope's projection: crossings, Gauss codes, diagrams, knot types, symmetries; no simulator."""
+"""Knot theory of the rope's projection: crossings, Gauss codes, diagrams, knot types, symmetries;
+no simulator.
+"""

@@ -1,7 +1,9 @@
-"""The compiled search for the crossings of a closed polyline; knotgym.topology.crossings is its public face.
+"""The compiled search for the crossings of a closed polyline; knotgym.topology.crossings is its
+public face.
 
 edges           by blocks of neighbours, whose bounding boxes rule out most pairs
-  -> hits       (edge i, edge j > i, side of i to which j leads), decided by four signs of knotgym.topology.orientation
+  -> hits       (edge i, edge j > i, side of i to which j leads), decided by four signs of
+                knotgym.topology.orientation
   -> strands    two a hit: strand 2 h runs on edge i, strand 2 h + 1 on edge j
   -> walk       the strands in order of place
 """
@@ -24,8 +26,8 @@ def scan(points: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:
         points: float64 (beads, 3), contiguous.
 
     Returns:
-        whether all points are finite (nothing is searched otherwise); the visits, int64 (2 n,), signed labels; the
-        crossings in order of labels, float64 (n, 7), columns OVER_PLACE to Y.
+        whether all points are finite (nothing is searched otherwise); the visits, int64 (2 n,),
+        signed labels; the crossings in order of labels, float64 (n, 7), columns OVER_PLACE to Y.
     """
     if not _all_finite(points):
         return False, np.empty(0, np.int64), np.empty((0, 7))
@@ -61,8 +63,8 @@ def scan_many(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Run scan() over ropes, float64 (ropes, beads, 3).
 
     Returns:
-        all visits and, per crossing, all signs (int64, int64), one rope after the other; the number of crossings per
-        rope, int64 (ropes,), -1 where a point is not finite.
+        all visits and, per crossing, all signs (int64, int64), one rope after the other; the number
+        of crossings per rope, int64 (ropes,), -1 where a point is not finite.
     """
     counts = np.empty(points.shape[0], np.int64)
     visits, signs = np.empty(256, np.int64), np.empty(128, np.int64)
@@ -91,14 +93,20 @@ def _grown(array: np.ndarray, room: int) -> np.ndarray:
 @njit(cache=True, nogil=True)
 def _all_finite(points: np.ndarray) -> bool:
     for bead in range(points.shape[0]):
-        if not (np.isfinite(points[bead, 0]) and np.isfinite(points[bead, 1]) and np.isfinite(points[bead, 2])):
+        if not (
+            np.isfinite(points[bead, 0])
+            and np.isfinite(points[bead, 1])
+            and np.isfinite(points[bead, 2])
+        ):
             return False
     return True
 
 
 @njit(cache=True, nogil=True)
 def _boxes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The bounding boxes (x from, x to, y from, y to) of the edges, float64 (4, beads), and of the blocks."""
+    """The bounding boxes (x from, x to, y from, y to) of the edges, float64 (4, beads), and of the
+    blocks.
+    """
     beads = points.shape[0]
     edges = np.empty((4, beads))
     blocks = np.empty((4, (beads + _BLOCK - 1) // _BLOCK))
@@ -106,7 +114,10 @@ def _boxes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     for i in range(beads):
         end = i + 1 if i + 1 < beads else 0
         for axis in range(2):
-            low, high = min(points[i, axis], points[end, axis]), max(points[i, axis], points[end, axis])
+            low, high = (
+                min(points[i, axis], points[end, axis]),
+                max(points[i, axis], points[end, axis]),
+            )
             edges[2 * axis, i], edges[2 * axis + 1, i] = low, high
             blocks[2 * axis, i // _BLOCK] = min(blocks[2 * axis, i // _BLOCK], low)
             blocks[2 * axis + 1, i // _BLOCK] = max(blocks[2 * axis + 1, i // _BLOCK], high)
@@ -163,7 +174,9 @@ def _crosses(points: np.ndarray, i: int, j: int) -> int:
 
 @njit(cache=True, nogil=True)
 def _locate(points: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far along its edge every strand is hit, float64 (2 n,) in [0, 1], and its height there."""
+    """How far along its edge every strand is hit, float64 (2 n,) in [0, 1], and its height
+    there.
+    """
     beads = points.shape[0]
     fractions, heights = np.empty(2 * len(hits)), np.empty(2 * len(hits))
     for h in range(len(hits)):
@@ -171,13 +184,17 @@ def _locate(points: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarra
             i, j = hits[h, late], hits[h, 1 - late]
             fraction = _fraction(points, i, (i + 1) % beads, j, (j + 1) % beads)
             fractions[2 * h + late] = fraction
-            heights[2 * h + late] = points[i, 2] + fraction * (points[(i + 1) % beads, 2] - points[i, 2])
+            heights[2 * h + late] = points[i, 2] + fraction * (
+                points[(i + 1) % beads, 2] - points[i, 2]
+            )
     return fractions, heights
 
 
 @njit(cache=True, nogil=True)
 def _fraction(points: np.ndarray, i: int, i_end: int, j: int, j_end: int) -> float:
-    """How far along the edge from bead i to bead i_end it meets the one from bead j to bead j_end."""
+    """How far along the edge from bead i to bead i_end it meets the one from bead j to bead
+    j_end.
+    """
     dx, dy = points[j_end, 0] - points[j, 0], points[j_end, 1] - points[j, 1]
     before = dx * (points[i, 1] - points[j, 1]) - dy * (points[i, 0] - points[j, 0])
     after = dx * (points[i_end, 1] - points[j, 1]) - dy * (points[i_end, 0] - points[j, 0])
@@ -195,7 +212,9 @@ def _fraction(points: np.ndarray, i: int, i_end: int, j: int, j_end: int) -> flo
 
 @njit(cache=True, nogil=True)
 def _walk(beads: int, hits: np.ndarray, fractions: np.ndarray) -> np.ndarray:
-    """The strands in order of place: dealt out by edge, then each edge sorted by fraction, ties in order of the other edge."""
+    """The strands in order of place: dealt out by edge, then each edge sorted by fraction, ties in
+    order of the other edge.
+    """
     starts = np.zeros(beads + 1, np.int64)
     for strand in range(len(fractions)):
         starts[hits[strand // 2, strand % 2] + 1] += 1

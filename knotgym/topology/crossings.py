@@ -1,13 +1,16 @@
 """Crossings of a closed rope seen from above, and the Gauss code they spell.
 
-Two edges of the closed polyline through the beads (the closing edge included) cross where their projections on the
-z-plane meet; edges that share a bead never do. Which edges cross is decided exactly, without any tolerance
-(knotgym.topology.orientation), and two strands of equal height are ordered by a rule: the one that is visited first is over.
-Where along an edge and at which height is ordinary float64, so the order of visits means nothing when they lie closer
-than rounding (three strands near one point): visit_spacing() says how close they are. It does not show strands that run
-exactly along each other for a stretch, which whole-number curves do and ropes don't: their code need not be planar.
+Two edges of the closed polyline through the beads (the closing edge included) cross where their
+projections on the z-plane meet; edges that share a bead never do. Which edges cross is decided
+exactly, without any tolerance (knotgym.topology.orientation), and two strands of equal height are
+ordered by a rule: the one that is visited first is over. Where along an edge and at which height is
+ordinary float64, so the order of visits means nothing when they lie closer than rounding (three
+strands near one point): visit_spacing() says how close they are. It does not show strands that run
+exactly along each other for a stretch, which whole-number curves do and ropes don't: their code
+need not be planar.
 
-Positions are in metres, places along the rope in beads: 2.25 is a quarter of the way from bead 2 to bead 3.
+Positions are in metres, places along the rope in beads: 2.25 is a quarter of the way from bead 2 to
+bead 3.
 """
 
 from __future__ import annotations
@@ -19,7 +22,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.errors import KnotgymError
-from knotgym.topology.crossing_kernel import OVER_PLACE, OVER_Z, SIGN, UNDER_PLACE, UNDER_Z, X, Y, scan, scan_many
+from knotgym.topology.crossing_kernel import (
+    OVER_PLACE,
+    OVER_Z,
+    SIGN,
+    UNDER_PLACE,
+    UNDER_Z,
+    X,
+    Y,
+    scan,
+    scan_many,
+)
 from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode
 
 
@@ -60,7 +73,8 @@ class VisitSpacing(NamedTuple):
     """How far visits keep from each other and from the base bead, in beads along the rope.
 
     Attributes:
-        visits: between two visits that follow each other, the step over the base bead included; inf without crossings.
+        visits: between two visits that follow each other, the step over the base bead included; inf
+            without crossings.
         base: from the base bead to the nearest visit on either side; inf without crossings.
     """
 
@@ -78,12 +92,16 @@ def find_crossings(points: ArrayLike) -> Crossings:
         InvalidPoints: another shape, or a coordinate that is not finite.
     """
     visits, table = _scanned(points)
-    places: list[NDArray[Any]] = [table[:, column].copy() for column in (OVER_PLACE, UNDER_PLACE, OVER_Z, UNDER_Z)]
+    places: list[NDArray[Any]] = [
+        table[:, column].copy() for column in (OVER_PLACE, UNDER_PLACE, OVER_Z, UNDER_Z)
+    ]
     position, sign = table[:, [X, Y]], table[:, SIGN].astype(np.int8)
     arrays: list[NDArray[Any]] = [*places, position, sign]
     for array in arrays:
         array.setflags(write=False)
-    return Crossings(places[0], places[1], position, places[2], places[3], sign, _code(visits, sign))
+    return Crossings(
+        places[0], places[1], position, places[2], places[3], sign, _code(visits, sign)
+    )
 
 
 def label(points: ArrayLike) -> GaussCode:
@@ -93,7 +111,8 @@ def label(points: ArrayLike) -> GaussCode:
 
 
 def label_many(points: ArrayLike) -> list[GaussCode]:
-    """Read the Gauss codes of many ropes, the search in one compiled call that lets other threads run.
+    """Read the Gauss codes of many ropes, the search in one compiled call that lets other threads
+    run.
 
     Args:
         points: (ropes, beads, 3), at least 3 beads, metres.
@@ -107,7 +126,10 @@ def label_many(points: ArrayLike) -> list[GaussCode]:
     start = 0
     for row, nx in enumerate(counts.tolist()):
         if nx < 0:
-            raise InvalidPoints(f"a coordinate of rope {row} is not finite", "every x, y, z must be an ordinary number")
+            raise InvalidPoints(
+                f"a coordinate of rope {row} is not finite",
+                "every x, y, z must be an ordinary number",
+            )
         own, turns = visits[2 * start : 2 * (start + nx)], signs[start : start + nx]
         start += nx
         key = (own.tobytes(), turns.tobytes())
@@ -123,7 +145,8 @@ def count_crossings(points: ArrayLike) -> int:
 
 
 def visit_spacing(crossings: Crossings, beads: int) -> VisitSpacing:
-    """Measure how close the visits come; near-triple points, kinks and a crossing on the base bead show as small numbers.
+    """Measure how close the visits come; near-triple points, kinks and a crossing on the base bead
+    show as small numbers.
 
     Args:
         crossings: of a rope with this many beads.
@@ -133,23 +156,33 @@ def visit_spacing(crossings: Crossings, beads: int) -> VisitSpacing:
         return VisitSpacing(np.inf, np.inf)
     places = np.sort(np.concatenate([crossings.over_place, crossings.under_place]))
     over_base = float(places[0] + beads - places[-1])
-    return VisitSpacing(min(over_base, float(np.diff(places).min())), min(float(places[0]), float(beads - places[-1])))
+    return VisitSpacing(
+        min(over_base, float(np.diff(places).min())),
+        min(float(places[0]), float(beads - places[-1])),
+    )
 
 
 def _closed(points: ArrayLike, ndim: int) -> NDArray[np.float64]:
     rope = np.ascontiguousarray(points, dtype=np.float64)
     if rope.ndim != ndim or rope.shape[-1] != 3 or rope.shape[-2] < 3:
         right = "(beads, 3)" if ndim == 2 else "(ropes, beads, 3)"
-        raise InvalidPoints(f"the array has shape {rope.shape}", f"right would be {right} with at least 3 beads")
+        raise InvalidPoints(
+            f"the array has shape {rope.shape}", f"right would be {right} with at least 3 beads"
+        )
     return rope
 
 
 def _scanned(points: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     finite, visits, table = scan(_closed(points, 2))
     if not finite:
-        raise InvalidPoints("a coordinate is not finite", "every x, y, z must be an ordinary number")
+        raise InvalidPoints(
+            "a coordinate is not finite", "every x, y, z must be an ordinary number"
+        )
     return visits, table
 
 
 def _code(visits: NDArray[np.int64], signs: NDArray[Any]) -> GaussCode:
-    return GaussCode(tuple(visits.tolist()), "".join([POSITIVE if sign > 0 else NEGATIVE for sign in signs.tolist()]))
+    return GaussCode(
+        tuple(visits.tolist()),
+        "".join([POSITIVE if sign > 0 else NEGATIVE for sign in signs.tolist()]),
+    )

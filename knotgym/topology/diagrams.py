@@ -1,16 +1,18 @@
 """Which Gauss codes a curve in the plane can show, decided for the code at hand.
 
-A code with chirality fixes a surface: crossings are vertices, the strands between visits edges, and turning left at
-every crossing walks around the faces. The code can be drawn in the plane just when that surface is a sphere, that is
-when the faces number n + 2 (Euler).
+A code with chirality fixes a surface: crossings are vertices, the strands between visits edges, and
+turning left at every crossing walks around the faces. The code can be drawn in the plane just when
+that surface is a sphere, that is when the faces number n + 2 (Euler).
 
-Without chirality, the handedness follows from the interlacement of the crossings (H. de Fraysseix and P. Ossona de
-Mendez, "On a characterization of Gauss codes", 1999): two crossings interlace when their visits alternate; in a planar
-code interlaced crossings turn alike or not according to the parities of their places and of the number of crossings
-that interlace both. Each connected part of the interlacement may then be turned over as a whole, so a planar code has
-2 ** parts handedness patterns. The faces are counted in the end, so a mistaken pattern could not pass.
+Without chirality, the handedness follows from the interlacement of the crossings (H. de Fraysseix
+and P. Ossona de Mendez, "On a characterization of Gauss codes", 1999): two crossings interlace when
+their visits alternate; in a planar code interlaced crossings turn alike or not according to the
+parities of their places and of the number of crossings that interlace both. Each connected part of
+the interlacement may then be turned over as a whole, so a planar code has 2 ** parts handedness
+patterns. The faces are counted in the end, so a mistaken pattern could not pass.
 
-Edge k runs from visit k to visit k + 1 (cyclic); dart 2 k walks it forwards, dart 2 k + 1 backwards.
+Edge k runs from visit k to visit k + 1 (cyclic); dart 2 k walks it forwards, dart 2 k + 1
+backwards.
 """
 
 from __future__ import annotations
@@ -27,11 +29,14 @@ class NotPlanar(KnotgymError, ValueError):
 
     def __init__(self, code: GaussCode) -> None:
         text = str(code) if code.chirality is None else code.chiral
-        super().__init__(f"no closed curve shows the code {text!r}; right would be one that is_planar() accepts")
+        super().__init__(
+            f"no closed curve shows the code {text!r}; right would be one that is_planar() accepts"
+        )
 
 
 def is_planar(code: GaussCode) -> bool:
-    """Say whether a closed curve seen from above can show the code, with its chirality where it has one.
+    """Say whether a closed curve seen from above can show the code, with its chirality where it has
+    one.
 
     >>> is_planar(GaussCode.parse("1+,2-,3+,1-,2+,3-")), is_planar(GaussCode.parse("1+,2-,1-,2+"))
     (True, False)
@@ -42,7 +47,8 @@ def is_planar(code: GaussCode) -> bool:
 
 
 def drawn(code: GaussCode) -> GaussCode:
-    """Return the code with a chirality that can be drawn: its own, or the first of chiralities() where it has none.
+    """Return the code with a chirality that can be drawn: its own, or the first of chiralities()
+    where it has none.
 
     Raises:
         NotPlanar: there is none, or its own cannot be drawn.
@@ -58,9 +64,11 @@ def drawn(code: GaussCode) -> GaussCode:
 
 
 def chiralities(code: GaussCode) -> tuple[str, ...]:
-    """List the handedness patterns with which the visits can be drawn, in alphabetical order, empty when not planar.
+    """List the handedness patterns with which the visits can be drawn, in alphabetical order, empty
+    when not planar.
 
-    The code's own chirality is not looked at. There are 2 ** parts patterns: at most 2 ** n, for n separate kinks.
+    The code's own chirality is not looked at. There are 2 ** parts patterns: at most 2 ** n, for n
+    separate kinks.
 
     >>> chiralities(GaussCode.parse("1+,2-,3+,1-,2+,3-"))
     ('aaa', 'ccc')
@@ -77,7 +85,8 @@ def chiralities(code: GaussCode) -> tuple[str, ...]:
 
 
 def parts(code: GaussCode) -> tuple[int, ...]:
-    """Number the connected parts of the interlacement, one number a label, from 0 in order of first visit.
+    """Number the connected parts of the interlacement, one number a label, from 0 in order of first
+    visit.
 
     Each part, alone, is the code of one factor of the diagram as a connected sum.
 
@@ -108,7 +117,10 @@ def summands(code: GaussCode) -> list[GaussCode]:
     """
     part = parts(code)
     letters = None if code.chirality is None else dict(enumerate(code.chirality, 1))
-    return [GaussCode.relabelled([visit for visit in code.visits if part[abs(visit) - 1] == k], letters) for k in range(max(part, default=-1) + 1)]
+    return [
+        GaussCode.relabelled([visit for visit in code.visits if part[abs(visit) - 1] == k], letters)
+        for k in range(max(part, default=-1) + 1)
+    ]
 
 
 def following(code: GaussCode) -> list[int]:
@@ -121,7 +133,8 @@ def following(code: GaussCode) -> list[int]:
 
 
 def faces(code: GaussCode) -> list[list[int]]:
-    """List the faces of a code with chirality, each as the darts that have it on their left, in walking order.
+    """List the faces of a code with chirality, each as the darts that have it on their left, in
+    walking order.
 
     The flat loop has no darts and lists no faces.
 
@@ -157,7 +170,9 @@ def planar_codes(nx: int) -> Iterator[GaussCode]:
 
 
 def _words(word: list[int], label: int) -> Iterator[list[int]]:
-    """Fill the zeros with pairs of labels, an even number of visits between the two of a pair: a curve crosses a loop evenly."""
+    """Fill the zeros with pairs of labels, an even number of visits between the two of a pair: a
+    curve crosses a loop evenly.
+    """
     if 0 not in word:
         yield word.copy()
         return
@@ -181,7 +196,8 @@ def _with_heights(word: list[int], heights: list[int]) -> tuple[int, ...]:
     return tuple(visits)
 
 
-# A turn is, per label, the side to which the second passage of a crossing leads, seen along the first: +1 left.
+# A turn is, per label, the side to which the second passage of a crossing leads, seen along the
+# first: +1 left.
 
 
 def _signs(visits: tuple[int, ...], turns: list[int] | tuple[int, ...]) -> list[int]:

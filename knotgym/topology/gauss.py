@@ -1,10 +1,12 @@
 """Gauss codes: what one walk along the rope sees of its crossings.
 
-A code is a tuple of visits. The n crossings are labelled 1, 2, ..., n in order of first visit; a visit is +label where
-the walker is on the upper strand and -label where it is on the lower one. The text is "1+,1-,2+,2-", the flat loop "".
+A code is a tuple of visits. The n crossings are labelled 1, 2, ..., n in order of first visit; a
+visit is +label where the walker is on the upper strand and -label where it is on the lower one. The
+text is "1+,1-,2+,2-", the flat loop "".
 
-Chirality adds one letter a crossing, pyknotid's: "c" for a positive (right-handed) crossing, (d_over x d_under)_z > 0
-with d the direction of walking, "a" for a negative one. Reversing the walk changes no letter.
+Chirality adds one letter a crossing, pyknotid's: "c" for a positive (right-handed) crossing,
+(d_over x d_under)_z > 0 with d the direction of walking, "a" for a negative one. Reversing the walk
+changes no letter.
 """
 
 from __future__ import annotations
@@ -32,7 +34,10 @@ class UnknownChirality(KnotgymError, ValueError):
     """The handedness of the crossings was asked of a code that does not hold it."""
 
     def __init__(self, code: GaussCode) -> None:
-        super().__init__(f"the code {str(code)!r} does not say how its crossings turn; give one letter a crossing, as in '1+a,1-a'")
+        super().__init__(
+            f"the code {str(code)!r} does not say how its crossings turn; give one letter a"
+            " crossing, as in '1+a,1-a'"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,10 +46,12 @@ class GaussCode:
 
     Attributes:
         visits: +label over, -label under, in the order of the walk.
-        chirality: letter i belongs to label i + 1; None when unknown. The empty code has nothing to know: it always holds "".
+        chirality: letter i belongs to label i + 1; None when unknown. The empty code has nothing to
+            know: it always holds "".
 
     Raises:
-        InvalidGaussCode: a label is not visited once over and once under, or labels are not in order of first visit.
+        InvalidGaussCode: a label is not visited once over and once under, or labels are not in
+            order of first visit.
 
     >>> GaussCode((1, -1), "c").chiral
     '1+c,1-c'
@@ -61,14 +68,17 @@ class GaussCode:
         _check_visits(self.visits)
         letters = self.chirality
         if letters is not None and (len(letters) != self.nx or letters.strip(POSITIVE + NEGATIVE)):
-            raise InvalidGaussCode("wrong chirality", letters, f"right would be {self.nx} letters, each 'a' or 'c'")
+            raise InvalidGaussCode(
+                "wrong chirality", letters, f"right would be {self.nx} letters, each 'a' or 'c'"
+            )
 
     @classmethod
     def parse(cls, text: str) -> GaussCode:
         """Read "1+,1-" or "1+a,1-a"; spaces are allowed.
 
         Raises:
-            InvalidGaussCode: the text is malformed, or only some visits have a letter, or a crossing has two different ones.
+            InvalidGaussCode: the text is malformed, or only some visits have a letter, or a
+                crossing has two different ones.
 
         >>> GaussCode.parse("1+a, 2-c, 2+c, 1-a").chirality
         'ac'
@@ -80,19 +90,33 @@ class GaussCode:
         for word in text.split(","):
             found = _VISIT.fullmatch(word)
             if found is None:
-                raise InvalidGaussCode(f"cannot read the visit {word.strip()!r}", text, "a visit is a number, + or -, and perhaps a or c")
+                raise InvalidGaussCode(
+                    f"cannot read the visit {word.strip()!r}",
+                    text,
+                    "a visit is a number, + or -, and perhaps a or c",
+                )
             label = int(found[1])
             visits.append(label if found[2] == "+" else -label)
             if letters.setdefault(label, found[3]) != found[3]:
-                raise InvalidGaussCode(f"crossing {label} has two different letters", text, "both its visits carry the same letter, or none")
+                raise InvalidGaussCode(
+                    f"crossing {label} has two different letters",
+                    text,
+                    "both its visits carry the same letter, or none",
+                )
         _check_visits(visits, text)
         chirality = "".join(letters[label] for label in range(1, len(letters) + 1))
         if chirality and len(chirality) != len(letters):
-            raise InvalidGaussCode("only some crossings have a letter", text, "either every visit has a letter or none has")
+            raise InvalidGaussCode(
+                "only some crossings have a letter",
+                text,
+                "either every visit has a letter or none has",
+            )
         return cls(tuple(visits), chirality or None)
 
     @classmethod
-    def relabelled(cls, visits: Iterable[int], letters: Mapping[int, str] | None = None) -> GaussCode:
+    def relabelled(
+        cls, visits: Iterable[int], letters: Mapping[int, str] | None = None
+    ) -> GaussCode:
         """Number arbitrary labels in order of first visit; letters go by the old label.
 
         >>> str(GaussCode.relabelled([7, -3, 3, -7]))
@@ -113,7 +137,12 @@ class GaussCode:
             UnknownChirality: there are none.
         """
         letters = self._letters()
-        return ",".join([f"{abs(visit)}{'+' if visit > 0 else '-'}{letters[abs(visit) - 1]}" for visit in self.visits])
+        return ",".join(
+            [
+                f"{abs(visit)}{'+' if visit > 0 else '-'}{letters[abs(visit) - 1]}"
+                for visit in self.visits
+            ]
+        )
 
     @property
     def nx(self) -> int:
@@ -190,7 +219,11 @@ class GaussCode:
         return self.chirality
 
     def _flipped(self) -> str | None:
-        return None if self.chirality is None else self.chirality.translate({ord("a"): "c", ord("c"): "a"})
+        return (
+            None
+            if self.chirality is None
+            else self.chirality.translate({ord("a"): "c", ord("c"): "a"})
+        )
 
     def _by_label(self) -> dict[int, str] | None:
         return None if self.chirality is None else dict(enumerate(self.chirality, 1))
@@ -202,7 +235,9 @@ def _renamed(visit: int, new: dict[int, int]) -> int:
 
 
 def _check_visits(visits: Iterable[int], given: object = None) -> None:
-    """Raise InvalidGaussCode, showing what was given, unless every label comes once over and once under, in order."""
+    """Raise InvalidGaussCode, showing what was given, unless every label comes once over and once
+    under, in order.
+    """
     given = visits if given is None else given
     awaited: list[int] = []  # per label the visit still to come, 0 when it came
     for visit in visits:
@@ -210,11 +245,23 @@ def _check_visits(visits: Iterable[int], given: object = None) -> None:
         if label == len(awaited) + 1:
             awaited.append(-visit)
         elif not 0 < label <= len(awaited):
-            raise InvalidGaussCode(f"label {label} comes too early", given, f"labels go in order of first visit, next is {len(awaited) + 1}")
+            raise InvalidGaussCode(
+                f"label {label} comes too early",
+                given,
+                f"labels go in order of first visit, next is {len(awaited) + 1}",
+            )
         elif awaited[label - 1] != visit:
-            raise InvalidGaussCode(f"crossing {label} is visited amiss", given, "right would be once over (+) and once under (-)")
+            raise InvalidGaussCode(
+                f"crossing {label} is visited amiss",
+                given,
+                "right would be once over (+) and once under (-)",
+            )
         else:
             awaited[label - 1] = 0
     if any(awaited):
         label = next(index for index, visit in enumerate(awaited, 1) if visit)
-        raise InvalidGaussCode(f"crossing {label} is visited only once", given, "right would be once over (+) and once under (-)")
+        raise InvalidGaussCode(
+            f"crossing {label} is visited only once",
+            given,
+            "right would be once over (+) and once under (-)",
+        )

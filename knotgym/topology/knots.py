@@ -1,13 +1,14 @@
 """Which knot a diagram shows, decided exactly or not at all.
 
-A diagram that loses all its crossings with its kinks and bigons shows the unknot. Another is told by its Alexander polynomial:
-if that is not 1 the rope is knotted, and if it is 1 with at most 10 crossings left it is not, since the first knots with a
-trivial one have 11 crossings (tables of Hoste, Thistlethwaite and Weeks, "The First 1,701,936 Knots", 1998). Beyond that
-the Jones polynomial decides, up to 24 crossings: no knot with so few has the unknot's (R. E. Tuzun and A. S. Sikora,
-"Verification of the Jones Unknot Conjecture up to 24 Crossings", 2021).
+A diagram that loses all its crossings with its kinks and bigons shows the unknot. Another is told
+by its Alexander polynomial: if that is not 1 the rope is knotted, and if it is 1 with at most 10
+crossings left it is not, since the first knots with a trivial one have 11 crossings (tables of
+Hoste, Thistlethwaite and Weeks, "The First 1,701,936 Knots", 1998). Beyond that the Jones
+polynomial decides, up to 24 crossings: no knot with so few has the unknot's (R. E. Tuzun and A. S.
+Sikora, "Verification of the Jones Unknot Conjecture up to 24 Crossings", 2021).
 
-Types are named as in Rolfsen's table, whatever the handedness: both trefoils are "3_1", and "3_1#3_1" is the granny knot
-as well as the square knot.
+Types are named as in Rolfsen's table, whatever the handedness: both trefoils are "3_1", and
+"3_1#3_1" is the granny knot as well as the square knot.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ UNKNOWN = "unknown"
 ALEXANDER_DECIDES = 10
 JONES_DECIDES = 24
 
-# Every knot of at most 7 crossings, composites included. The polynomials differ, so a diagram of at most 7 crossings is
+# Every knot of at most 7 crossings, composites included. The polynomials differ, so a diagram of at
+# most 7 crossings is
 # told by its own.
 _TYPES: dict[tuple[int, ...], str] = {
     (1,): UNKNOT,
@@ -50,12 +52,15 @@ _TABLED = 7
 
 
 class UndecidedKnot(KnotgymError):
-    """The polynomials do not tell this diagram from the unknot, and it is too large for that to be a proof."""
+    """The polynomials do not tell this diagram from the unknot, and it is too large for that to be
+    a proof.
+    """
 
     def __init__(self, code: GaussCode) -> None:
         super().__init__(
-            f"cannot say whether a diagram of {code.nx} crossings is the unknot: its Alexander and Jones polynomials are 1, "
-            f"which proves it up to {JONES_DECIDES} crossings: {code.chiral}"
+            f"cannot say whether a diagram of {code.nx} crossings is the unknot: its Alexander and"
+            f" Jones polynomials are 1, which proves it up to {JONES_DECIDES} crossings:"
+            f" {code.chiral}"
         )
 
 
@@ -64,8 +69,8 @@ def is_unknot(code: GaussCode) -> bool:
     """Say whether the rope can be opened to a plain loop.
 
     Args:
-        code: a planar code. Without chirality the answer holds for each of its handedness patterns: they differ by mirrored
-            summands.
+        code: a planar code. Without chirality the answer holds for each of its handedness patterns:
+            they differ by mirrored summands.
 
     Raises:
         NotPlanar: no closed curve shows the code.
@@ -76,7 +81,8 @@ def is_unknot(code: GaussCode) -> bool:
 
 @lru_cache(maxsize=65536)
 def knot_type(code: GaussCode) -> str:
-    """Name the knot: a type of at most 7 crossings, a sum of such types joined by "#", or "unknown" where that is not certain.
+    """Name the knot: a type of at most 7 crossings, a sum of such types joined by "#", or "unknown"
+    where that is not certain.
 
     Args:
         code: a planar code; without chirality as for is_unknot().
@@ -99,8 +105,9 @@ def handedness(code: GaussCode) -> int:
     """Tell a knot from its mirror image where the span of its Jones polynomial does.
 
     Returns:
-        +1 when the polynomial leans to positive powers, as the right-handed trefoil's, -1 when to negative ones, 0 when it
-        leans nowhere, as for the figure-eight knot, which is its own mirror image.
+        +1 when the polynomial leans to positive powers, as the right-handed trefoil's, -1 when to
+        negative ones, 0 when it leans nowhere, as for the figure-eight knot, which is its own
+        mirror image.
 
     Raises:
         UnknownChirality: the code has none.

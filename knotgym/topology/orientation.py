@@ -1,11 +1,12 @@
 """On which side of a line a point lies, decided exactly and never "on it".
 
-The sign of a 2 x 2 determinant is taken in floating point where an error bound vouches for it and in exact expansion
-arithmetic elsewhere (J. R. Shewchuk, "Adaptive Precision Floating-Point Arithmetic and Fast Robust Geometric
-Predicates", 1997). A true zero is broken as if bead k had been moved in x and then in y by amounts that are each
-infinitely smaller than any before (H. Edelsbrunner and E. P. Muecke, "Simulation of Simplicity", 1990): all answers
-together are those of one curve in general position, so a strand that passes exactly over a bead is counted once.
-Exact as long as no product of two coordinates over- or underflows.
+The sign of a 2 x 2 determinant is taken in floating point where an error bound vouches for it and
+in exact expansion arithmetic elsewhere (J. R. Shewchuk, "Adaptive Precision Floating-Point
+Arithmetic and Fast Robust Geometric Predicates", 1997). A true zero is broken as if bead k had been
+moved in x and then in y by amounts that are each infinitely smaller than any before (H.
+Edelsbrunner and E. P. Muecke, "Simulation of Simplicity", 1990): all answers together are those of
+one curve in general position, so a strand that passes exactly over a bead is counted once. Exact as
+long as no product of two coordinates over- or underflows.
 """
 
 import numpy as np
@@ -35,7 +36,9 @@ def side(points: np.ndarray, a: int, b: int, c: int) -> int:
         return 1
     if determinant < -bound:
         return -1
-    sign: int = _exact_sign(points[a, 0], points[a, 1], points[b, 0], points[b, 1], points[c, 0], points[c, 1])
+    sign: int = _exact_sign(
+        points[a, 0], points[a, 1], points[b, 0], points[b, 1], points[c, 0], points[c, 1]
+    )
     if sign == 0:
         sign = _tie(points, a, b, c)
     return sign
@@ -62,7 +65,9 @@ def _tie(points: np.ndarray, a: int, b: int, c: int) -> int:
 
 @njit(cache=True, nogil=True)
 def _exact_sign(ax: float, ay: float, bx: float, by: float, cx: float, cy: float) -> int:
-    """The sign of (b - a) x (c - a): six products, each kept as a sum of two floats, added without rounding."""
+    """The sign of (b - a) x (c - a): six products, each kept as a sum of two floats, added without
+    rounding.
+    """
     factors = (ax, by, -ax, cy, bx, cy, -bx, ay, cx, ay, -cx, by)
     total = np.zeros(12)  # an expansion: its parts do not overlap and grow in size
     length = 0

@@ -1,10 +1,11 @@
 """The Alexander and Jones polynomials of a diagram, in exact integers.
 
-A polynomial with integer coefficients is computed by putting a power of two so large for its variable that the
-coefficients can be read off the digits of one long integer (Kronecker substitution): determinants and sums of states
-are then ordinary integer arithmetic.
+A polynomial with integer coefficients is computed by putting a power of two so large for its
+variable that the coefficients can be read off the digits of one long integer (Kronecker
+substitution): determinants and sums of states are then ordinary integer arithmetic.
 
-Conventions: Alexander is symmetric with value 1 at t = 1; Jones is in t, right-handed trefoil t + t^3 - t^4.
+Conventions: Alexander is symmetric with value 1 at t = 1; Jones is in t, right-handed trefoil t +
+t^3 - t^4.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ Matching = frozenset[tuple[int, int]]
 
 @lru_cache(maxsize=65536)
 def alexander_polynomial(code: GaussCode) -> tuple[int, ...]:
-    """Return the coefficients from the lowest power to the highest; a code without chirality is drawn() first.
+    """Return the coefficients from the lowest power to the highest; a code without chirality is
+    drawn() first.
 
     Raises:
         NotPlanar: no closed curve shows the code.
@@ -30,22 +32,29 @@ def alexander_polynomial(code: GaussCode) -> tuple[int, ...]:
     (1, -1, 1)
     """
     code = drawn(code)
-    size = code.nx - 1  # of the matrix; a row has the entries 1 - t, t, -1, so no coefficient exceeds 4 ** size
+    # of the matrix; a row has the entries 1 - t, t, -1, so no coefficient exceeds 4 ** size
+    size = code.nx - 1
     if size < 1:
         return (1,)
     digits = 2 * size + 2
     coefficients = _digits(_determinant(_alexander_matrix(code, 1 << digits)), digits)
     while coefficients[0] == 0:
         del coefficients[0]
-    return tuple(coefficients) if sum(coefficients) > 0 else tuple([-coefficient for coefficient in coefficients])
+    return (
+        tuple(coefficients)
+        if sum(coefficients) > 0
+        else tuple([-coefficient for coefficient in coefficients])
+    )
 
 
 @lru_cache(maxsize=65536)
 def jones_polynomial(code: GaussCode) -> JonesPolynomial:
-    """Return the (power of t, coefficient) pairs with coefficients other than 0, lowest power first.
+    """Return the (power of t, coefficient) pairs with coefficients other than 0, lowest power
+    first.
 
-    The Kauffman bracket is summed crossing by crossing over a moving frontier, so the time grows with the width of the
-    diagram rather than with 2 ** n. A code without chirality is drawn() first: its knot is known up to the mirror.
+    The Kauffman bracket is summed crossing by crossing over a moving frontier, so the time grows
+    with the width of the diagram rather than with 2 ** n. A code without chirality is drawn()
+    first: its knot is known up to the mirror.
 
     Raises:
         NotPlanar: no closed curve shows the code.
@@ -56,7 +65,8 @@ def jones_polynomial(code: GaussCode) -> JonesPolynomial:
     code = drawn(code)
     if not code.nx:
         return ((0, 1),)
-    # The bracket is a polynomial in A; at most 4 ** n terms, two per loop and state, add up to a coefficient.
+    # The bracket is a polynomial in A; at most 4 ** n terms, two per loop and state, add up to a
+    # coefficient.
     digits, lowest = 2 * code.nx + 3, 3 * code.nx + 2
     states: dict[Matching, int] = {frozenset(): 1 << digits * lowest}
     for corners in _sweep(_corners(code)):
@@ -64,7 +74,11 @@ def jones_polynomial(code: GaussCode) -> JonesPolynomial:
         for matching, weight in states.items():
             south, east, north, west = corners
             for joints, term in (
-                (((south, east), (north, west)), weight << digits),  # what turning the upper strand left opens: A
+                # what turning the upper strand left opens: A
+                (
+                    ((south, east), (north, west)),
+                    weight << digits,
+                ),
                 (((south, west), (north, east)), weight >> digits),  # and right: 1 / A
             ):
                 joined, loops = _joined(matching, joints)
@@ -73,7 +87,11 @@ def jones_polynomial(code: GaussCode) -> JonesPolynomial:
                 new[joined] = new.get(joined, 0) + term
         states = new
     # Normalized: (-A^3)^-writhe, one loop (-A^2 - 1 / A^2) taken out, t = A^-4.
-    bracket = {power - lowest: value for power, value in enumerate(_digits(states[frozenset()], digits)) if value}
+    bracket = {
+        power - lowest: value
+        for power, value in enumerate(_digits(states[frozenset()], digits))
+        if value
+    }
     sign = -1 if code.writhe % 2 else 1
     rest = {power - 3 * code.writhe: sign * value for power, value in bracket.items()}
     jones: dict[int, int] = {}
@@ -104,7 +122,9 @@ def _digits(number: int, digits: int) -> list[int]:
 
 
 def _alexander_matrix(code: GaussCode, t: int) -> list[list[int]]:
-    """Fox's matrix with the last row and column struck out; arcs run from one under-visit to the next."""
+    """Fox's matrix with the last row and column struck out; arcs run from one under-visit to the
+    next.
+    """
     arc = 0
     over = [0] * code.nx
     before = [0] * code.nx
@@ -147,7 +167,8 @@ def _determinant(matrix: list[list[int]]) -> int:
 def _corners(code: GaussCode) -> list[tuple[int, int, int, int]]:
     """Per crossing its four edges, counterclockwise from the incoming lower one.
 
-    Edge k leads to visit k. With the lower strand going north the upper one goes east at a positive crossing.
+    Edge k leads to visit k. With the lower strand going north the upper one goes east at a positive
+    crossing.
     """
     count = len(code.visits)
     lower: dict[int, int] = {}
@@ -163,7 +184,9 @@ def _corners(code: GaussCode) -> list[tuple[int, int, int, int]]:
 
 
 def _sweep(corners: list[tuple[int, int, int, int]]) -> list[tuple[int, int, int, int]]:
-    """Order the crossings so that few edges lie between those done and those to do: next is the best connected one."""
+    """Order the crossings so that few edges lie between those done and those to do: next is the
+    best connected one.
+    """
     left = list(corners)
     frontier: set[int] = set()
     order = []
@@ -176,8 +199,12 @@ def _sweep(corners: list[tuple[int, int, int, int]]) -> list[tuple[int, int, int
     return order
 
 
-def _joined(matching: Matching, joints: tuple[tuple[int, int], tuple[int, int]]) -> tuple[Matching, int]:
-    """Join edges of the frontier; give the new pairs of ends and the number of loops that closed."""
+def _joined(
+    matching: Matching, joints: tuple[tuple[int, int], tuple[int, int]]
+) -> tuple[Matching, int]:
+    """Join edges of the frontier; give the new pairs of ends and the number of loops that
+    closed.
+    """
     partner: dict[int, int] = {}
     for one, other in matching:
         partner[one], partner[other] = other, one

@@ -1,9 +1,10 @@
 """An independent second opinion on a rope's Gauss code: pyknotid's.
 
-Nothing here shares code with knotgym.topology.crossings beyond the value type. Four traps of pyknotid 0.5.3 are minded: it needs
-aliases that NumPy 2 no longer has (lent to it only while it runs, so not for several threads at once), it drops crossings
-whose cross product is under an absolute 1e-5 (the rope is scaled up), it writes to standard output, and an empty code
-reads "----". A crossing that falls exactly on a bead remains lost to it.
+Nothing here shares code with knotgym.topology.crossings beyond the value type. Four traps of
+pyknotid 0.5.3 are minded: it needs aliases that NumPy 2 no longer has (lent to it only while it
+runs, so not for several threads at once), it drops crossings whose cross product is under an
+absolute 1e-5 (the rope is scaled up), it writes to standard output, and an empty code reads "----".
+A crossing that falls exactly on a bead remains lost to it.
 
 Source: A. J. Taylor, "pyknotid knot identification toolkit", https://github.com/SPOCKnots/pyknotid
 """
@@ -28,7 +29,10 @@ class UnreadableCurve(KnotgymError, ValueError):
     """pyknotid cannot be asked about these points."""
 
     def __init__(self, problem: str) -> None:
-        super().__init__(f"no curve for pyknotid: {problem}; right would be (beads, 3) finite numbers, at least 3 beads")
+        super().__init__(
+            f"no curve for pyknotid: {problem}; right would be (beads, 3) finite numbers, at least"
+            " 3 beads"
+        )
 
 
 def pyknotid_code(points: ArrayLike) -> GaussCode:
@@ -56,7 +60,9 @@ def pyknotid_code(points: ArrayLike) -> GaussCode:
 
 @contextlib.contextmanager
 def _lent_aliases() -> Iterator[None]:
-    """Give NumPy the names that pyknotid looks for, and take away again those that were not there."""
+    """Give NumPy the names that pyknotid looks for, and take away again those that were not
+    there.
+    """
     missing = [name for name in _ALIASES if name not in vars(np)]
     for name in missing:
         setattr(np, name, _ALIASES[name])

@@ -1,12 +1,13 @@
 """Simpler diagrams of the same knot.
 
-Kinks and bigons (Reidemeister's first and second move) are taken out first. Then strands are lifted: a stretch of the
-rope that at each of its crossings passes over, or under a part of itself walked before, hangs above all the rest, so it
-may be laid down again along any way between its ends, crossing over whatever is there. The shortest way through the
-faces is taken. The same is done from below. A lift is a chain of Reidemeister moves of all three kinds.
+Kinks and bigons (Reidemeister's first and second move) are taken out first. Then strands are
+lifted: a stretch of the rope that at each of its crossings passes over, or under a part of itself
+walked before, hangs above all the rest, so it may be laid down again along any way between its
+ends, crossing over whatever is there. The shortest way through the faces is taken. The same is done
+from below. A lift is a chain of Reidemeister moves of all three kinds.
 
-Lifts that keep the number of crossings lead from diagram to diagram in a search of bounded effort, so a result may still
-have more crossings than its knot needs. No step draws random numbers.
+Lifts that keep the number of crossings lead from diagram to diagram in a search of bounded effort,
+so a result may still have more crossings than its knot needs. No step draws random numbers.
 """
 
 from __future__ import annotations
@@ -23,11 +24,14 @@ _DETOURS = 4  # equally short ways tried per lift
 def simplify(code: GaussCode, effort: int = 64) -> GaussCode:
     """Return a code with chirality of the same knot, with no more crossings.
 
-    Summands of the diagram are simplified one by one and then strung together, so the base point is not kept.
+    Summands of the diagram are simplified one by one and then strung together, so the base point is
+    not kept.
 
     Args:
-        code: a planar code; without chirality it is drawn() first, so its knot is known up to mirrored summands.
-        effort: how many diagrams a summand's search may look at after the last that had fewer crossings.
+        code: a planar code; without chirality it is drawn() first, so its knot is known up to
+            mirrored summands.
+        effort: how many diagrams a summand's search may look at after the last that had fewer
+            crossings.
 
     Raises:
         NotPlanar: no closed curve shows the code.
@@ -53,10 +57,14 @@ def without_bigons(code: GaussCode) -> GaussCode:
         pair = _bigon(visits, signs)
         if pair is None:
             break
-        visits = _without_kinks([visit for visit in visits if visit not in pair and -visit not in pair])
+        visits = _without_kinks(
+            [visit for visit in visits if visit not in pair and -visit not in pair]
+        )
     if len(visits) == len(code.visits):
         return code
-    return GaussCode.relabelled(visits, {label: POSITIVE if sign > 0 else NEGATIVE for label, sign in enumerate(signs, 1)})
+    return GaussCode.relabelled(
+        visits, {label: POSITIVE if sign > 0 else NEGATIVE for label, sign in enumerate(signs, 1)}
+    )
 
 
 def _without_kinks(visits: list[int] | tuple[int, ...]) -> list[int]:
@@ -72,20 +80,29 @@ def _without_kinks(visits: list[int] | tuple[int, ...]) -> list[int]:
 
 
 def _bigon(visits: list[int], signs: tuple[int, ...]) -> tuple[int, int] | None:
-    """Two labels of opposite sign that follow each other both on the upper and on the lower strand."""
+    """Two labels of opposite sign that follow each other both on the upper and on the lower
+    strand.
+    """
     count = len(visits)
     lower = {-visit: k for k, visit in enumerate(visits) if visit < 0}
     for k in range(count):
         one, other = visits[k - 1], visits[k]
-        if one > 0 and other > 0 and signs[one - 1] != signs[other - 1] and (lower[one] - lower[other]) % count in (1, count - 1):
+        if (
+            one > 0
+            and other > 0
+            and signs[one - 1] != signs[other - 1]
+            and (lower[one] - lower[other]) % count in (1, count - 1)
+        ):
             return one, other
     return None
 
 
 def _least(code: GaussCode, effort: int) -> GaussCode:
-    """The summand with fewest crossings that is found: straight down while it goes, then on the level.
+    """The summand with fewest crossings that is found: straight down while it goes, then on the
+    level.
 
-    An alternating diagram without crossings that split it has the fewest already (Kauffman, Murasugi, Thistlethwaite, 1987).
+    An alternating diagram without crossings that split it has the fewest already (Kauffman,
+    Murasugi, Thistlethwaite, 1987).
     """
     code = _descended(code)
     if len(summands(code)) > 1:
@@ -109,7 +126,10 @@ def _least(code: GaussCode, effort: int) -> GaussCode:
 
 
 def _is_alternating(code: GaussCode) -> bool:
-    return all((visit > 0) != (after > 0) for visit, after in zip(code.visits, code.visits[1:], strict=False))
+    return all(
+        (visit > 0) != (after > 0)
+        for visit, after in zip(code.visits, code.visits[1:], strict=False)
+    )
 
 
 def _descended(code: GaussCode) -> GaussCode:
@@ -123,7 +143,9 @@ def _descended(code: GaussCode) -> GaussCode:
 
 
 def _lifts(code: GaussCode, gain: int) -> Iterator[GaussCode]:
-    """Diagrams after one lift that takes away at least `gain` crossings, from above and from below."""
+    """Diagrams after one lift that takes away at least `gain` crossings, from above and from
+    below.
+    """
     for view, back in ((code, False), (code.mirrored(), True)):
         for start in range(len(view.visits)):
             for length, labels in _stretches(view.visits, start, whole=gain > 0):
@@ -131,8 +153,12 @@ def _lifts(code: GaussCode, gain: int) -> Iterator[GaussCode]:
                     yield lifted.mirrored() if back else lifted
 
 
-def _stretches(visits: tuple[int, ...], start: int, whole: bool) -> list[tuple[int, frozenset[int]]]:
-    """Stretches from visit `start` that hang above the rest: lengths in visits and labels met, or only the longest."""
+def _stretches(
+    visits: tuple[int, ...], start: int, whole: bool
+) -> list[tuple[int, frozenset[int]]]:
+    """Stretches from visit `start` that hang above the rest: lengths in visits and labels met, or
+    only the longest.
+    """
     met: set[int] = set()
     found: list[tuple[int, frozenset[int]]] = []
     for length in range(1, len(visits) + 1):
@@ -148,10 +174,15 @@ def _stretches(visits: tuple[int, ...], start: int, whole: bool) -> list[tuple[i
 
 
 def _laid(code: GaussCode, end: int, labels: frozenset[int], limit: int) -> Iterator[GaussCode]:
-    """Take the stretch that ends before visit `end` off and lay it along shortest ways of at most `limit` crossings."""
+    """Take the stretch that ends before visit `end` off and lay it along shortest ways of at most
+    `limit` crossings.
+    """
     end %= len(code.visits)
     letters = dict(enumerate(code.chirality or "", 1))
-    rest = GaussCode.relabelled([visit for visit in code.visits[end:] + code.visits[:end] if abs(visit) not in labels], letters)
+    rest = GaussCode.relabelled(
+        [visit for visit in code.visits[end:] + code.visits[:end] if abs(visit) not in labels],
+        letters,
+    )
     if not rest.visits:
         yield rest
         return
@@ -160,8 +191,14 @@ def _laid(code: GaussCode, end: int, labels: frozenset[int], limit: int) -> Iter
 
 
 def _ways(onwards: list[int], limit: int) -> Iterator[list[int]]:
-    """Shortest ways from one end of the gap in the last edge to the other, as the darts stepped over from their left."""
-    leaving, arriving = len(onwards) - 2, len(onwards) - 1  # the missing edge's darts, stubs at its two crossings
+    """Shortest ways from one end of the gap in the last edge to the other, as the darts stepped
+    over from their left.
+    """
+    # the missing edge's darts, stubs at its two crossings
+    leaving, arriving = (
+        len(onwards) - 2,
+        len(onwards) - 1,
+    )
     face = [-1] * leaving
     borders: list[list[int]] = []
     source = target = -1
@@ -200,11 +237,17 @@ def _ways(onwards: list[int], limit: int) -> Iterator[list[int]]:
             found += 1
             yield way
         else:
-            ways.extend((face[dart ^ 1], [*way, dart]) for dart in borders[here] if distance[face[dart ^ 1]] < distance[here])
+            ways.extend(
+                (face[dart ^ 1], [*way, dart])
+                for dart in borders[here]
+                if distance[face[dart ^ 1]] < distance[here]
+            )
 
 
 def _crossed(rest: GaussCode, way: list[int]) -> GaussCode:
-    """Close the gap in the last edge by a strand over the edges of these darts: over a forward dart it is positive."""
+    """Close the gap in the last edge by a strand over the edges of these darts: over a forward dart
+    it is positive.
+    """
     letters = dict(enumerate(rest.chirality or "", 1))
     under: dict[int, int] = {}
     for label, dart in enumerate(way, rest.nx + 1):
@@ -224,7 +267,9 @@ def _strung(codes: list[GaussCode]) -> GaussCode:
     visits: list[int] = []
     letters: list[str] = []
     for code in codes:
-        visits.extend(visit + len(letters) if visit > 0 else visit - len(letters) for visit in code.visits)
+        visits.extend(
+            visit + len(letters) if visit > 0 else visit - len(letters) for visit in code.visits
+        )
         letters.extend(code.chirality or "")
     return GaussCode(tuple(visits), "".join(letters))
 

@@ -1,8 +1,9 @@
 """The symmetries of a rope's diagrams: what one way to a diagram teaches about others.
 
-Turning the rope about z, looking at it in a mirror (x -> -x) and switching over and under (z -> -z) take rope motions to
-rope motions exactly. Two more do so nearly: walking the rope the other way, and starting the walk at another sub-chain. A
-rope bends more easily where its sub-chains meet (their closures have no damping), so that a walk that starts at any other
+Turning the rope about z, looking at it in a mirror (x -> -x) and switching over and under (z -> -z)
+take rope motions to rope motions exactly. Two more do so nearly: walking the rope the other way,
+and starting the walk at another sub-chain. A rope bends more easily where its sub-chains meet
+(their closures have no damping), so that a walk that starts at any other
 bead is no symmetry: rolled by one bead, a pull ends 9 mm elsewhere, rolled by a sub-chain, 0.5 mm.
 """
 
@@ -22,7 +23,8 @@ from knotgym.topology.gauss import GaussCode
 
 @dataclass(frozen=True)
 class Symmetry:
-    """Mirror and switch and turn the rope, then walk it the other way, then start at another vertex.
+    """Mirror and switch and turn the rope, then walk it the other way, then start at another
+    vertex.
 
     Attributes:
         reflect: x -> -x first.
@@ -42,7 +44,12 @@ class Symmetry:
         """Positions or forces (..., 3), as the symmetry moves them."""
         out = v * (-1.0 if self.reflect else 1.0, 1.0, -1.0 if self.switch else 1.0)
         c, s = np.cos(self.turn), np.sin(self.turn)
-        return np.asarray(np.stack([c * out[..., 0] - s * out[..., 1], s * out[..., 0] + c * out[..., 1], out[..., 2]], axis=-1))
+        return np.asarray(
+            np.stack(
+                [c * out[..., 0] - s * out[..., 1], s * out[..., 0] + c * out[..., 1], out[..., 2]],
+                axis=-1,
+            )
+        )
 
     def configuration(self, points: Array) -> Array:
         """A configuration (beads, 3), moved and renumbered."""
@@ -55,9 +62,11 @@ class Symmetry:
         return ((-old - 1 if self.reverse else old) - self.roll) % count
 
     def back_to_loop(self, count: int) -> Symmetry:
-        """The exact symmetry that lays a plain loop of `count` beads, moved by this one, down as it was, numbers included.
+        """The exact symmetry that lays a plain loop of `count` beads, moved by this one, down as it
+        was, numbers included.
 
-        A loop lies as it did after a turn; one that was mirrored, or walked the other way, after a reflection and a turn.
+        A loop lies as it did after a turn; one that was mirrored, or walked the other way, after a
+        reflection and a turn.
         """
         rolled, half = 2 * np.pi * self.roll / count, np.pi if self.reverse else 0.0
         if self.reflect != self.reverse:
@@ -66,11 +75,15 @@ class Symmetry:
 
     def undone(self) -> Symmetry:
         """The symmetry that takes back this one, which renumbers nothing."""
-        return Symmetry(reflect=self.reflect, switch=self.switch, turn=self.turn if self.reflect else -self.turn)
+        return Symmetry(
+            reflect=self.reflect, switch=self.switch, turn=self.turn if self.reflect else -self.turn
+        )
 
 
 def mirrorings(code: GaussCode) -> Iterator[tuple[GaussCode, Symmetry]]:
-    """The codes that a rope showing `code`, with chirality, shows after reflection and switch, each with its symmetry; four, some twice."""
+    """The codes that a rope showing `code`, with chirality, shows after reflection and switch, each
+    with its symmetry; four, some twice.
+    """
     for switch in (False, True):
         for reflect in (False, True):
             shown = code.mirrored() if switch else code
@@ -80,7 +93,9 @@ def mirrorings(code: GaussCode) -> Iterator[tuple[GaussCode, Symmetry]]:
 def variants(code: GaussCode) -> Iterator[tuple[GaussCode, Symmetry]]:
     """As `mirrorings`, walked both ways; eight, some twice."""
     yield from mirrorings(code)
-    yield from ((shown, replace(symmetry, reverse=True)) for shown, symmetry in mirrorings(code.reversed()))
+    yield from (
+        (shown, replace(symmetry, reverse=True)) for shown, symmetry in mirrorings(code.reversed())
+    )
 
 
 @lru_cache(maxsize=200_000)

@@ -1,8 +1,10 @@
-"""Collection: a policy's episodes as a Minari dataset, by any number of processes, whatever kills them.
+"""Collection: a policy's episodes as a Minari dataset, by any number of processes, whatever kills
+them.
 
-Episodes are played in shards of a few, each written by one process and merged at the end; an episode depends on the seed and
-its number alone, so the dataset's bytes don't depend on the processes. While it runs, everything stands in a hidden folder
-beside the dataset; finished shards outlive a kill.
+Episodes are played in shards of a few, each written by one process and merged at the end; an
+episode depends on the seed and its number alone, so the dataset's bytes don't depend on the
+processes. While it runs, everything stands in a hidden folder beside the dataset; finished shards
+outlive a kill.
 """
 
 from __future__ import annotations
@@ -72,11 +74,17 @@ class CollectConfig:
         if self.seed < 0:
             raise InvalidCollection(f"seed must be at least 0, got {self.seed}")
         if not self.dataset_id:
-            object.__setattr__(self, "dataset_id", f"knotgym/{self.task.task}-nx{self.task.nx}/{self.policy.short}-v0")
+            object.__setattr__(
+                self,
+                "dataset_id",
+                f"knotgym/{self.task.task}-nx{self.task.nx}/{self.policy.short}-v0",
+            )
 
     @property
     def stored_task(self) -> TaskConfig:
-        """The environment as the dataset names it: states that don't ship are carried along, and found by the dataset's id."""
+        """The environment as the dataset names it: states that don't ship are carried along, and
+        found by the dataset's id.
+        """
         return self.task if self.task.states is None else replace(self.task, states=self.dataset_id)
 
 
@@ -111,7 +119,12 @@ class Tally:
     simulation_failures: int = 0
 
     def __add__(self, other: Tally) -> Tally:
-        return Tally(**{field.name: getattr(self, field.name) + getattr(other, field.name) for field in fields(self)})
+        return Tally(
+            **{
+                field.name: getattr(self, field.name) + getattr(other, field.name)
+                for field in fields(self)
+            }
+        )
 
 
 def collect(
@@ -131,11 +144,13 @@ def collect(
         config: what is collected.
         out: the root under which Minari would find the id; None for Minari's own.
         workers: processes, 0 for one a core.
-        resume: go on with the shards that are there; with a finished dataset of the same settings there is nothing to do.
+        resume: go on with the shards that are there; with a finished dataset of the same settings
+            there is nothing to do.
         quiet: show nothing.
         console: to show progress on.
         scheduler: address of a Dask cluster's, to work there.
-        part: of the run, whose episodes go to a folder NAME-shard-2-of-8 with main_data.hdf5 and collection.json; Minari doesn't list it.
+        part: of the run, whose episodes go to a folder NAME-shard-2-of-8 with main_data.hdf5 and
+            collection.json; Minari doesn't list it.
 
     Raises:
         Occupied: there is something in the way, or another run is at it.
@@ -150,10 +165,13 @@ def collect(
     settings = json.loads(json.dumps({**asdict(config), "part": asdict(part)}))
     numbers = part.share(config.episodes)
     if not numbers:
-        raise InvalidCollection(f"shard {part} of {config.episodes} episodes has none: cut the run into fewer shards")
+        raise InvalidCollection(
+            f"shard {part} of {config.episodes} episodes has none: cut the run into fewer shards"
+        )
     if folder.exists():
         if resume and settings_of(folder) == settings:
-            shutil.rmtree(partial_of(folder), ignore_errors=True)  # killed between its last two steps
+            # killed between its last two steps
+            shutil.rmtree(partial_of(folder), ignore_errors=True)
             if not quiet:
                 console.print(f"{folder} is finished already", soft_wrap=True)
             return folder
@@ -162,57 +180,91 @@ def collect(
     with held(folder, resume) as partial:
         if settings_of(partial) not in (None, settings):
             raise InvalidCollection(
-                f"{partial} holds another collection than the one asked for; give the same options again, or start without --resume"
+                f"{partial} holds another collection than the one asked for; give the same options"
+                " again, or start without --resume"
             )
         with whole(partial / REPORT) as file:
             file.write_text(json.dumps({"config": settings}))
         shards = [
-            _Shard(config, numbers[first : first + SHARD], partial / f"shard-{first // SHARD:06d}.h5") for first in range(0, len(numbers), SHARD)
+            _Shard(
+                config, numbers[first : first + SHARD], partial / f"shard-{first // SHARD:06d}.h5"
+            )
+            for first in range(0, len(numbers), SHARD)
         ]
         tally = _play_all(shards, workers, scheduler, quiet, console)
         staged = partial / "whole"
         shutil.rmtree(staged, ignore_errors=True)
-        made = write_whole(config, [shard.path for shard in shards], tally, staged) if part.whole else staged
+        made = (
+            write_whole(config, [shard.path for shard in shards], tally, staged)
+            if part.whole
+            else staged
+        )
         if not part.whole:
             made.mkdir()
             merge([shard.path for shard in shards], made / "main_data.hdf5")
-            _report(made / REPORT, settings, tally, {"main_data.hdf5": sha256(made / "main_data.hdf5")})
+            _report(
+                made / REPORT, settings, tally, {"main_data.hdf5": sha256(made / "main_data.hdf5")}
+            )
         made.rename(folder)
         shutil.rmtree(partial)
     if not quiet:
         seconds = time.perf_counter() - began
         lost = tally.played - tally.succeeded
         console.print(
-            f"{folder}: {tally.kept} episodes, {tally.steps} steps; {tally.succeeded} of {tally.played} reached the goal, "
-            f"{lost} failed ({'kept' if config.keep_failed else 'dropped'}); planning {tally.planned_actions / tally.played:.0f} simulated actions "
-            f"and {tally.planning_seconds / tally.played:.1f} s an episode; {seconds:.0f} s",
+            f"{folder}: {tally.kept} episodes, {tally.steps} steps; {tally.succeeded} of"
+            f" {tally.played} reached the goal, {lost} failed"
+            f" ({'kept' if config.keep_failed else 'dropped'}); planning"
+            f" {tally.planned_actions / tally.played:.0f} simulated actions and"
+            f" {tally.planning_seconds / tally.played:.1f} s an episode; {seconds:.0f} s",
             soft_wrap=True,
             highlight=False,
         )
     return folder
 
 
-def write_whole(config: CollectConfig, sources: Sequence[Path], tally: Tally, root: Path, *, concatenate: bool = False) -> Path:
-    """Write the dataset of a run below `root` from its episodes' files, `concatenate` as of `publish`; its folder.
+def write_whole(
+    config: CollectConfig,
+    sources: Sequence[Path],
+    tally: Tally,
+    root: Path,
+    *,
+    concatenate: bool = False,
+) -> Path:
+    """Write the dataset of a run below `root` from its episodes' files, `concatenate` as of
+    `publish`; its folder.
 
     Raises:
         InvalidCollection: no episode is left.
     """
     if not tally.kept:
-        raise InvalidCollection(f"none of {tally.played} episodes reached the goal, and failed ones are dropped: nothing is left to write")
+        raise InvalidCollection(
+            f"none of {tally.played} episodes reached the goal, and failed ones are dropped:"
+            " nothing is left to write"
+        )
     carried = None if config.task.states is None else states_file(config.task.states)
     made = publish(sources, _metadata(config, tally), root, concatenate=concatenate, states=carried)
-    _report(made / "data" / REPORT, json.loads(json.dumps({**asdict(config), "part": asdict(_WHOLE)})), tally)
+    _report(
+        made / "data" / REPORT,
+        json.loads(json.dumps({**asdict(config), "part": asdict(_WHOLE)})),
+        tally,
+    )
     return made
 
 
 def _report(path: Path, settings: Any, tally: Tally, files: dict[str, str] | None = None) -> None:
     counted = {**asdict(tally), "planning_seconds": round(tally.planning_seconds, 1)}
-    said = {"config": settings, "version": knotgym.__version__, "tally": counted, **({"files": files} if files else {})}
+    said = {
+        "config": settings,
+        "version": knotgym.__version__,
+        "tally": counted,
+        **({"files": files} if files else {}),
+    }
     path.write_text(json.dumps(said, indent=1, sort_keys=True), encoding="utf-8")
 
 
-def _play_all(shards: Sequence[_Shard], workers: int, scheduler: str, quiet: bool, console: Console) -> Tally:
+def _play_all(
+    shards: Sequence[_Shard], workers: int, scheduler: str, quiet: bool, console: Console
+) -> Tally:
     """Play the shards that aren't finished; the tally of all."""
     done = {shard.path: _finished(shard.path) for shard in shards}
     total = sum((one for one in done.values() if one is not None), Tally())
@@ -227,7 +279,8 @@ def _play_all(shards: Sequence[_Shard], workers: int, scheduler: str, quiet: boo
                 left = seconds * (len(todo) - number) / number
                 all_episodes = sum(len(shard.numbers) for shard in shards)
                 console.print(
-                    f"{seconds:5.0f} s  {total.played} of {all_episodes} episodes, {total.succeeded} reached the goal; about {left:.0f} s left",
+                    f"{seconds:5.0f} s  {total.played} of {all_episodes} episodes,"
+                    f" {total.succeeded} reached the goal; about {left:.0f} s left",
                     soft_wrap=True,
                     highlight=False,
                 )
@@ -235,7 +288,9 @@ def _play_all(shards: Sequence[_Shard], workers: int, scheduler: str, quiet: boo
 
 
 def play(shard: _Shard) -> Tally:
-    """Play a shard and write it, then its tally beside it; a shard without a tally isn't finished."""
+    """Play a shard and write it, then its tally beside it; a shard without a tally isn't
+    finished.
+    """
     config = shard.config
     rollouts = roll(config.task, make_policy(config.policy), shard.numbers, config.seed)
     kept = [one for one in rollouts if one.success or config.keep_failed]
@@ -253,7 +308,9 @@ def play(shard: _Shard) -> Tally:
         simulation_failures=sum(bool(one.episode.simulation_failed[-1]) for one in rollouts),
     )
     with whole(shard.path.with_suffix(".json")) as part:
-        part.write_text(json.dumps({"sha256": sha256(shard.path), "tally": asdict(tally)}), encoding="utf-8")
+        part.write_text(
+            json.dumps({"sha256": sha256(shard.path), "tally": asdict(tally)}), encoding="utf-8"
+        )
     return tally
 
 
@@ -267,7 +324,9 @@ def _finished(path: Path) -> Tally | None:
 
 
 def settings_of(folder: Path) -> Any:
-    """What was asked for of the dataset or shard that is or will be in a folder; None if it doesn't say."""
+    """What was asked for of the dataset or shard that is or will be in a folder; None if it doesn't
+    say.
+    """
     for path in (folder / "data" / REPORT, folder / REPORT):
         try:
             return json.loads(path.read_text(encoding="utf-8"))["config"]
@@ -277,19 +336,27 @@ def settings_of(folder: Path) -> Any:
 
 
 def _metadata(config: CollectConfig, tally: Tally) -> MinariMetadata:
-    """Minari's metadata, with what is known of random and expert policies on this setup as reference scores."""
+    """Minari's metadata, with what is known of random and expert policies on this setup as
+    reference scores.
+    """
     task, policy = config.task, config.policy
     scores = _references().get(f"{task.task}-nx{task.nx}", {}) if task.rope == RopeConfig() else {}
-    noise = f", each pull a random one with probability {policy.noise}" if policy.policy in ("noisy-expert", "mixed") else ""
+    noise = (
+        f", each pull a random one with probability {policy.noise}"
+        if policy.policy in ("noisy-expert", "mixed")
+        else ""
+    )
     planning = (
-        f" Planning took {tally.planned_actions / tally.played:.0f} simulated actions an episode, of {policy.planner.budget} allowed."
+        f" Planning took {tally.planned_actions / tally.played:.0f} simulated actions an episode,"
+        f" of {policy.planner.budget} allowed."
         if tally.planned_actions
         else ""
     )
     text = (
-        f"KnotGym, task {task.task} with {task.nx} crossings, {task.split} split: {tally.kept} episodes of policy {policy.policy}{noise}, "
-        f"seed {config.seed}. {tally.succeeded} of {tally.played} episodes played reached the goal within {task.horizon} steps; failed ones are "
-        f"{'kept' if config.keep_failed else 'dropped'}.{planning}"
+        f"KnotGym, task {task.task} with {task.nx} crossings, {task.split} split: {tally.kept}"
+        f" episodes of policy {policy.policy}{noise}, seed {config.seed}. {tally.succeeded} of"
+        f" {tally.played} episodes played reached the goal within {task.horizon} steps; failed ones"
+        f" are {'kept' if config.keep_failed else 'dropped'}.{planning}"
     )
     return MinariMetadata(
         dataset_id=config.dataset_id,

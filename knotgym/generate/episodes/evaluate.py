@@ -1,6 +1,8 @@
-"""Evaluation: how often a policy reaches its goals, on any tasks, crossings and splits, with Wilson's interval.
+"""Evaluation: how often a policy reaches its goals, on any tasks, crossings and splits, with
+Wilson's interval.
 
-Several policies, crossings and splits at once make the generalization matrix: a policy trained on one, tested on all.
+Several policies, crossings and splits at once make the generalization matrix: a policy trained on
+one, tested on all.
 """
 
 from __future__ import annotations
@@ -57,7 +59,10 @@ class EvaluateConfig:
 
     def __post_init__(self) -> None:
         if self.episodes < 1 or self.seed < 0:
-            raise InvalidEvaluation(f"episodes must be at least 1 and seed at least 0, got {self.episodes} and {self.seed}")
+            raise InvalidEvaluation(
+                f"episodes must be at least 1 and seed at least 0, got {self.episodes} and"
+                f" {self.seed}"
+            )
         if not all((self.policies, self.tasks, self.nx, self.splits)):
             raise InvalidEvaluation("name at least one policy, task, number of crossings and split")
         list(self.setups())  # refuses what no environment has
@@ -132,7 +137,10 @@ def wilson(successes: int, trials: int, z: float = 1.959963984540054) -> tuple[f
     rate, spread = successes / trials, z * z / trials
     middle = (rate + spread / 2) / (1 + spread)
     half = z / (1 + spread) * math.sqrt(rate * (1 - rate) / trials + spread / (4 * trials))
-    return max(0.0, middle - half) if successes else 0.0, min(1.0, middle + half) if successes < trials else 1.0  # exact at the ends
+    # exact at the ends
+    return max(0.0, middle - half) if successes else 0.0, (
+        min(1.0, middle + half) if successes < trials else 1.0
+    )
 
 
 def evaluate(config: EvaluateConfig, pool: Pool) -> tuple[list[Result], list[Episode]]:
@@ -140,7 +148,13 @@ def evaluate(config: EvaluateConfig, pool: Pool) -> tuple[list[Result], list[Epi
     setups = list(config.setups())
     starts = range(0, config.episodes, SIDE_BY_SIDE)
     pieces = [
-        _Piece(policy, task, range(first, min(first + SIDE_BY_SIDE, config.episodes)), config.seed, config.filmed)
+        _Piece(
+            policy,
+            task,
+            range(first, min(first + SIDE_BY_SIDE, config.episodes)),
+            config.seed,
+            config.filmed,
+        )
         for policy, task in setups
         for first in starts
     ]
@@ -155,7 +169,10 @@ def evaluate(config: EvaluateConfig, pool: Pool) -> tuple[list[Result], list[Epi
 
 def report(config: EvaluateConfig, results: Sequence[Result]) -> dict[str, Any]:
     """What goes to the JSON file."""
-    successes, episodes = sum(one.successes for one in results), sum(one.episodes for one in results)
+    successes, episodes = (
+        sum(one.successes for one in results),
+        sum(one.episodes for one in results),
+    )
     return {
         "version": knotgym.__version__,
         "success_rate": successes / episodes,
@@ -168,25 +185,62 @@ def report(config: EvaluateConfig, results: Sequence[Result]) -> dict[str, Any]:
 
 def show(results: Sequence[Result], console: Console) -> None:
     """A row for each setup, and the matrix if there are several."""
-    table = Table("policy", "task", "split", "nx", "success", "95 % interval", "steps", "return", "planned actions", "planning s")
+    table = Table(
+        "policy",
+        "task",
+        "split",
+        "nx",
+        "success",
+        "95 % interval",
+        "steps",
+        "return",
+        "planned actions",
+        "planning s",
+    )
     for one in results:
         steps = "" if one.steps is None else f"{one.steps:.1f}"
         interval = f"{100 * one.low:.1f} to {100 * one.high:.1f} %"
-        effort = (f"{one.planned_actions:.0f}", f"{one.planning_seconds:.2f}") if one.planned_actions else ("", "")
+        effort = (
+            (f"{one.planned_actions:.0f}", f"{one.planning_seconds:.2f}")
+            if one.planned_actions
+            else ("", "")
+        )
         table.add_row(
-            one.policy, one.task, one.split, str(one.nx), f"{100 * one.success_rate:.1f} %", interval, steps, f"{one.mean_return:.2f}", *effort
+            one.policy,
+            one.task,
+            one.split,
+            str(one.nx),
+            f"{100 * one.success_rate:.1f} %",
+            interval,
+            steps,
+            f"{one.mean_return:.2f}",
+            *effort,
         )
     console.print(table)
     columns = list(dict.fromkeys(one.nx for one in results))
     if len(columns) > 1:
-        matrix = Table("policy", "task", "split", *(f"nx {nx}" for nx in columns), title="success, %")
+        matrix = Table(
+            "policy", "task", "split", *(f"nx {nx}" for nx in columns), title="success, %"
+        )
         for key in dict.fromkeys((one.policy, one.task, one.split) for one in results):
-            cells = {one.nx: f"{100 * one.success_rate:.1f}" for one in results if (one.policy, one.task, one.split) == key}
+            cells = {
+                one.nx: f"{100 * one.success_rate:.1f}"
+                for one in results
+                if (one.policy, one.task, one.split) == key
+            }
             matrix.add_row(*key, *(cells[nx] for nx in columns))
         console.print(matrix)
 
 
-def run(config: EvaluateConfig, *, workers: int, out: Path | None, video: Path | None, quiet: bool, console: Console) -> list[Result]:
+def run(
+    config: EvaluateConfig,
+    *,
+    workers: int,
+    out: Path | None,
+    video: Path | None,
+    quiet: bool,
+    console: Console,
+) -> list[Result]:
     """Evaluate, show, and write what was asked for.
 
     Raises:
@@ -216,7 +270,9 @@ def run(config: EvaluateConfig, *, workers: int, out: Path | None, video: Path |
 
 
 def film(episode: Episode, task: TaskConfig) -> list[NDArray[np.uint8]]:
-    """The frames of an episode, its codes and the policy's reasons below: uint8 (height, width, 3) each."""
+    """The frames of an episode, its codes and the policy's reasons below: uint8 (height, width, 3)
+    each.
+    """
     from knotgym.datasets.video import captioned
     from knotgym.rendering.observations import observe, picture_config
 
@@ -226,7 +282,11 @@ def film(episode: Episode, task: TaskConfig) -> list[NDArray[np.uint8]]:
     for k, frame in enumerate(frames):
         move = "" if moves is None else str(moves[k])
         reached = "  reached" if episode.is_success[k] else ""
-        lines = [f"{episode.policy}  step {k} of {steps}  {move}{reached}", f"code {episode.gauss_code[k]}", f"goal {episode.goal_gauss_code}"]
+        lines = [
+            f"{episode.policy}  step {k} of {steps}  {move}{reached}",
+            f"code {episode.gauss_code[k]}",
+            f"goal {episode.goal_gauss_code}",
+        ]
         out.append(captioned(frame, lines, scale=max(1, 384 // task.image_size)))
     return out + out[-1:] * 4
 
@@ -239,7 +299,15 @@ def _play(piece: _Piece) -> list[_Played]:
 def _counted(one: Rollout, filmed: bool) -> _Played:
     episode = one.episode
     total, failed = float(episode.rewards.sum()), bool(episode.simulation_failed[-1])
-    return _Played(one.success, len(episode), total, one.effort.actions, one.effort.seconds, failed, episode if filmed else None)
+    return _Played(
+        one.success,
+        len(episode),
+        total,
+        one.effort.actions,
+        one.effort.seconds,
+        failed,
+        episode if filmed else None,
+    )
 
 
 def _result(policy: PolicyConfig, task: TaskConfig, played: Sequence[_Played]) -> Result:

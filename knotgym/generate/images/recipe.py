@@ -1,9 +1,10 @@
 """`knotgym images`: perception tables, from states to a folder of Parquet shards.
 
-Walks set out from archived or curated states and meet frames (`stir`), in waves until every quota is full; frames are chosen one by
-one (`balance`); chosen configurations are measured and drawn shard by shard (`image_shards`). Walks and shards are functions of the
-configuration, the states and their numbers alone and are files of their own, so any workers give the same bytes and a run that was
-killed goes on from the files there are.
+Walks set out from archived or curated states and meet frames (`stir`), in waves until every quota
+is full; frames are chosen one by one (`balance`); chosen configurations are measured and drawn
+shard by shard (`image_shards`). Walks and shards are functions of the configuration, the states and
+their numbers alone and are files of their own, so any workers give the same bytes and a run that
+was killed goes on from the files there are.
 """
 
 from __future__ import annotations
@@ -52,16 +53,20 @@ class ImagesConfig:
     Attributes:
         nx: crossing numbers, as many pictures of each.
         count: pictures in all.
-        test_nx: those of nx that only split "test-nx" shows, larger than all others; None for the largest if there are several.
+        test_nx: those of nx that only split "test-nx" shows, larger than all others; None for the
+            largest if there are several.
         test_share: of the other pictures, share of split "test".
-        code_share: likewise of split "test-code", and share of the codes that only it shows; nx with fewer than 4 codes have none.
+        code_share: likewise of split "test-code", and share of the codes that only it shows; nx
+            with fewer than 4 codes have none.
         seed: of everything.
-        pulls: that a walk makes at most; one for nx crossings makes a third of them at nx 3 and above, two thirds below, all at 0, for the
-            more crossings there are the sooner they are lost.
+        pulls: that a walk makes at most; one for nx crossings makes a third of them at nx 3 and
+            above, two thirds below, all at 0, for the more crossings there are the sooner they are
+            lost.
         stride: pulls from one frame to the next.
         shard: pictures in a file.
         appearance: what varies between pictures.
-        part: of the run, which makes its share of each quota; splits and codes held out are those of the run.
+        part: of the run, which makes its share of each quota; splits and codes held out are those
+            of the run.
     """
 
     nx: tuple[int, ...] = (0, 1, 2, 3, 4)
@@ -77,22 +82,39 @@ class ImagesConfig:
     part: Part = Part()
 
     def __post_init__(self) -> None:
-        if not self.nx or any(not 0 <= nx <= MOST_NX for nx in self.nx) or len(set(self.nx)) != len(self.nx):
-            raise InvalidImagesJob(f"nx takes different numbers of crossings from 0 to {MOST_NX}, got {', '.join(map(str, self.nx)) or 'none'}")
+        if (
+            not self.nx
+            or any(not 0 <= nx <= MOST_NX for nx in self.nx)
+            or len(set(self.nx)) != len(self.nx)
+        ):
+            raise InvalidImagesJob(
+                f"nx takes different numbers of crossings from 0 to {MOST_NX}, got"
+                f" {', '.join(map(str, self.nx)) or 'none'}"
+            )
         if self.test_nx is None:
             object.__setattr__(self, "test_nx", (max(self.nx),) if len(self.nx) > 1 else ())
         rest = self.trained
-        if not set(self.held_nx) <= set(self.nx) or not rest or min(self.held_nx, default=MOST_NX + 1) <= max(rest):
+        if (
+            not set(self.held_nx) <= set(self.nx)
+            or not rest
+            or min(self.held_nx, default=MOST_NX + 1) <= max(rest)
+        ):
             raise InvalidImagesJob(
-                f"test-nx takes the largest of the nx asked for, {sorted(self.nx)}, and not all of them; got {sorted(self.held_nx)}"
+                f"test-nx takes the largest of the nx asked for, {sorted(self.nx)}, and not all of"
+                f" them; got {sorted(self.held_nx)}"
             )
         for name in ("count", "pulls", "stride", "shard"):
             if getattr(self, name) < 1:
                 raise InvalidImagesJob(f"{name} must be at least 1, got {getattr(self, name)}")
         if self.stride > self.pulls:
             raise InvalidImagesJob(f"stride must be at most pulls, {self.pulls}, got {self.stride}")
-        if not (0 <= self.test_share and 0 <= self.code_share and self.test_share + self.code_share < 1):
-            raise InvalidImagesJob(f"test and code shares must be at least 0 and below 1 together, got {self.test_share} and {self.code_share}")
+        if not (
+            0 <= self.test_share and 0 <= self.code_share and self.test_share + self.code_share < 1
+        ):
+            raise InvalidImagesJob(
+                "test and code shares must be at least 0 and below 1 together, got"
+                f" {self.test_share} and {self.code_share}"
+            )
         if self.seed < 0:
             raise InvalidImagesJob(f"seed must be at least 0, got {self.seed}")
 
@@ -126,7 +148,8 @@ def make(
     console: Console,
     scheduler: str = "",
 ) -> None:
-    """Make the new folder `out`; until it is finished everything stands in `.NAME.partial` beside it.
+    """Make the new folder `out`; until it is finished everything stands in `.NAME.partial` beside
+    it.
 
     Raises:
         InvalidImagesJob, NoBases: can't be made as asked.
@@ -147,15 +170,24 @@ def make(
         raise Occupied(f"{out} is there already; choose another --out, or remove it")
     with held(out, resume) as partial:
         if (partial / "job.json").is_file() and _asked(partial / "job.json") != asked:
-            raise InvalidImagesJob(f"{partial} holds another job than the one asked for; give the same options again, or start without --resume")
+            raise InvalidImagesJob(
+                f"{partial} holds another job than the one asked for; give the same options again,"
+                " or start without --resume"
+            )
         with whole(partial / "job.json") as part:
             part.write_text(json.dumps(asked))
         tell = _Teller(console, quiet)
         with engine(workers, scheduler) as pool:
             chooser, walks, dropped = _choose(config, start, partial, pool, tell)
             written = _draw(config, start, chooser, walks, partial / out.name, pool, tell)
-        report = {"walks": sum(len(one.numbers) for one in walks), "frames": sum(len(one.walk) for one in walks)}
-        counts = {"dropped": dict(sorted(dropped.items())), "refused": dict(sorted(chooser.refused.items()))}
+        report = {
+            "walks": sum(len(one.numbers) for one in walks),
+            "frames": sum(len(one.walk) for one in walks),
+        }
+        counts = {
+            "dropped": dict(sorted(dropped.items())),
+            "refused": dict(sorted(chooser.refused.items())),
+        }
         finish(partial / out.name, written, asked, {**report, **counts}, start, walks)
         (partial / out.name).rename(out)
         shutil.rmtree(partial)
@@ -182,39 +214,68 @@ def held_out(config: ImagesConfig, codes: dict[int, list[GaussCode]]) -> frozens
     for nx in config.trained:
         if len(codes[nx]) >= 4 and config.code_share > 0:
             order = np.random.default_rng([config.seed, 9, nx]).permutation(len(codes[nx]))
-            out += [codes[nx][k] for k in order[: max(1, round(config.code_share * len(codes[nx])))]]
+            out += [
+                codes[nx][k] for k in order[: max(1, round(config.code_share * len(codes[nx])))]
+            ]
     return frozenset(out)
 
 
 def splits_of(config: ImagesConfig, start: Bases, wanted: set[tuple[str, int]]) -> NDArray[np.str_]:
-    """The split of each base, str (n,): that of its family; "" for one without crossings, whose walks are families of their own."""
+    """The split of each base, str (n,): that of its family; "" for one without crossings, whose
+    walks are families of their own.
+    """
     out = np.full(len(start), "", dtype="<U9")
-    largest = {family: int(start.nx[start.family == family].max()) for family in set(start.family.tolist())}
+    largest = {
+        family: int(start.nx[start.family == family].max()) for family in set(start.family.tolist())
+    }
     for nx in sorted(set(largest.values())):
         same = sorted(family for family, most in largest.items() if most == nx)
-        same = [same[k] for k in np.random.default_rng([config.seed, 10, nx]).permutation(len(same))]
+        same = [
+            same[k] for k in np.random.default_rng([config.seed, 10, nx]).permutation(len(same))
+        ]
         for place, family in enumerate(same):
             if nx > max(config.trained):
                 split = "test-nx"
-            else:  # one family in so many to each of the two, by turns, and the first of all to training
+            # one family in so many to each of the two, by turns, and the first of all to training
+            else:
                 test = round(config.test_share * len(same)) or int(config.test_share > 0)
-                new = (round(config.code_share * len(same)) or 1) if ("test-code", nx) in wanted else 0
-                split = "test" if 0 < place <= test else "test-code" if test < place <= test + new else "train"
+                new = (
+                    (round(config.code_share * len(same)) or 1)
+                    if ("test-code", nx) in wanted
+                    else 0
+                )
+                split = (
+                    "test"
+                    if 0 < place <= test
+                    else "test-code"
+                    if test < place <= test + new
+                    else "train"
+                )
             out[start.family == family] = split
     out[start.nx == 0] = ""
     return out
 
 
-def _choose(config: ImagesConfig, start: Bases, partial: Path, pool: Pool, tell: _Teller) -> tuple[Chooser, list[Frames], Counter[str]]:
+def _choose(
+    config: ImagesConfig, start: Bases, partial: Path, pool: Pool, tell: _Teller
+) -> tuple[Chooser, list[Frames], Counter[str]]:
     """Make waves of walks and choose among their frames until every quota is full."""
-    codes = {nx: sorted({code for knot in start.knots for code in codes_of(knot, nx)}, key=lambda code: code.visits) for nx in config.nx}
+    codes = {
+        nx: sorted(
+            {code for knot in start.knots for code in codes_of(knot, nx)},
+            key=lambda code: code.visits,
+        )
+        for nx in config.nx
+    }
     for nx in config.nx:
         if not codes[nx]:
             raise InvalidImagesJob(f"no diagram of {' or '.join(start.knots)} has {nx} crossings")
     quota = quotas(config, {nx: len(codes[nx]) for nx in codes})
     mine = {key: len(share) for key, count in quota.items() if (share := config.part.share(count))}
     if not mine:
-        raise InvalidImagesJob(f"shard {config.part} has no picture to make: cut the run into fewer shards")
+        raise InvalidImagesJob(
+            f"shard {config.part} has no picture to make: cut the run into fewer shards"
+        )
     chooser = Chooser(mine, held_out(config, codes), start.points.shape[1])
     split = splits_of(config, start, set(quota))
     done: list[Frames] = []
@@ -222,34 +283,64 @@ def _choose(config: ImagesConfig, start: Bases, partial: Path, pool: Pool, tell:
     gave = dict.fromkeys(mine, _Stretch(0, 0))
     first, wave, idle, frame = config.part.first, 0, 0, 0
     while lacking := chooser.lacking():
-        walks, aims = _wave(config, start, split, lacking, gave, first + wave, first + sum(len(one.numbers) for one in done))
+        walks, aims = _wave(
+            config,
+            start,
+            split,
+            lacking,
+            gave,
+            first + wave,
+            first + sum(len(one.numbers) for one in done),
+        )
         units: list[_UnitFile] = []
         for pulls, group in _by_pulls(config, walks, aims):
             for begin in range(0, len(group), WALKS):
                 some = tuple(group[begin : begin + WALKS])
-                unit = Unit(some, start.states[[walk.base for walk in some]], config.seed, pulls, config.stride, max(config.nx))
-                units.append(_UnitFile(partial / "units" / f"{len(done) + len(units):06d}.npz", unit))
+                unit = Unit(
+                    some,
+                    start.states[[walk.base for walk in some]],
+                    config.seed,
+                    pulls,
+                    config.stride,
+                    max(config.nx),
+                )
+                units.append(
+                    _UnitFile(partial / "units" / f"{len(done) + len(units):06d}.npz", unit)
+                )
         chosen = len(chooser.chosen)
         for path in pool.map(_stirred, units):
             frames = _load(path)
             done.append(frames)
             dropped.update(frames.dropped)
-            for points, number, ease in zip(frames.points, frames.walk.tolist(), frames.ease.tolist(), strict=True):
+            for points, number, ease in zip(
+                frames.points, frames.walk.tolist(), frames.ease.tolist(), strict=True
+            ):
                 aim = aims[number]
                 rng = np.random.default_rng([config.seed, 11, first + frame])
                 if chooser.consider(points, aim[0], ease, frame, rng):
                     gave[aim] = gave[aim]._replace(chosen=gave[aim].chosen + 1)
                 frame += 1
-            tell(f"{len(chooser.chosen)} of {sum(mine.values())} configurations chosen from {frame} frames, {len(done)} units of walks")
+            tell(
+                f"{len(chooser.chosen)} of {sum(mine.values())} configurations chosen from {frame}"
+                f" frames, {len(done)} units of walks"
+            )
         idle = 0 if len(chooser.chosen) > chosen else idle + 1
         wave += 1
         if idle == IDLE:
-            lacks = ", ".join(f"{count} of {key[0]} with nx {key[1]}" for key, count in sorted(chooser.lacking().items()))
-            raise NotEnough(f"{len(chooser.chosen)} of {sum(mine.values())} pictures found, then no more in {IDLE} waves of walks; lacking {lacks}")
+            lacks = ", ".join(
+                f"{count} of {key[0]} with nx {key[1]}"
+                for key, count in sorted(chooser.lacking().items())
+            )
+            raise NotEnough(
+                f"{len(chooser.chosen)} of {sum(mine.values())} pictures found, then no more in"
+                f" {IDLE} waves of walks; lacking {lacks}"
+            )
     return chooser, done, dropped
 
 
-def _by_pulls(config: ImagesConfig, walks: list[Walk], aims: dict[int, tuple[str, int]]) -> list[tuple[int, list[Walk]]]:
+def _by_pulls(
+    config: ImagesConfig, walks: list[Walk], aims: dict[int, tuple[str, int]]
+) -> list[tuple[int, list[Walk]]]:
     """Walks by the pulls they make."""
     groups: dict[int, list[Walk]] = {}
     for walk in walks:
@@ -270,11 +361,14 @@ def _wave(
 ) -> tuple[list[Walk], dict[int, tuple[str, int]]]:
     """The walks of a wave and what each is for; `gave` is brought up to date.
 
-    A walk for nx crossings sets out from a class of codes with so many, evenly drawn, in its split; where there is none, from the
-    nearest nx that has some.
+    A walk for nx crossings sets out from a class of codes with so many, evenly drawn, in its split;
+    where there is none, from the nearest nx that has some.
     """
     rng = np.random.default_rng([config.seed, 12, wave])
-    wanted = {key: int(np.ceil(1.1 * count * (gave[key].walks + 1) / (gave[key].chosen + 4))) for key, count in lacking.items()}
+    wanted = {
+        key: int(np.ceil(1.1 * count * (gave[key].walks + 1) / (gave[key].chosen + 4)))
+        for key, count in lacking.items()
+    }
     most = WAVE * WALKS
     if sum(wanted.values()) > most:
         total = sum(wanted.values())
@@ -286,7 +380,10 @@ def _wave(
         if not len(own):
             own = np.flatnonzero((split == key[0]) if key[1] == 0 else (start.nx == 0))
         if not len(own):
-            raise NotEnough(f"no family of states is left for {key[0]} with nx {key[1]}; set out from more states")
+            raise NotEnough(
+                f"no family of states is left for {key[0]} with nx {key[1]}; set out from more"
+                " states"
+            )
         away = np.abs(start.nx[own] - key[1])
         own = own[away == away.min()]
         kinds = np.unique(start.kind[own])
@@ -299,11 +396,26 @@ def _wave(
     return walks, aims
 
 
-def _draw(config: ImagesConfig, start: Bases, chooser: Chooser, walks: list[Frames], folder: Path, pool: Pool, tell: _Teller) -> list[Path]:
+def _draw(
+    config: ImagesConfig,
+    start: Bases,
+    chooser: Chooser,
+    walks: list[Frames],
+    folder: Path,
+    pool: Pool,
+    tell: _Teller,
+) -> list[Path]:
     """Write the shards: the rows of a split in random order."""
     walk = np.concatenate([one.walk for one in walks]).tolist()
-    pulls, rounds = (np.concatenate([getattr(one, name) for one in walks]).tolist() for name in ("pulls", "rounds"))
-    base_of = {number: base for one in walks for number, base in zip(one.numbers.tolist(), one.bases.tolist(), strict=True)}
+    pulls, rounds = (
+        np.concatenate([getattr(one, name) for one in walks]).tolist()
+        for name in ("pulls", "rounds")
+    )
+    base_of = {
+        number: base
+        for one in walks
+        for number, base in zip(one.numbers.tolist(), one.bases.tolist(), strict=True)
+    }
     work: list[Shard] = []
     number = config.part.first
     for place, split in enumerate(SPLITS):
@@ -312,15 +424,39 @@ def _draw(config: ImagesConfig, start: Bases, chooser: Chooser, walks: list[Fram
         count = -(-len(mine) // config.shard)
         for index in range(count):
             rows = []
-            for choice in (mine[k] for k in order[index * config.shard : (index + 1) * config.shard]):
+            for choice in (
+                mine[k] for k in order[index * config.shard : (index + 1) * config.shard]
+            ):
                 base = base_of[walk[choice.frame]]
-                family = int(start.family[base]) if start.nx[base] else int(start.family.max()) + 1 + walk[choice.frame]
-                moved = {name: getattr(choice.symmetry, name) for name in ("reflect", "switch", "reverse", "roll")}
-                own = {"walk": walk[choice.frame], "pulls": pulls[choice.frame], "rounds": rounds[choice.frame]}
-                rows.append(Row(choice.points, choice.code, split, {**own, **moved, "family": family, "seed": config.seed, "row": number}))
+                family = (
+                    int(start.family[base])
+                    if start.nx[base]
+                    else int(start.family.max()) + 1 + walk[choice.frame]
+                )
+                moved = {
+                    name: getattr(choice.symmetry, name)
+                    for name in ("reflect", "switch", "reverse", "roll")
+                }
+                own = {
+                    "walk": walk[choice.frame],
+                    "pulls": pulls[choice.frame],
+                    "rounds": rounds[choice.frame],
+                }
+                rows.append(
+                    Row(
+                        choice.points,
+                        choice.code,
+                        split,
+                        {**own, **moved, "family": family, "seed": config.seed, "row": number},
+                    )
+                )
                 number += 1
             name = shard_name(split, index, count)
-            work.append(Shard(folder / name, folder.with_name("seals") / name, tuple(rows), config.appearance))
+            work.append(
+                Shard(
+                    folder / name, folder.with_name("seals") / name, tuple(rows), config.appearance
+                )
+            )
     written: list[Path] = []
     for path in pool.map(write_shard, work):
         written.append(path)
@@ -346,7 +482,12 @@ def _stirred(work: _UnitFile) -> Path:
 
 def _load(path: Path) -> Frames:
     with np.load(path) as file:
-        return Frames(**{**{name: file[name] for name in file.files}, "dropped": json.loads(str(file["dropped"]))})
+        return Frames(
+            **{
+                **{name: file[name] for name in file.files},
+                "dropped": json.loads(str(file["dropped"])),
+            }
+        )
 
 
 def _asked(path: Path) -> object:
@@ -368,4 +509,8 @@ class _Teller:
         seconds = time.perf_counter()
         if not self._quiet and (now or seconds - self._told > self._every):
             self._told = seconds
-            self._console.print(text if now else f"{seconds - self._began:5.0f} s  {text}", soft_wrap=True, highlight=False)
+            self._console.print(
+                text if now else f"{seconds - self._began:5.0f} s  {text}",
+                soft_wrap=True,
+                highlight=False,
+            )

@@ -1,8 +1,10 @@
-"""The states that perception pictures set out from: an archive's elites or curated states, grouped into families.
+"""The states that perception pictures set out from: an archive's elites or curated states, grouped
+into families.
 
-States that are near-duplicates of each other, or of each other's mirror images, reversals or renumberings, are one family; a
-family belongs to one split, with everything that is made from it. The plain loop is the exception: every state comes from it,
-so each walk that sets out from a state without crossings is a family of its own.
+States that are near-duplicates of each other, or of each other's mirror images, reversals or
+renumberings, are one family; a family belongs to one split, with everything that is made from it.
+The plain loop is the exception: every state comes from it, so each walk that sets out from a state
+without crossings is a family of its own.
 """
 
 from __future__ import annotations
@@ -56,24 +58,40 @@ class Bases:
 
 
 def bases(nx: tuple[int, ...], archive: Path | None = None, states: Path | None = None) -> Bases:
-    """Read the states with at most as many crossings as are wanted; the curated states that ship unless another file is given.
+    """Read the states with at most as many crossings as are wanted; the curated states that ship
+    unless another file is given.
 
     Raises:
         NoBases: both files were given, or nothing in them will do.
         FileNotFoundError, InvalidArchive, InvalidStates: of a file.
     """
     if archive and states:
-        raise NoBases("set out from an archive or from states, not from both: give --archive or --states")
+        raise NoBases(
+            "set out from an archive or from states, not from both: give --archive or --states"
+        )
     simulation = Simulation(1, Rope())
     if archive:
-        elites = [elite for niche, elites in Archive.load(archive).niches.items() for elite in elites if niche.nx <= max(nx)]
-        rows = [elite.state for elite in {elite.state.tobytes(): elite for elite in elites}.values()]
+        elites = [
+            elite
+            for niche, elites in Archive.load(archive).niches.items()
+            for elite in elites
+            if niche.nx <= max(nx)
+        ]
+        rows = [
+            elite.state for elite in {elite.state.tobytes(): elite for elite in elites}.values()
+        ]
         if rows and len(rows[0]) != simulation.states().shape[1]:
-            raise NoBases(f"{archive} was made with another rope: its states have {len(rows[0])} numbers, this rope's {simulation.states().shape[1]}")
+            raise NoBases(
+                f"{archive} was made with another rope: its states have {len(rows[0])} numbers,"
+                f" this rope's {simulation.states().shape[1]}"
+            )
     else:
         table = read_states(states or shipped(), images=False)
         if table.attributes.get("rope") != simulation.rope.config.fingerprint:
-            raise NoBases(f"{states} was made with another rope, {table.attributes.get('rope')}; this one is {simulation.rope.config.fingerprint}")
+            raise NoBases(
+                f"{states} was made with another rope, {table.attributes.get('rope')}; this one is"
+                f" {simulation.rope.config.fingerprint}"
+            )
         rows = []
         for qpos in table.qpos[table.nx <= max(nx)]:
             simulation.lay(qpos[None])
@@ -85,7 +103,12 @@ def bases(nx: tuple[int, ...], archive: Path | None = None, states: Path | None 
         simulation.restore(row[None])
         points.append(simulation.points[0].copy())
     codes = [label(one) for one in points]
-    kinds = {code: number for number, code in enumerate(sorted({class_of(code) for code in codes}, key=lambda code: (code.nx, code.chiral)))}
+    kinds = {
+        code: number
+        for number, code in enumerate(
+            sorted({class_of(code) for code in codes}, key=lambda code: (code.nx, code.chiral))
+        )
+    }
     path = archive or states or shipped()
     return Bases(
         states=np.stack(rows),
@@ -94,21 +117,28 @@ def bases(nx: tuple[int, ...], archive: Path | None = None, states: Path | None 
         kind=np.array([kinds[class_of(code)] for code in codes], dtype=np.int64),
         family=families(np.stack(points), NEAR),
         knots=tuple(sorted({knot_type(code) for code in codes})),
-        source={"kind": "archive" if archive else "states", "name": path.name, "sha256": sha256(path)},
+        source={
+            "kind": "archive" if archive else "states",
+            "name": path.name,
+            "sha256": sha256(path),
+        },
     )
 
 
 def families(points: Array, within: float) -> NDArray[np.int64]:
-    """Number configurations so that those nearer than `within` in any of their symmetric forms share a number.
+    """Number configurations so that those nearer than `within` in any of their symmetric forms
+    share a number.
 
     Args:
         points: float64 (n, beads, 3), metres.
-        within: root mean square distance of the beads at the best turn, shift, reflection, switch, reversal and renumbering, metres.
+        within: root mean square distance of the beads at the best turn, shift, reflection, switch,
+            reversal and renumbering, metres.
     """
     centred = points - points.mean(axis=1, keepdims=True)
     flat, height = centred[..., 0] + 1j * centred[..., 1], centred[..., 2]
     square = (centred**2).sum(axis=(1, 2))
-    size = np.sqrt(square / points.shape[1])  # rms distance from the centre; differs by less than `within` between kin
+    # rms distance from the centre; differs by less than `within` between kin
+    size = np.sqrt(square / points.shape[1])
     waves = np.fft.fft(flat), np.fft.fft(flat.conj()), np.fft.fft(height)
     leader = np.arange(len(points))
     for i in range(len(points)):
@@ -117,8 +147,12 @@ def families(points: Array, within: float) -> NDArray[np.int64]:
             continue
         best = np.full(len(others), -np.inf)
         for backwards in (False, True):
-            own_flat, own_height = (np.fft.fft(one[i, ::-1] if backwards else one[i]) for one in (flat, height))
-            tall = np.fft.ifft(waves[2][others] * own_height.conj()).real  # over all renumberings at once
+            own_flat, own_height = (
+                np.fft.fft(one[i, ::-1] if backwards else one[i]) for one in (flat, height)
+            )
+            tall = np.fft.ifft(
+                waves[2][others] * own_height.conj()
+            ).real  # over all renumberings at once
             for wave in waves[:2]:
                 agreement = np.abs(np.fft.ifft(wave[others] * own_flat.conj())) + np.abs(tall)
                 best = np.maximum(best, agreement.max(axis=1))

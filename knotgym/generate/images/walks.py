@@ -1,8 +1,10 @@
-"""Moving states about: walks in the simulator that pass through many configurations, of the code they began with and of others.
+"""Moving states about: walks in the simulator that pass through many configurations, of the code
+they began with and of others.
 
-Most walks move single beads aside, which as a rule keeps the code; the others are led through manoeuvres that pass strands over each
-other, as the search's are. Of the frames met, those are kept whose label is beyond doubt and whose picture shows it:
-as they are, opened up a little, and opened up much.
+Most walks move single beads aside, which as a rule keeps the code; the others are led through
+manoeuvres that pass strands over each other, as the search's are. Of the frames met, those are kept
+whose label is beyond doubt and whose picture shows it: as they are, opened up a little, and opened
+up much.
 """
 
 from __future__ import annotations
@@ -31,7 +33,8 @@ ROUNDS = ((2, 8), (12, 31), (30, 81))  # of opening up: a little, much, very muc
 # What a frame must keep to, lest its label be in doubt or its picture untrue.
 VISITS = 0.25  # beads along the rope between two visits, 3 mm; rounding moves them by 1e-12 of that
 BASE = 0.25  # beads from either end of the white base bead to the nearest visit outside it: 3 mm
-CLEARANCE = 7.0  # millimetres between the axes at a crossing, from which the order of painting is true (see picture)
+# millimetres between the axes at a crossing, from which the order of painting is true (see picture)
+CLEARANCE = 7.0
 
 
 class Walk(NamedTuple):
@@ -91,14 +94,19 @@ class Frames:
 
 
 def stir(unit: Unit) -> Frames:
-    """Make the walks of a unit; what one does depends on its number, its base and the seed alone."""
+    """Make the walks of a unit; what one does depends on its number, its base and the seed
+    alone.
+    """
     count = len(unit.walks)
     simulation, ids = _simulation(), np.arange(count)
     simulation.restore(unit.states, ids)
     rngs = [np.random.default_rng([unit.seed, 6, walk.number]) for walk in unit.walks]
     gentle = [bool(rng.random() < GENTLE) for rng in rngs]
     hand, alive = Hand(count), np.ones(count, dtype=bool)
-    beads, forces = np.zeros((count, unit.pulls), dtype=np.int16), np.zeros((count, unit.pulls, 3), dtype=np.float32)
+    beads, forces = (
+        np.zeros((count, unit.pulls), dtype=np.int16),
+        np.zeros((count, unit.pulls, 3), dtype=np.float32),
+    )
     met: list[tuple[int, int, int, float, Array]] = []
     dropped: Counter[str] = Counter()
     for step in range(unit.pulls):
@@ -107,7 +115,9 @@ def stir(unit: Unit) -> Frames:
             rng = rngs[row]
             if gentle[row]:
                 kind = "spread" if rng.random() < 0.6 else "shift"
-                manoeuvre = move_aside(now[row], kind, int(rng.integers(now.shape[1])), int(rng.choice((-1, 1))), rng)
+                manoeuvre = move_aside(
+                    now[row], kind, int(rng.integers(now.shape[1])), int(rng.choice((-1, 1))), rng
+                )
             else:
                 manoeuvre = propose(now[row], rng)
             hand.take(int(row), manoeuvre)
@@ -145,7 +155,9 @@ def stir(unit: Unit) -> Frames:
 
 
 def judged(points: Array) -> tuple[str, float]:
-    """Why a configuration (beads, 3) can't be shown with its label, "" if it can, and its ease; the base bead, chosen later, left out."""
+    """Why a configuration (beads, 3) can't be shown with its label, "" if it can, and its ease; the
+    base bead, chosen later, left out.
+    """
     found = find_crossings(points)
     if visit_spacing(found, len(points)).visits < VISITS:
         return "visits too close", 0.0
@@ -154,11 +166,14 @@ def judged(points: Array) -> tuple[str, float]:
         return "strands pressed together", 0.0
     if quality.margin < 0:
         return "out of the picture", 0.0
-    return "" if pyknotid_code(points) == found.code else "labellers disagree", ease(quality, Limits())
+    return "" if pyknotid_code(points) == found.code else "labellers disagree", ease(
+        quality, Limits()
+    )
 
 
 def retrace(states: Array, beads: NDArray[np.int16], forces: NDArray[np.float32]) -> Array:
-    """Make walks again: float64 (walks, pulls + 1, beads, 3), metres, where they were after each pull.
+    """Make walks again: float64 (walks, pulls + 1, beads, 3), metres, where they were after each
+    pull.
 
     Args:
         states: float64 (walks, nstate), at most WALKS; where they begin.

@@ -1,9 +1,11 @@
-"""The archive of the search: for every class of Gauss codes the shortest ways there and the best-looking states.
+"""The archive of the search: for every class of Gauss codes the shortest ways there and the
+best-looking states.
 
-Quality-diversity search in the line of MAP-Elites (niches) and Go-Explore (return, then explore). A niche is a class of
-codes, chirality kept, under the symmetries that carry rope motions over exactly (`symmetry.mirror_images`): what is found
-for one code is found for all of its class. A state fills a niche for each sub-chain that the walk may start at, and for
-each way round; those other than its own hold nearly, until the search has led a rope there.
+Quality-diversity search in the line of MAP-Elites (niches) and Go-Explore (return, then explore). A
+niche is a class of codes, chirality kept, under the symmetries that carry rope motions over exactly
+(`symmetry.mirror_images`): what is found for one code is found for all of its class. A state fills
+a niche for each sub-chain that the walk may start at, and for each way round; those other than its
+own hold nearly, until the search has led a rope there.
 """
 
 from __future__ import annotations
@@ -81,31 +83,49 @@ class Archive:
     transitions: Transitions = field(default_factory=Transitions)
 
     def offer(self, elite: Elite) -> bool:
-        """Keep an elite if it is among the KEPT shortest or the KEPT best-looking of its class; say whether the class is new.
+        """Keep an elite if it is among the KEPT shortest or the KEPT best-looking of its class; say
+        whether the class is new.
 
         Looks are paid for with actions: FAIR of them for 1 of badness.
         """
         niche = mirror_images(elite.code)[0]
         new = niche not in self.niches
         pool = [*self.niches.get(niche, []), elite]
-        if any(one.exact for one in pool):  # a way that holds for this very base bead beats those that hold nearly
+        if any(
+            one.exact for one in pool
+        ):  # a way that holds for this very base bead beats those that hold nearly
             pool = [one for one in pool if one.exact]
         short = sorted(pool, key=lambda one: (len(one.way), one.badness))[:KEPT]
-        pretty = sorted(pool, key=lambda one: (one.badness + len(one.way) / FAIR, len(one.way)))[:KEPT]
-        self.niches[niche] = short + [one for one in pretty if not any(one is other for other in short)]
+        pretty = sorted(pool, key=lambda one: (one.badness + len(one.way) / FAIR, len(one.way)))[
+            :KEPT
+        ]
+        self.niches[niche] = short + [
+            one for one in pretty if not any(one is other for other in short)
+        ]
         return new
 
     def codes(self, nx: int) -> list[GaussCode]:
         """Every code with nx crossings, without chirality, of the classes known; in order."""
-        found = {member.plain for niche in self.niches if niche.nx == nx for member in mirror_images(niche)}
+        found = {
+            member.plain
+            for niche in self.niches
+            if niche.nx == nx
+            for member in mirror_images(niche)
+        }
         return sorted(found, key=lambda code: code.visits)
 
     def handed(self, code: GaussCode) -> list[GaussCode]:
         """The codes with chirality that show the visits of `code` and are known."""
-        return [one for letters in chiralities(code) if mirror_images(one := GaussCode(code.visits, letters))[0] in self.niches]
+        return [
+            one
+            for letters in chiralities(code)
+            if mirror_images(one := GaussCode(code.visits, letters))[0] in self.niches
+        ]
 
     def sure(self, code: GaussCode, longest: float = float("inf")) -> bool:
-        """Whether an elite with a way of at most `longest` shows a mirror image of `code`, which has its chirality, as the rope is numbered."""
+        """Whether an elite with a way of at most `longest` shows a mirror image of `code`, which
+        has its chirality, as the rope is numbered.
+        """
         return any(one.exact and len(one.way) <= longest for one in self.leading_to(code))
 
     def leading_to(self, code: GaussCode) -> list[Elite]:
@@ -117,18 +137,31 @@ class Archive:
         elites = list(self._elites())
         with whole(path) as part, new_hdf5(part) as file:
             file.attrs["format"], file.attrs["format_version"] = FORMAT, FORMAT_VERSION
-            file["settings"] = json.dumps(self.settings)  # datasets: an attribute holds 64 kB at most
+            # datasets: an attribute holds 64 kB at most
+            file["settings"] = json.dumps(self.settings)
             file["growth"] = json.dumps(self.growth)
-            file["visits"] = json.dumps({niche.chiral: count for niche, count in self.visits.items()})
+            file["visits"] = json.dumps(
+                {niche.chiral: count for niche, count in self.visits.items()}
+            )
             squeezed = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
-            file.create_dataset("code", data=[elite.code.chiral for elite in elites], dtype=h5py.string_dtype("utf-8"))
+            file.create_dataset(
+                "code",
+                data=[elite.code.chiral for elite in elites],
+                dtype=h5py.string_dtype("utf-8"),
+            )
             file.create_dataset("roll", data=[elite.roll for elite in elites])
             file.create_dataset("reverse", data=[elite.reverse for elite in elites])
             file.create_dataset("badness", data=[elite.badness for elite in elites])
             file.create_dataset("length", data=[len(elite.way) for elite in elites])
-            file.create_dataset("beads", data=np.concatenate([elite.way.beads for elite in elites]), **squeezed)
-            file.create_dataset("forces", data=np.concatenate([elite.way.forces for elite in elites]), **squeezed)
-            file.create_dataset("state", data=np.stack([elite.state for elite in elites]), **squeezed)
+            file.create_dataset(
+                "beads", data=np.concatenate([elite.way.beads for elite in elites]), **squeezed
+            )
+            file.create_dataset(
+                "forces", data=np.concatenate([elite.way.forces for elite in elites]), **squeezed
+            )
+            file.create_dataset(
+                "state", data=np.stack([elite.state for elite in elites]), **squeezed
+            )
             self.transitions.write(file.create_group("transitions"))
 
     @classmethod
@@ -143,19 +176,37 @@ class Archive:
             raise FileNotFoundError(f"no archive at {path}")
         try:
             with h5py.File(path, "r") as file:
-                if (file.attrs.get("format"), file.attrs.get("format_version")) != (FORMAT, FORMAT_VERSION):
-                    raise InvalidArchive(f"{path} isn't an archive of format {FORMAT!r} version {FORMAT_VERSION}")
+                if (file.attrs.get("format"), file.attrs.get("format_version")) != (
+                    FORMAT,
+                    FORMAT_VERSION,
+                ):
+                    raise InvalidArchive(
+                        f"{path} isn't an archive of format {FORMAT!r} version {FORMAT_VERSION}"
+                    )
                 archive = cls(
-                    visits={GaussCode.parse(code): int(count) for code, count in json.loads(file["visits"][()]).items()},
+                    visits={
+                        GaussCode.parse(code): int(count)
+                        for code, count in json.loads(file["visits"][()]).items()
+                    },
                     growth=json.loads(file["growth"][()]),
                     settings=json.loads(file["settings"][()]),
-                    transitions=Transitions.read(file["transitions"]) if "transitions" in file else Transitions(),
+                    transitions=(
+                        Transitions.read(file["transitions"])
+                        if "transitions" in file
+                        else Transitions()
+                    ),
                 )
                 ends = np.cumsum(file["length"][()])
                 beads, forces, states = file["beads"][()], file["forces"][()], file["state"][()]
                 if {len(beads), len(forces)} != {int(ends[-1])}:
                     raise ValueError("its ways are cut short")
-                walks = zip(file["code"].asstr()[()], file["roll"][()], file["reverse"][()], file["badness"][()], strict=True)
+                walks = zip(
+                    file["code"].asstr()[()],
+                    file["roll"][()],
+                    file["reverse"][()],
+                    file["badness"][()],
+                    strict=True,
+                )
                 for row, (text, roll, reverse, badness) in enumerate(walks):
                     code, start = GaussCode.parse(text), 0 if row == 0 else ends[row - 1]
                     way = Way(beads[start : ends[row]], forces[start : ends[row]])
@@ -164,8 +215,18 @@ class Archive:
                 return archive
         except InvalidArchive:
             raise
-        except (OSError, KeyError, RuntimeError, TypeError, ValueError, AttributeError, IndexError) as error:  # whatever h5py says to foreign bytes
-            raise InvalidArchive(f"{path} isn't a whole archive: {' '.join(str(error).split())}") from error
+        except (
+            OSError,
+            KeyError,
+            RuntimeError,
+            TypeError,
+            ValueError,
+            AttributeError,
+            IndexError,
+        ) as error:  # whatever h5py says to foreign bytes
+            raise InvalidArchive(
+                f"{path} isn't a whole archive: {' '.join(str(error).split())}"
+            ) from error
 
     def _elites(self) -> Iterator[Elite]:
         for elites in self.niches.values():

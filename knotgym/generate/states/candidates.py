@@ -1,7 +1,9 @@
-"""Instances: one concrete rope state that shows one Gauss code, made from an archived way by a symmetry.
+"""Instances: one concrete rope state that shows one Gauss code, made from an archived way by a
+symmetry.
 
-A fresh plain loop, noised, turned, renumbered, is led down the way, opened up, left to come to rest, and judged. What comes
-out is a state with everything that makes it again bit for bit, or the reason why it was rejected.
+A fresh plain loop, noised, turned, renumbered, is led down the way, opened up, left to come to
+rest, and judged. What comes out is a state with everything that makes it again bit for bit, or the
+reason why it was rejected.
 """
 
 from __future__ import annotations
@@ -40,9 +42,10 @@ class InstanceConfig:
     Attributes:
         limits: of accepted states.
         opening: how hard to open them up.
-        start_noise: of the plain loop each begins as, as `rope.noised`; a tenth of a degree loses three ways in ten.
-        stir: random pulls after the way at most, so that two instances of one way lie differently; one that changes the code is
-            taken back.
+        start_noise: of the plain loop each begins as, as `rope.noised`; a tenth of a degree loses
+            three ways in ten.
+        stir: random pulls after the way at most, so that two instances of one way lie differently;
+            one that changes the code is taken back.
         stir_loop: the same for plain loops, which have no way.
         longest: ways of more actions aren't handed back to the archive.
         reset_noise: that accepted states must survive.
@@ -60,7 +63,9 @@ class InstanceConfig:
 
 
 class Order(NamedTuple):
-    """One instance to make: of `code`, which has its chirality, from one of `elites`, drawing from SeedSequence(seed)."""
+    """One instance to make: of `code`, which has its chirality, from one of `elites`, drawing from
+    SeedSequence(seed).
+    """
 
     config: InstanceConfig
     code: GaussCode
@@ -83,7 +88,8 @@ class Instance:
         qpos: float64 (nq,), after the last action.
         quality: of the last state.
         pulls: actions taken to make it, all that was tried included.
-        elites: readings of this state for the archive, if it is better than what the order had, reached from the archive's start.
+        elites: readings of this state for the archive, if it is better than what the order had,
+            reached from the archive's start.
     """
 
     code: GaussCode
@@ -115,7 +121,8 @@ def _made(order: Order, simulation: Simulation) -> Instance:
     start_qpos = rope.qpos(symmetry.configuration(noised(order.start, config.start_noise, rng)))
     simulation.lay(start_qpos[None], ONE)
     way = Way(
-        symmetry.beads(elite.way.beads, config.rope.beads).astype(np.int16), symmetry.vectors(elite.way.forces.astype(np.float64)).astype(np.float32)
+        symmetry.beads(elite.way.beads, config.rope.beads).astype(np.int16),
+        symmetry.vectors(elite.way.forces.astype(np.float64)).astype(np.float32),
     )
     if not elite.exact:
         way = way.jittered(rng.uniform(0, JITTER), rng)
@@ -135,7 +142,10 @@ def _made(order: Order, simulation: Simulation) -> Instance:
     elites: tuple[Elite, ...] = ()
     if crossings.code == order.code and len(way) <= config.longest:
         best = min((one.badness for one in order.elites if one.exact), default=np.inf)
-        if config.limits.badness(replace(quality, excess_crossing_number=np.nan), crossings.nx) < best - GAIN:
+        if (
+            config.limits.badness(replace(quality, excess_crossing_number=np.nan), crossings.nx)
+            < best - GAIN
+        ):
             elites = _home(simulation, order, symmetry, way)
     quality = replace(quality, noise_survival=noise_survival(last, config.reset_noise, rng))
     faults = config.limits.faults(quality, crossings.nx)
@@ -144,18 +154,37 @@ def _made(order: Order, simulation: Simulation) -> Instance:
     elif pyknotid_code(last) != crossings.code:
         faults.append("labellers disagree")
     elif not _shown_longest_last(points, crossings.code):
-        faults.append("code shown longer before")  # an episode that ends when the code has been held so long would end there
-    return Instance(crossings.code, tuple(faults), order.seed, start_qpos, actions, points, qpos, quality, elites=elites)
+        # an episode that ends when the code has been held so long would end there
+        faults.append("code shown longer before")
+    return Instance(
+        crossings.code,
+        tuple(faults),
+        order.seed,
+        start_qpos,
+        actions,
+        points,
+        qpos,
+        quality,
+        elites=elites,
+    )
 
 
 def _shown_longest_last(points: Array, code: GaussCode) -> bool:
-    """Whether the configurations (T + 1, beads, 3) show `code`, chirality aside, nowhere after the first for as long as at the end."""
-    runs = [len(list(run)) for shown, run in groupby(one.matches(code) for one in label_many(points[1:])) if shown]
+    """Whether the configurations (T + 1, beads, 3) show `code`, chirality aside, nowhere after the
+    first for as long as at the end.
+    """
+    runs = [
+        len(list(run))
+        for shown, run in groupby(one.matches(code) for one in label_many(points[1:]))
+        if shown
+    ]
     return not runs or max(runs[:-1], default=0) < runs[-1]
 
 
 def _follow(simulation: Simulation, way: Way) -> tuple[NDArray[np.float32], Array] | None:
-    """Lead rope 0 down a way; actions (T, 6) and configurations (T + 1, beads, 3), or None if the simulation failed."""
+    """Lead rope 0 down a way; actions (T, 6) and configurations (T + 1, beads, 3), or None if the
+    simulation failed.
+    """
     actions, points = np.empty((len(way), 6), dtype=np.float32), [simulation.points[0].copy()]
     for step, (bead, force) in enumerate(zip(way.beads, way.forces, strict=True)):
         actions[step], held = pull(simulation, np.array([bead]), force[None], ONE)
@@ -166,14 +195,18 @@ def _follow(simulation: Simulation, way: Way) -> tuple[NDArray[np.float32], Arra
 
 
 def _opening(simulation: Simulation, order: Order, rng: np.random.Generator, at_rest: bool) -> Way:
-    """Stir rope 0, open it up and let it come to rest, and once more if it doesn't do yet; the way from where it lies."""
+    """Stir rope 0, open it up and let it come to rest, and once more if it doesn't do yet; the way
+    from where it lies.
+    """
     config, way, state = order.config, NO_WAY, simulation.states(ONE)
     if not at_rest:
         if _follow(simulation, STILL) and label(simulation.points[0]) == order.code:
             way = STILL
         else:  # what shows the code in motion alone may be opened up in motion
             simulation.restore(state, ONE)
-    state, stirring = _stir(simulation, int(rng.integers(config.stir + 1)) if order.code.nx else config.stir_loop, rng)
+    state, stirring = _stir(
+        simulation, int(rng.integers(config.stir + 1)) if order.code.nx else config.stir_loop, rng
+    )
     way += stirring
     for _ in range(ROUNDS):
         state, opening = open_up(simulation, state, config.limits, config.opening, rng)
@@ -181,15 +214,19 @@ def _opening(simulation: Simulation, order: Order, rng: np.random.Generator, at_
         simulation.restore(state[None], ONE)
         _follow(simulation, STILL)
         state, crossings = simulation.states(ONE)[0], find_crossings(simulation.points[0])
-        if crossings.code != order.code or not config.limits.faults(measure(simulation.points[0], crossings, quick=True), crossings.nx):
+        if crossings.code != order.code or not config.limits.faults(
+            measure(simulation.points[0], crossings, quick=True), crossings.nx
+        ):
             break
     return way
 
 
 def _home(simulation: Simulation, order: Order, symmetry: Symmetry, way: Way) -> tuple[Elite, ...]:
-    """Follow an instance's way once more from where the archive's ways begin; what the rope shows there.
+    """Follow an instance's way once more from where the archive's ways begin; what the rope shows
+    there.
 
-    The plain loop is had back exactly whatever was done to it; another start only if it wasn't renumbered.
+    The plain loop is had back exactly whatever was done to it; another start only if it wasn't
+    renumbered.
     """
     rope = simulation.rope
     if np.array_equal(order.start, rope.loop()):
@@ -203,14 +240,23 @@ def _home(simulation: Simulation, order: Order, symmetry: Symmetry, way: Way) ->
     if _follow(simulation, home) is None:
         return ()
     state = simulation.states(ONE)[0]
-    return tuple(reading.elite(home, state) for reading in readings(simulation.points[0], order.config.limits, order.config.rope))
+    return tuple(
+        reading.elite(home, state)
+        for reading in readings(simulation.points[0], order.config.limits, order.config.rope)
+    )
 
 
 def _stir(simulation: Simulation, pulls: int, rng: np.random.Generator) -> tuple[Array, Way]:
-    """Pull rope 0 about at random without changing what it shows; the state reached and the way there."""
+    """Pull rope 0 about at random without changing what it shows; the state reached and the way
+    there.
+    """
     code, way, state = label(simulation.points[0]), NO_WAY, simulation.states(ONE)
     for _ in range(pulls):
-        bead, heading, strength = rng.integers(simulation.rope.config.beads, size=1), rng.uniform(-np.pi, np.pi), rng.uniform(0.3, 1.0)
+        bead, heading, strength = (
+            rng.integers(simulation.rope.config.beads, size=1),
+            rng.uniform(-np.pi, np.pi),
+            rng.uniform(0.3, 1.0),
+        )
         force = (strength * np.array([[np.cos(heading), np.sin(heading), 0.0]])).astype(np.float32)
         _, held = pull(simulation, bead, force, ONE)
         if held.all() and label(simulation.points[0]) == code:
@@ -230,4 +276,13 @@ def _symmetry(elite: Elite, code: GaussCode, rng: np.random.Generator) -> Symmet
 
 def _rejected(fault: str, order: Order, rope: Rope) -> Instance:
     nothing = np.zeros((0, 6), dtype=np.float32)
-    return Instance(order.code, (fault,), order.seed, np.zeros(rope.nq), nothing, order.start[None], np.zeros(rope.nq), measure(order.start))
+    return Instance(
+        order.code,
+        (fault,),
+        order.seed,
+        np.zeros(rope.nq),
+        nothing,
+        order.start[None],
+        np.zeros(rope.nq),
+        measure(order.start),
+    )

@@ -1,4 +1,6 @@
-"""How often a random policy meets each code: the published regime, where a handful of codes make up most goals."""
+"""How often a random policy meets each code: the published regime, where a handful of codes make up
+most goals.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +18,11 @@ ROPES = 64
 LONGEST = 1000  # actions after which ropes start over from the plain loop
 
 
-def frequencies(nx: int, frames: int, seed: int, rope: RopeConfig, most_actions: int = 100_000) -> Counter[GaussCode]:
-    """Roll a random policy out of the plain loop and count the codes, without chirality, of frames with nx crossings.
+def frequencies(
+    nx: int, frames: int, seed: int, rope: RopeConfig, most_actions: int = 100_000
+) -> Counter[GaussCode]:
+    """Roll a random policy out of the plain loop and count the codes, without chirality, of frames
+    with nx crossings.
 
     Args:
         nx: crossings.
@@ -34,14 +39,20 @@ def frequencies(nx: int, frames: int, seed: int, rope: RopeConfig, most_actions:
         if step % LONGEST == 0:
             simulation.lay(loop)
         simulation.act(rng.uniform(-1, 1, (ROPES, 6)).astype(np.float32))
-        met.update(code.plain for code in label_many(simulation.points) if code.nx == nx and is_unknot(code))
+        met.update(
+            code.plain
+            for code in label_many(simulation.points)
+            if code.nx == nx and is_unknot(code)
+        )
         if met.total() >= frames:
             break
     return met
 
 
 def natural_shares(nx: int, count: int, seed: int, rope: RopeConfig) -> dict[GaussCode, int]:
-    """Draw `count` codes with nx crossings as a random policy meets them: code -> how often it was drawn."""
+    """Draw `count` codes with nx crossings as a random policy meets them: code -> how often it was
+    drawn.
+    """
     met = frequencies(nx, 1000 if nx else 1, seed, rope)
     codes = sorted(met, key=lambda code: code.visits)
     weights = np.array([met[code] for code in codes], dtype=np.float64)

@@ -1,4 +1,5 @@
-"""Curation: which codes there are to curate, which accepted states make a set, and which of them are for training.
+"""Curation: which codes there are to curate, which accepted states make a set, and which of them
+are for training.
 
 A set holds no two near-duplicates (`datasets.near`), so none straddle its splits.
 """
@@ -20,9 +21,13 @@ from knotgym.topology.knots import is_unknot, knot_type
 
 @lru_cache(maxsize=32)
 def codes_of(knot: str, nx: int) -> tuple[GaussCode, ...]:
-    """Every code, without chirality and in order, that a rope of this knot type can show with nx crossings; exact."""
+    """Every code, without chirality and in order, that a rope of this knot type can show with nx
+    crossings; exact.
+    """
     certified = is_unknot if knot == "0_1" else lambda code: knot_type(code) == knot
-    return tuple(sorted((code for code in planar_codes(nx) if certified(code)), key=lambda code: code.visits))
+    return tuple(
+        sorted((code for code in planar_codes(nx) if certified(code)), key=lambda code: code.visits)
+    )
 
 
 def is_near_duplicate(points: Array, accepted: Sequence[Array]) -> bool:
@@ -30,7 +35,9 @@ def is_near_duplicate(points: Array, accepted: Sequence[Array]) -> bool:
     return bool(accepted) and bool((distances(points, np.stack(accepted)) < NEAR).any())
 
 
-def split(codes: Sequence[GaussCode], by: str, train_share: float, rng: np.random.Generator) -> NDArray[np.str_]:
+def split(
+    codes: Sequence[GaussCode], by: str, train_share: float, rng: np.random.Generator
+) -> NDArray[np.str_]:
     """Assign states to "train" and "test", the states of each code as evenly as can be.
 
     Args:
@@ -50,8 +57,15 @@ def split(codes: Sequence[GaussCode], by: str, train_share: float, rng: np.rando
         train = {kinds[k] for k in order[: round(train_share * len(kinds))]}
         out[[code in train for code in plain]] = "train"
         return out
-    # one walk over all states, code by code in random order: every stretch of the walk is split in the same proportion
-    walk = [index for k in order for index in rng.permutation([i for i, code in enumerate(plain) if code == kinds[k]])]
-    filled = np.floor((np.arange(len(walk)) + 1) * train_share + 0.5) - np.floor(np.arange(len(walk)) * train_share + 0.5)
+    # one walk over all states, code by code in random order: every stretch of the walk is split in
+    # the same proportion
+    walk = [
+        index
+        for k in order
+        for index in rng.permutation([i for i, code in enumerate(plain) if code == kinds[k]])
+    ]
+    filled = np.floor((np.arange(len(walk)) + 1) * train_share + 0.5) - np.floor(
+        np.arange(len(walk)) * train_share + 0.5
+    )
     out[np.array(walk, dtype=np.int64)[filled > 0]] = "train"
     return out

@@ -35,11 +35,16 @@ def figure_eight_knot() -> Array:
     return np.stack([radius * np.cos(3 * t), radius * np.sin(3 * t), np.sin(4 * t)], axis=1)
 
 
-KNOTS: dict[str, Callable[[], Array]] = {"3_1": lambda: torus_knot(2, 3), "4_1": figure_eight_knot, "5_1": lambda: torus_knot(2, 5)}
+KNOTS: dict[str, Callable[[], Array]] = {
+    "3_1": lambda: torus_knot(2, 3),
+    "4_1": figure_eight_knot,
+    "5_1": lambda: torus_knot(2, 5),
+}
 
 
 def knot_curve(knot: str) -> Array:
-    """A closed curve (n, 3) of a knot type, named ("3_1") or from a file (.npy, or text with three numbers a line).
+    """A closed curve (n, 3) of a knot type, named ("3_1") or from a file (.npy, or text with three
+    numbers a line).
 
     Raises:
         InvalidCurveFile: neither.
@@ -48,10 +53,17 @@ def knot_curve(knot: str) -> Array:
         return KNOTS[knot]()
     path = Path(knot)
     if not path.is_file():
-        raise InvalidCurveFile(f"no knot {knot!r}; there is 0_1, {', '.join(KNOTS)}, or a file with a closed curve, three numbers a line or .npy")
+        raise InvalidCurveFile(
+            f"no knot {knot!r}; there is 0_1, {', '.join(KNOTS)}, or a file with a closed curve,"
+            " three numbers a line or .npy"
+        )
     try:
         with warnings.catch_warnings(action="error"):  # NumPy only warns of a text without numbers
-            curve = np.load(path, allow_pickle=False) if path.suffix == ".npy" else np.loadtxt(path, delimiter="," if path.suffix == ".csv" else None)
+            curve = (
+                np.load(path, allow_pickle=False)
+                if path.suffix == ".npy"
+                else np.loadtxt(path, delimiter="," if path.suffix == ".csv" else None)
+            )
         if not isinstance(curve, np.ndarray) or curve.dtype.kind not in "fiu":
             raise ValueError("it isn't one array of real numbers")
     except (ValueError, OSError, EOFError, UserWarning) as error:

@@ -1,7 +1,8 @@
 """Opening up: move a rope until it can be read, its Gauss code unchanged.
 
-A hill climb in the simulator itself: from where the rope lies, a handful of pulls are tried side by side on copies of it, and
-the one that leaves the code as it was and the picture most legible is kept.
+A hill climb in the simulator itself: from where the rope lies, a handful of pulls are tried side by
+side on copies of it, and the one that leaves the code as it was and the picture most legible is
+kept.
 """
 
 from __future__ import annotations
@@ -36,7 +37,13 @@ class OpeningConfig:
     enough: float = 0.3
 
 
-def open_up(simulation: Simulation, state: Array, limits: Limits, config: OpeningConfig, rng: np.random.Generator) -> tuple[Array, Way]:
+def open_up(
+    simulation: Simulation,
+    state: Array,
+    limits: Limits,
+    config: OpeningConfig,
+    rng: np.random.Generator,
+) -> tuple[Array, Way]:
     """Pull a rope into a more legible configuration with the same code.
 
     Args:
@@ -58,7 +65,9 @@ def open_up(simulation: Simulation, state: Array, limits: Limits, config: Openin
             break
         beads, forces = _proposals(simulation.points[0], config.tries, rng)
         _, held = pull(simulation, beads, forces, ids)
-        scores = [_score(simulation.points[i], code, limits) if held[i] else (np.inf, np.inf) for i in ids]
+        scores = [
+            _score(simulation.points[i], code, limits) if held[i] else (np.inf, np.inf) for i in ids
+        ]
         choice = int(np.argmin([score for _, score in scores]))
         if scores[choice][1] < best - 0.01:
             (bad, best), idle = scores[choice], 0
@@ -80,17 +89,30 @@ def _score(points: Array, code: GaussCode, limits: Limits) -> tuple[float, float
     return badness, badness + spots.crampedness(limits)
 
 
-def _proposals(points: Array, tries: int, rng: np.random.Generator) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Pulls that may open the rope: half of them on beads near the tightest spot, away from it; the rest outwards or anywhere."""
+def _proposals(
+    points: Array, tries: int, rng: np.random.Generator
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """Pulls that may open the rope: half of them on beads near the tightest spot, away from it; the
+    rest outwards or anywhere.
+    """
     spot, middle = tightest_spot(points), points[:, :2].mean(axis=0)
     near = np.argsort(np.linalg.norm(points[:, :2] - spot, axis=1))[:30]
     targeted = np.arange(tries) < tries // 2
-    beads = np.where(targeted, near[rng.integers(len(near), size=tries)], rng.integers(len(points), size=tries))
+    beads = np.where(
+        targeted, near[rng.integers(len(near), size=tries)], rng.integers(len(points), size=tries)
+    )
     away = points[beads, :2] - np.where(targeted[:, None], spot, middle)
-    aside = np.where(targeted | (rng.random(tries) < 0.5), rng.normal(0, 0.5, tries), rng.uniform(-np.pi, np.pi, tries))
+    aside = np.where(
+        targeted | (rng.random(tries) < 0.5),
+        rng.normal(0, 0.5, tries),
+        rng.uniform(-np.pi, np.pi, tries),
+    )
     heading = np.arctan2(away[:, 1], away[:, 0]) + aside
     strength = rng.uniform(0.3, 1.0, tries)
     lift = np.where(rng.random(tries) < 0.3, rng.uniform(-0.5, 0.5, tries), 0.0)
     level = np.sqrt(1 - lift**2)
-    forces = np.stack([strength * level * np.cos(heading), strength * level * np.sin(heading), strength * lift], axis=1)
+    forces = np.stack(
+        [strength * level * np.cos(heading), strength * level * np.sin(heading), strength * lift],
+        axis=1,
+    )
     return beads, forces.astype(np.float32)

@@ -1,8 +1,8 @@
 """The main job: search, make, judge, choose, write.
 
-It goes in cycles: a round of the search, aims at what it doesn't meet, then a wave of instances of the codes still wanted.
-Everything it does depends on the configuration and the seed alone. After each cycle its state can be saved, and a job resumed
-from there goes on as if nothing had happened.
+It goes in cycles: a round of the search, aims at what it doesn't meet, then a wave of instances of
+the codes still wanted. Everything it does depends on the configuration and the seed alone. After
+each cycle its state can be saved, and a job resumed from there goes on as if nothing had happened.
 """
 
 from __future__ import annotations
@@ -35,7 +35,9 @@ from knotgym.topology.knots import knot_type
 MOST_NX = 6
 MORE_ROUNDS = 4  # of search in a cycle while none of what lacks is known
 AIMS = 8  # codes aimed at in a cycle whose search found fewer new classes than that
-STUCK = 48  # instances of a code, none of them accepted, after which it is aimed at again, to set out from elsewhere
+# instances of a code, none of them accepted, after which it is aimed at again, to set out from
+# elsewhere
+STUCK = 48
 
 
 class InvalidJob(KnotgymError, ValueError):
@@ -54,13 +56,16 @@ class GenerateConfig:
         nx: crossing numbers, each curated on its own.
         count: states for each of them, as many distinct codes among them as there are.
         every_code: instead of count, so many states of every code; 0 for count.
-        balance: "even" over codes and chirality, or "natural": codes as often as a random policy meets them.
+        balance: "even" over codes and chirality, or "natural": codes as often as a random policy
+            meets them.
         split_by: "state", or "code" for splits that share no code.
         train_share: of the states (or codes) that are for training.
-        knot: type of the rope's knot; "0_1" starts from the plain loop, any other name or file as `curves.knot_curve`.
+        knot: type of the rope's knot; "0_1" starts from the plain loop, any other name or file as
+            `curves.knot_curve`.
         seed: of everything.
         attempts: instances tried, for each state wanted, before giving up.
-        cycles: of search and a wave of instances, after which what there is is enough; 0 to go on until all wanted is there.
+        cycles: of search and a wave of instances, after which what there is is enough; 0 to go on
+            until all wanted is there.
         wave: instances made in a cycle.
         instance: how they are made and judged.
         planner: what is spent on a code aimed at.
@@ -83,8 +88,15 @@ class GenerateConfig:
     part: Part = Part()
 
     def __post_init__(self) -> None:
-        if not self.nx or any(not 0 <= nx <= MOST_NX for nx in self.nx) or len(set(self.nx)) != len(self.nx):
-            raise InvalidJob(f"nx takes different numbers of crossings from 0 to {MOST_NX}, got {', '.join(map(str, self.nx)) or 'none'}")
+        if (
+            not self.nx
+            or any(not 0 <= nx <= MOST_NX for nx in self.nx)
+            or len(set(self.nx)) != len(self.nx)
+        ):
+            raise InvalidJob(
+                f"nx takes different numbers of crossings from 0 to {MOST_NX}, got"
+                f" {', '.join(map(str, self.nx)) or 'none'}"
+            )
         for name in ("count", "attempts", "wave"):
             if getattr(self, name) < 1:
                 raise InvalidJob(f"{name} must be at least 1, got {getattr(self, name)}")
@@ -117,7 +129,8 @@ class Job:
         aimed: code -> how often the planner was sent there.
         cycle: cycles done.
         actions: environment steps made for aims and instances (the search's are in the archive).
-        growth: one row a cycle: steps of search, aims and instances together by then, and nx -> codes known, states accepted.
+        growth: one row a cycle: steps of search, aims and instances together by then, and nx ->
+            codes known, states accepted.
         seconds: spent so far, over all sittings.
     """
 
@@ -145,26 +158,44 @@ class Job:
         start = start_of(config)
         knot = knot_type(label(start))
         if knot == "unknown":
-            raise InvalidJob(f"the knot type of {config.knot} cannot be certified: knots of up to 7 crossings can")
+            raise InvalidJob(
+                f"the knot type of {config.knot} cannot be certified: knots of up to 7"
+                " crossings can"
+            )
         fresh = new_archive(search_config(config), None if config.knot == "0_1" else start)
         if archive is not None and _origin(archive) != _origin(fresh):
-            raise InvalidJob(f"the archive's ways begin at another curve or move another rope than those of knot {config.knot} here")
+            raise InvalidJob(
+                "the archive's ways begin at another curve or move another rope than those of knot"
+                f" {config.knot} here"
+            )
         job = cls(config, archive or fresh, knot)
         for nx in config.nx:
             job.existing[nx] = len(codes_of(knot, nx))
             job.shares[nx] = _dealt(config, nx, _shares(config, knot, nx))
             job.accepted[nx], job.rejected[nx], job.tried[nx] = [], Counter(), Counter()
         if not any(job.wanted(nx) for nx in config.nx):
-            raise InvalidJob(f"shard {config.part} has no state to make: cut the run into fewer shards")
+            raise InvalidJob(
+                f"shard {config.part} has no state to make: cut the run into fewer shards"
+            )
         return job
 
     def wanted(self, nx: int) -> int:
         """States asked for with nx crossings."""
-        return sum(self.shares[nx].values()) if self.config.every_code else len(self.config.part.share(self.config.count))
+        return (
+            sum(self.shares[nx].values())
+            if self.config.every_code
+            else len(self.config.part.share(self.config.count))
+        )
 
     def wanted_codes(self, nx: int) -> int:
-        """Codes with nx crossings to have a choice among: all for `every_code`, else a quarter more than states."""
-        return len(self.shares[nx]) if self.config.every_code else min(len(self.shares[nx]), max(1, int(1.25 * self.wanted(nx))))
+        """Codes with nx crossings to have a choice among: all for `every_code`, else a quarter more
+        than states.
+        """
+        return (
+            len(self.shares[nx])
+            if self.config.every_code
+            else min(len(self.shares[nx]), max(1, int(1.25 * self.wanted(nx))))
+        )
 
     def steps(self) -> int:
         """Environment steps made so far, by the search, for aims and for instances."""
@@ -173,7 +204,10 @@ class Job:
     def done(self) -> bool:
         """Whether everything asked for is there, or the cycles allowed are over."""
         config = self.config
-        return all(len(self.accepted[nx]) >= self.wanted(nx) for nx in config.nx) or 0 < config.cycles <= self.cycle
+        return (
+            all(len(self.accepted[nx]) >= self.wanted(nx) for nx in config.nx)
+            or 0 < config.cycles <= self.cycle
+        )
 
 
 def run(job: Job, pool: Pool, each_cycle: Callable[[Job], None]) -> None:
@@ -196,24 +230,41 @@ def run(job: Job, pool: Pool, each_cycle: Callable[[Job], None]) -> None:
                     if elite.exact:
                         fresh[target.goal] = elite
         orders = _orders(job, fresh)
-        for (nx, _), instance in zip(orders, pool.map(make, [order for _, order in orders]), strict=True):
+        for (nx, _), instance in zip(
+            orders, pool.map(make, [order for _, order in orders]), strict=True
+        ):
             job.actions += instance.pulls
             _judge(job, nx, instance)
         job.cycle += 1
         known = {str(nx): len(job.archive.codes(nx)) for nx in config.nx}
-        job.growth.append({"steps": job.steps(), "known": known, "accepted": {str(nx): len(job.accepted[nx]) for nx in config.nx}})
+        job.growth.append(
+            {
+                "steps": job.steps(),
+                "known": known,
+                "accepted": {str(nx): len(job.accepted[nx]) for nx in config.nx},
+            }
+        )
         job.seconds += time.perf_counter() - began
         each_cycle(job)
         for nx in config.nx:
             have, tried = len(job.accepted[nx]), sum(job.tried[nx].values())
-            if have < job.wanted(nx) and not job.done() and max(tried, 8 * job.cycle) >= config.attempts * job.wanted(nx):
-                raise NotEnough(f"{have} of {job.wanted(nx)} states with nx = {nx} accepted in {tried} attempts; use --resume and more --attempts")
+            if (
+                have < job.wanted(nx)
+                and not job.done()
+                and max(tried, 8 * job.cycle) >= config.attempts * job.wanted(nx)
+            ):
+                raise NotEnough(
+                    f"{have} of {job.wanted(nx)} states with nx = {nx} accepted in {tried}"
+                    " attempts; use --resume and more --attempts"
+                )
     if not any(job.accepted.values()):
         raise NotEnough(f"no state accepted in {job.cycle} cycles; use --resume and more --cycles")
 
 
 def _rounds(job: Job) -> int:
-    """Rounds of the search in the next cycle: one, and up to MORE_ROUNDS more the more of the codes still lacking aren't known either."""
+    """Rounds of the search in the next cycle: one, and up to MORE_ROUNDS more the more of the codes
+    still lacking aren't known either.
+    """
     missing = [0.0]
     for nx in job.config.nx:
         lacking = job.wanted_codes(nx) - len({one.code.plain for one in job.accepted[nx]})
@@ -223,22 +274,38 @@ def _rounds(job: Job) -> int:
 
 
 def _targets(job: Job, search: SearchConfig) -> list[Target]:
-    """Codes that no way short enough to go on with is sure to lead to, or whose instances are stuck.
+    """Codes that no way short enough to go on with is sure to lead to, or whose instances are
+    stuck.
 
     Those that lack states come first, then those aimed at least, then the unknown.
     """
     config, start, lacking = job.config, start_of(job.config), []
     for nx, shares in job.shares.items():
         have = Counter(instance.code.plain for instance in job.accepted[nx])
-        stuck = {code for code in shares if have[code] < shares[code] and job.tried[nx][code] >= STUCK * (1 + job.aimed[code])}
-        sure = {code for code in shares if any(job.archive.sure(one, search.longest) for one in job.archive.handed(code))} - stuck
+        stuck = {
+            code
+            for code in shares
+            if have[code] < shares[code] and job.tried[nx][code] >= STUCK * (1 + job.aimed[code])
+        }
+        sure = {
+            code
+            for code in shares
+            if any(job.archive.sure(one, search.longest) for one in job.archive.handed(code))
+        } - stuck
         if not nx or len(job.accepted[nx]) >= job.wanted(nx) or len(sure) >= job.wanted_codes(nx):
             continue
         for index, code in enumerate(shares):
             if code not in sure:
                 aimed = job.aimed[code]
-                target = Target(search, config.planner, start, code, (search.seed, 5, nx, index, aimed))
-                lacking.append(((have[code] >= shares[code], aimed, bool(job.archive.handed(code)), index), target))
+                target = Target(
+                    search, config.planner, start, code, (search.seed, 5, nx, index, aimed)
+                )
+                lacking.append(
+                    (
+                        (have[code] >= shares[code], aimed, bool(job.archive.handed(code)), index),
+                        target,
+                    )
+                )
     chosen = [target for _, target in sorted(lacking, key=lambda one: one[0])[:AIMS]]
     job.aimed.update(target.goal for target in chosen)
     return chosen
@@ -246,23 +313,35 @@ def _targets(job: Job, search: SearchConfig) -> list[Target]:
 
 def search_config(config: GenerateConfig) -> SearchConfig:
     """The search that a job runs; it also keeps what shows as many crossings as the start."""
-    seed = config.seed if config.part.whole else int(np.random.SeedSequence([config.seed, 3, config.part.number]).generate_state(1)[0])
-    return SearchConfig(max_nx=max(*config.nx, label(start_of(config)).nx), seed=seed, rope=config.instance.rope)
+    seed = (
+        config.seed
+        if config.part.whole
+        else int(np.random.SeedSequence([config.seed, 3, config.part.number]).generate_state(1)[0])
+    )
+    return SearchConfig(
+        max_nx=max(*config.nx, label(start_of(config)).nx), seed=seed, rope=config.instance.rope
+    )
 
 
 def start_of(config: GenerateConfig) -> Array:
-    """The configuration (beads, 3) that all ways begin at: the plain loop, or a curve of the knot."""
+    """The configuration (beads, 3) that all ways begin at: the plain loop, or a curve of the
+    knot.
+    """
     rope = Rope(config.instance.rope)
     return rope.loop() if config.knot == "0_1" else rope.from_curve(knot_curve(config.knot))
 
 
 def _origin(archive: Archive) -> str:
-    """Where the ways of an archive begin and what they move, as text: a file has lists where a search has tuples."""
+    """Where the ways of an archive begin and what they move, as text: a file has lists where a
+    search has tuples.
+    """
     return json.dumps([archive.settings.get("start"), archive.settings.get("rope")], sort_keys=True)
 
 
 def _shares(config: GenerateConfig, knot: str, nx: int) -> dict[GaussCode, int]:
-    """How many states of each code are wanted at most; of an even share, rounded up, the first accepted fill the count."""
+    """How many states of each code are wanted at most; of an even share, rounded up, the first
+    accepted fill the count.
+    """
     known = codes_of(knot, nx)
     if not known:
         raise InvalidJob(f"no diagram of {knot} has {nx} crossings")
@@ -270,13 +349,17 @@ def _shares(config: GenerateConfig, knot: str, nx: int) -> dict[GaussCode, int]:
         return dict.fromkeys(known, config.every_code)
     if config.balance == "natural":
         if knot != "0_1":
-            raise InvalidJob(f"natural balance is known for ropes that start as a plain loop, not as {knot}")
+            raise InvalidJob(
+                f"natural balance is known for ropes that start as a plain loop, not as {knot}"
+            )
         return natural_shares(nx, config.count, config.seed, config.instance.rope)
     return dict.fromkeys(known, -(-config.count // len(known)))
 
 
 def _dealt(config: GenerateConfig, nx: int, shares: dict[GaussCode, int]) -> dict[GaussCode, int]:
-    """Of these shares what falls to this part of the run: whole codes while there are as many as parts."""
+    """Of these shares what falls to this part of the run: whole codes while there are as many as
+    parts.
+    """
     if config.part.whole:
         return shares
     order = np.random.default_rng([config.seed, nx, 4]).permutation(len(shares))
@@ -287,7 +370,9 @@ def _dealt(config: GenerateConfig, nx: int, shares: dict[GaussCode, int]) -> dic
 
 
 def _orders(job: Job, fresh: dict[GaussCode, Elite]) -> list[tuple[int, Order]]:
-    """A wave: codes that lack states, those tried least first, in an order that the seed decides; those just aimed at set out from there."""
+    """A wave: codes that lack states, those tried least first, in an order that the seed decides;
+    those just aimed at set out from there.
+    """
     config = job.config
     start = start_of(config)
     out: list[tuple[int, Order]] = []
@@ -295,10 +380,18 @@ def _orders(job: Job, fresh: dict[GaussCode, Elite]) -> list[tuple[int, Order]]:
     for nx in open_nx:
         have = Counter(instance.code.plain for instance in job.accepted[nx])
         share = list(job.shares[nx])
-        ranked = [share[k] for k in np.random.default_rng([config.seed, nx, 1]).permutation(len(share))]
-        if not config.every_code:  # of more codes than are wanted, a quarter more are tried; the window widens with time
+        ranked = [
+            share[k] for k in np.random.default_rng([config.seed, nx, 1]).permutation(len(share))
+        ]
+        if (
+            not config.every_code
+        ):  # of more codes than are wanted, a quarter more are tried; the window widens with time
             ranked = ranked[: job.wanted_codes(nx) + 2 * job.cycle]
-        lacking = [(code, known) for code in ranked if have[code] < job.shares[nx][code] and (known := job.archive.handed(code))]
+        lacking = [
+            (code, known)
+            for code in ranked
+            if have[code] < job.shares[nx][code] and (known := job.archive.handed(code))
+        ]
         lacking.sort(key=lambda one: job.tried[nx][one[0]])
         for k in range(-(-config.wave // len(open_nx)) if lacking else 0):
             code, known = lacking[k % len(lacking)]
@@ -306,7 +399,8 @@ def _orders(job: Job, fresh: dict[GaussCode, Elite]) -> list[tuple[int, Order]]:
             if number % 3:  # the chiralities that an exact way leads to, two times of three
                 known = [one for one in known if job.archive.sure(one)] or known
             job.tried[nx][code] += 1
-            first = int(np.random.default_rng([config.seed, nx, 6, index]).integers(2**nx))  # not all begin with the same handedness
+            # not all begin with the same handedness
+            first = int(np.random.default_rng([config.seed, nx, 6, index]).integers(2**nx))
             target = fresh[code].code if code in fresh else known[(number + first) % len(known)]
             elites = (fresh[code],) if code in fresh else tuple(job.archive.leading_to(target))
             seed = (config.seed, 2, nx, index, config.part.first + number)
@@ -319,7 +413,9 @@ def _judge(job: Job, nx: int, instance: Instance) -> None:
     reasons = list(instance.faults)
     if not reasons and knot_type(instance.code) != job.knot:
         reasons = ["knot type changed"]
-    if not reasons and is_near_duplicate(instance.points[-1], [one.points[-1] for one in job.accepted[nx]]):
+    if not reasons and is_near_duplicate(
+        instance.points[-1], [one.points[-1] for one in job.accepted[nx]]
+    ):
         reasons = ["near-duplicate"]
     for elite in instance.elites:
         job.archive.offer(elite)

@@ -1,4 +1,6 @@
-"""`knotgym generate` from end to end: one run to a folder, saved after every cycle, resumed after any kill."""
+"""`knotgym generate` from end to end: one run to a folder, saved after every cycle, resumed after
+any kill.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,8 @@ def generate(
 ) -> None:
     """Make curated states in the new folder `out`.
 
-    While it runs, everything stands in the hidden folder `.NAME.partial` beside `out`; only a finished run takes the name.
+    While it runs, everything stands in the hidden folder `.NAME.partial` beside `out`; only a
+    finished run takes the name.
 
     Args:
         config: what is wanted.
@@ -53,7 +56,8 @@ def generate(
     partial = partial_of(out)
     if out.exists():
         if resume and _finished(out) == json.loads(json.dumps(asdict(config))):
-            shutil.rmtree(partial, ignore_errors=True)  # left if it was killed right after the renaming
+            # left if it was killed right after the renaming
+            shutil.rmtree(partial, ignore_errors=True)
             if not quiet:
                 console.print(f"{out} is finished already", soft_wrap=True)
             return
@@ -62,7 +66,8 @@ def generate(
         with locked(partial):
             pass  # nobody is at it
     job = _resumed(partial / "job.pickle", config) if resume else None
-    job = job or Job.begin(config, Archive.load(archive) if archive else None)  # before anything is written: it may be refused
+    # before anything is written: it may be refused
+    job = job or Job.begin(config, Archive.load(archive) if archive else None)
     job.config = replace(job.config, attempts=config.attempts, cycles=config.cycles)
     with held(out, resume):
 
@@ -80,7 +85,11 @@ def generate(
     if not quiet:
         total = sum(len(instances) for instances in job.accepted.values())
         codes = len({one.code.plain for instances in job.accepted.values() for one in instances})
-        console.print(f"{out}: {total} states of {codes} codes in {job.seconds:.0f} s", soft_wrap=True, highlight=False)
+        console.print(
+            f"{out}: {total} states of {codes} codes in {job.seconds:.0f} s",
+            soft_wrap=True,
+            highlight=False,
+        )
 
 
 def _finished(out: Path) -> object:
@@ -97,7 +106,15 @@ def _resumed(path: Path, config: GenerateConfig) -> Job | None:
     try:
         job = pickle.loads(path.read_bytes())
     except Exception as error:  # whatever pickle says to bytes that aren't its own
-        raise InvalidJob(f"{path} can't be read, the disk has spoilt it; start without --resume") from error
-    if not isinstance(job, Job) or replace(job.config, attempts=config.attempts, cycles=config.cycles) != config:
-        raise InvalidJob(f"{path.parent} holds another job than the one asked for; give the same options again, or start without --resume")
+        raise InvalidJob(
+            f"{path} can't be read, the disk has spoilt it; start without --resume"
+        ) from error
+    if (
+        not isinstance(job, Job)
+        or replace(job.config, attempts=config.attempts, cycles=config.cycles) != config
+    ):
+        raise InvalidJob(
+            f"{path.parent} holds another job than the one asked for; give the same options again,"
+            " or start without --resume"
+        )
     return job

@@ -1,4 +1,6 @@
-"""What a finished job leaves behind: states.h5, trajectories, gallery, card and manifest, in a folder that appears whole."""
+"""What a finished job leaves behind: states.h5, trajectories, gallery, card and manifest, in a
+folder that appears whole.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,9 @@ def states_of(job: Job) -> States:
     splits: list[str] = []
     for nx in config.nx:
         rng = np.random.default_rng([config.seed, 5, nx])
-        splits += split([one.code for one in job.accepted[nx]], config.split_by, config.train_share, rng).tolist()
+        splits += split(
+            [one.code for one in job.accepted[nx]], config.split_by, config.train_share, rng
+        ).tolist()
     points = np.stack([one.points[-1] for _, one in instances])
     return States(
         qpos=np.stack([one.qpos for _, one in instances]),
@@ -53,7 +57,10 @@ def states_of(job: Job) -> States:
         knot=np.array([knot_type(one.code) for _, one in instances]),
         nx=np.array([nx for nx, _ in instances], dtype=np.int64),
         split=np.array(splits),
-        quality={field.name: np.array([getattr(one.quality, field.name) for _, one in instances]) for field in fields(Quality)},
+        quality={
+            field.name: np.array([getattr(one.quality, field.name) for _, one in instances])
+            for field in fields(Quality)
+        },
         units=dict(UNITS),
         source={
             "start_qpos": np.stack([one.start_qpos for _, one in instances]),
@@ -61,7 +68,9 @@ def states_of(job: Job) -> States:
             "steps": np.array([len(one.actions) for _, one in instances], dtype=np.int64),
             "seed": np.array([one.seed for _, one in instances], dtype=np.int64),
             "policy": np.array([POLICY] * len(instances)),
-            "trajectory": np.array([k for nx in config.nx for k in range(len(job.accepted[nx]))], dtype=np.int64),
+            "trajectory": np.array(
+                [k for nx in config.nx for k in range(len(job.accepted[nx]))], dtype=np.int64
+            ),
             "step": np.array([len(one.actions) for _, one in instances], dtype=np.int64),
         },
         attributes={
@@ -83,13 +92,17 @@ def report_of(job: Job) -> dict[str, Any]:
         "existing_codes": {str(nx): count for nx, count in job.existing.items()},
         "attempts": attempts.total(),
         "actions": job.steps(),
-        "rejected": {str(nx): dict(sorted(reasons.items())) for nx, reasons in job.rejected.items()},
+        "rejected": {
+            str(nx): dict(sorted(reasons.items())) for nx, reasons in job.rejected.items()
+        },
         "growth": job.growth,
     }
 
 
 def write(job: Job, folder: Path) -> dict[str, Any]:
-    """Write everything the contract lists into a new folder, the manifest last; return the manifest."""
+    """Write everything the contract lists into a new folder, the manifest last; return the
+    manifest.
+    """
     folder.mkdir(parents=True)
     states = states_of(job)
     write_states(folder / "states.h5", states)
@@ -98,8 +111,12 @@ def write(job: Job, folder: Path) -> dict[str, Any]:
     return finish(folder, states, report_of(job), asdict(job.config))
 
 
-def finish(folder: Path, states: States, report: dict[str, Any], config: dict[str, Any]) -> dict[str, Any]:
-    """Write gallery, card and manifest into a folder that has the states and the trajectories; return the manifest."""
+def finish(
+    folder: Path, states: States, report: dict[str, Any], config: dict[str, Any]
+) -> dict[str, Any]:
+    """Write gallery, card and manifest into a folder that has the states and the trajectories;
+    return the manifest.
+    """
     write_gallery(folder / "gallery.png", states)
     (folder / "README.md").write_text(card(states, report, config), encoding="utf-8")
     manifest = {
@@ -109,14 +126,22 @@ def finish(folder: Path, states: States, report: dict[str, Any], config: dict[st
         "report": report,
         "summary": summary(states),
         "splits": states.split.tolist(),
-        "files": {str(path.relative_to(folder)): sha256(path) for path in sorted(folder.rglob("*")) if path.is_file()},
+        "files": {
+            str(path.relative_to(folder)): sha256(path)
+            for path in sorted(folder.rglob("*"))
+            if path.is_file()
+        },
     }
-    (folder / "manifest.json").write_text(json.dumps(manifest, indent=1, sort_keys=True), encoding="utf-8")
+    (folder / "manifest.json").write_text(
+        json.dumps(manifest, indent=1, sort_keys=True), encoding="utf-8"
+    )
     return manifest
 
 
 def write_trajectories(job: Job, folder: Path, states: Path) -> None:
-    """One Minari dataset for each nx, knotgym/tie-nx3/ways-v0 below `folder`, pixels and states; an episode a state, in their order."""
+    """One Minari dataset for each nx, knotgym/tie-nx3/ways-v0 below `folder`, pixels and states; an
+    episode a state, in their order.
+    """
     for nx in [nx for nx in job.config.nx if job.accepted[nx]]:
         shard = folder / f"nx{nx}.h5"
         with EpisodeWriter(shard, ways_task(nx)) as writer:
@@ -128,8 +153,15 @@ def write_trajectories(job: Job, folder: Path, states: Path) -> None:
 
 def ways_task(nx: int) -> TaskConfig:
     """The task that the ways to states with nx crossings are episodes of."""
-    # a loop has nothing to tie: its episodes are those of an unknot task whose goal is shown from the start
-    return TaskConfig(task="tie" if nx else "unknot", nx=max(1, nx), observation="both", horizon=HORIZON, states=_ways_id(nx))
+    # a loop has nothing to tie: its episodes are those of an unknot task whose goal is shown from
+    # the start
+    return TaskConfig(
+        task="tie" if nx else "unknot",
+        nx=max(1, nx),
+        observation="both",
+        horizon=HORIZON,
+        states=_ways_id(nx),
+    )
 
 
 def ways_folder(root: Path, nx: int) -> Path:
@@ -140,13 +172,17 @@ def ways_folder(root: Path, nx: int) -> Path:
 def publish_ways(nx: int, sources: Sequence[Any], count: int, root: Path, states: Path) -> None:
     """Write `count` ways from the episodes of `sources`, one source after another, below `root`.
 
-    The dataset carries `states`, so that the environment recovered from it resets from the very states that the ways lead to.
+    The dataset carries `states`, so that the environment recovered from it resets from the very
+    states that the ways lead to.
     """
     metadata = MinariMetadata(
         dataset_id=_ways_id(nx),
         algorithm_name=POLICY,
-        description=f"The ways to {count} curated rope states with {nx} crossings: searched, carried over by symmetry, opened up. "
-        "An episode goes on past the first time that its code is shown, until the rope lies open and at rest, and ends there.",
+        description=(
+            f"The ways to {count} curated rope states with {nx} crossings: searched, carried over"
+            " by symmetry, opened up. An episode goes on past the first time that its code is"
+            " shown, until the rope lies open and at rest, and ends there."
+        ),
     )
     publish(sources, metadata, root, concatenate=True, states=states)
 
@@ -156,7 +192,9 @@ def _ways_id(nx: int) -> str:
 
 
 def episode_of(instance: Instance) -> Episode:
-    """The way to a state as an episode; it goes on past the first time that the code is shown, until the rope lies open and at rest."""
+    """The way to a state as an episode; it goes on past the first time that the code is shown,
+    until the rope lies open and at rest.
+    """
     steps, codes = len(instance.actions), label_many(instance.points)
     shown = np.array([code.matches(instance.code) for code in codes])
     end = np.arange(steps + 1) == steps
@@ -187,7 +225,9 @@ def _pulled(instance: Instance) -> tuple[np.ndarray, np.ndarray]:
     rope = RopeConfig()
     places = rope.reach * instance.actions[:, None, :3].astype(np.float64)
     beads = np.argmin(((instance.points[:-1] - places) ** 2).sum(axis=2), axis=1)
-    return np.concatenate([[-1], beads]), np.concatenate([np.zeros((1, 3)), rope.max_force * instance.actions[:, 3:].astype(np.float64)])
+    return np.concatenate([[-1], beads]), np.concatenate(
+        [np.zeros((1, 3)), rope.max_force * instance.actions[:, 3:].astype(np.float64)]
+    )
 
 
 def _padded(instance: Instance, longest: int) -> np.ndarray:

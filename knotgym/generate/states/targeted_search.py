@@ -1,4 +1,6 @@
-"""Aimed search: the planner leads a rope from the start to a code that the search has not met, or not as the rope is numbered."""
+"""Aimed search: the planner leads a rope from the start to a code that the search has not met, or
+not as the rope is numbered.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ class Target(NamedTuple):
 
 
 class Shot(NamedTuple):
-    """What came of a target: states for the archive, none if the planner failed; and simulated actions spent."""
+    """What came of a target: states for the archive, none if the planner failed; and simulated
+    actions spent.
+    """
 
     elites: tuple[Elite, ...]
     spent: int
@@ -40,11 +44,22 @@ def reach(target: Target) -> Shot:
     rope = simulation.rope
     simulation.lay(rope.qpos(target.start)[None], [0])
     state = simulation.states([0])[0]
-    found = plan(simulation, state, target.goal, shipped_atlas(), planner, np.random.default_rng(target.seed), steps=search.longest)
+    found = plan(
+        simulation,
+        state,
+        target.goal,
+        shipped_atlas(),
+        planner,
+        np.random.default_rng(target.seed),
+        steps=search.longest,
+    )
     if not found.solved:
         return Shot((), found.spent)
     simulation.restore(state[None], [0])
-    beads, forces = np.zeros(len(found.actions), dtype=np.int16), np.zeros((len(found.actions), 3), dtype=np.float32)
+    beads, forces = (
+        np.zeros(len(found.actions), dtype=np.int16),
+        np.zeros((len(found.actions), 3), dtype=np.float32),
+    )
     for step, action in enumerate(found.actions):
         (beads[step],), force = simulation.read_actions(action[None], [0])
         forces[step] = force[0] / rope.config.max_force
