@@ -1,7 +1,7 @@
 """Rollouts: a policy acting in the environment's own episodes.
 
 Episode i of a run with seed s is what `env.reset(seed=episode_seed(s, i))` begins, whichever
-process plays it and whatever is played beside it; the policy draws from SeedSequence([s, i, 1]).
+process plays it and whatever is played beside it; the policy draws from stream POLICY.
 Nothing is drawn as a picture here: an episode keeps the rope, and its observations are made from
 that.
 """
@@ -16,6 +16,7 @@ import numpy as np
 from knotgym.control.policies import Effort, Policy
 from knotgym.datasets.trajectory import Episode
 from knotgym.episode_batch import Episodes
+from knotgym.streams import Stream, derived_seed, generator
 from knotgym.tasks import TaskConfig
 
 
@@ -57,7 +58,7 @@ def episode_seed(seed: int, number: int) -> int:
     """The seed of the reset that begins episode `number` of a run: 52 bits, so that JSON can hold
     it.
     """
-    return int(np.random.SeedSequence([seed, number]).generate_state(1, np.uint64)[0] >> 12)
+    return derived_seed(Stream.EPISODE, seed, number)
 
 
 def roll(task: TaskConfig, policy: Policy, numbers: Sequence[int], seed: int) -> list[Rollout]:
@@ -73,7 +74,7 @@ def roll(task: TaskConfig, policy: Policy, numbers: Sequence[int], seed: int) ->
     tracks = []
     for index, number in enumerate(numbers):
         episodes.begin(index, np.random.default_rng(episode_seed(seed, number)))
-        policy.begin(episodes, index, np.random.default_rng([seed, number, 1]))
+        policy.begin(episodes, index, generator(Stream.POLICY, seed, number))
         info = episodes.info(index)
         options = {name: int(info[name]) for name in ("start", "goal")}
         track = _Track(

@@ -8,8 +8,6 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from knotgym.atomic_files import sha256, whole
 from knotgym.datasets.image_table import encode, write_rows
 from knotgym.difficulty import grade
@@ -18,6 +16,7 @@ from knotgym.quality import Limits, measure, noise_survival
 from knotgym.rendering.appearance import Appearance, AppearanceConfig, appearance, render
 from knotgym.rendering.picture import crossing_pixels
 from knotgym.rope import Array
+from knotgym.streams import Stream, generator
 from knotgym.topology.crossings import Crossings, find_crossings
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import knot_type
@@ -85,7 +84,9 @@ def record(row: Row, config: AppearanceConfig) -> dict[str, Any]:
             f" {found.code.chiral}, pyknotid {second.chiral}"
         )
     look = appearance(
-        row.points, config, np.random.default_rng([row.source["seed"], 8, row.source["row"]])
+        row.points,
+        config,
+        generator(Stream.IMAGE_APPEARANCE, row.source["seed"], row.source["row"]),
     )
     return {
         **labels(row.points, found, look),
@@ -119,7 +120,7 @@ def measures(points: Array, found: Crossings, source: dict[str, Any]) -> dict[st
     from.
     """
     survival = noise_survival(
-        points, NOISE, np.random.default_rng([source["seed"], 7, source["row"]])
+        points, NOISE, generator(Stream.IMAGE_NOISE, source["seed"], source["row"])
     )
     limits = Limits()
     quality = measure(points, found)

@@ -41,6 +41,7 @@ from knotgym.generate.states.archive import Archive
 from knotgym.generate.states.curation import split
 from knotgym.runs.shards import Part
 from knotgym.runs.staging import Occupied, held
+from knotgym.streams import Stream, generator
 from knotgym.tasks import TaskConfig
 from knotgym.topology.gauss import GaussCode
 
@@ -155,7 +156,7 @@ def _states(ordered: Sequence[Shard], folder: Path) -> Path:
             codes,
             config["split_by"],
             config["train_share"],
-            np.random.default_rng([config["seed"], 5, nx]),
+            generator(Stream.SPLIT, config["seed"], nx),
         )
         place[mine] = np.arange(len(mine))
     trajectories, attributes = (

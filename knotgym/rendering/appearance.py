@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from knotgym.errors import KnotgymError
 from knotgym.rendering.picture import RGB, PictureConfig, draw, project, rope_colours
 from knotgym.rope import Array
+from knotgym.streams import Stream, generator
 
 VARIED = ("colours", "width", "background", "turn", "zoom", "noise", "blur")
 SIZES = (64, 512)  # pixels, smallest and largest
@@ -91,7 +92,7 @@ class Appearance:
         noise: standard deviation of the Gaussian noise, levels.
         blur: standard deviation of the Gaussian blur, pixels of this picture; blurred first, noise
             after.
-        seed: the noise is that of `np.random.default_rng(seed)`.
+        seed: the noise is that of stream `IMAGE_GRAIN`.
     """
 
     size: int = 128
@@ -176,7 +177,7 @@ def render(points: Array, look: Appearance) -> NDArray[np.uint8]:
     if look.blur > 0:
         image = np.asarray(cv2.GaussianBlur(image, (0, 0), look.blur), dtype=np.uint8)
     if look.noise > 0:
-        grain = np.random.default_rng(look.seed).normal(0.0, look.noise, image.shape)
+        grain = generator(Stream.IMAGE_GRAIN, look.seed).normal(0.0, look.noise, image.shape)
         image = np.clip(np.rint(image + grain), 0, 255).astype(np.uint8)
     return image
 

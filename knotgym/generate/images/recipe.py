@@ -36,6 +36,7 @@ from knotgym.rendering.appearance import AppearanceConfig
 from knotgym.runs.executors import Pool, engine
 from knotgym.runs.shards import Part
 from knotgym.runs.staging import Occupied, held
+from knotgym.streams import Stream, generator
 from knotgym.topology.gauss import GaussCode
 
 WAVE = 32  # units in a wave at most
@@ -213,7 +214,7 @@ def held_out(config: ImagesConfig, codes: dict[int, list[GaussCode]]) -> frozens
     out: list[GaussCode] = []
     for nx in config.trained:
         if len(codes[nx]) >= 4 and config.code_share > 0:
-            order = np.random.default_rng([config.seed, 9, nx]).permutation(len(codes[nx]))
+            order = generator(Stream.IMAGE_CODES, config.seed, nx).permutation(len(codes[nx]))
             out += [
                 codes[nx][k] for k in order[: max(1, round(config.code_share * len(codes[nx])))]
             ]
@@ -231,7 +232,8 @@ def splits_of(config: ImagesConfig, start: Bases, wanted: set[tuple[str, int]]) 
     for nx in sorted(set(largest.values())):
         same = sorted(family for family, most in largest.items() if most == nx)
         same = [
-            same[k] for k in np.random.default_rng([config.seed, 10, nx]).permutation(len(same))
+            same[k]
+            for k in generator(Stream.IMAGE_FAMILIES, config.seed, nx).permutation(len(same))
         ]
         for place, family in enumerate(same):
             if nx > max(config.trained):
@@ -316,7 +318,7 @@ def _choose(
                 frames.points, frames.walk.tolist(), frames.ease.tolist(), strict=True
             ):
                 aim = aims[number]
-                rng = np.random.default_rng([config.seed, 11, first + frame])
+                rng = generator(Stream.IMAGE_CHOICE, config.seed, first + frame)
                 if chooser.consider(points, aim[0], ease, frame, rng):
                     gave[aim] = gave[aim]._replace(chosen=gave[aim].chosen + 1)
                 frame += 1
@@ -364,7 +366,7 @@ def _wave(
     A walk for nx crossings sets out from a class of codes with so many, evenly drawn, in its split;
     where there is none, from the nearest nx that has some.
     """
-    rng = np.random.default_rng([config.seed, 12, wave])
+    rng = generator(Stream.IMAGE_WAVE, config.seed, wave)
     wanted = {
         key: int(np.ceil(1.1 * count * (gave[key].walks + 1) / (gave[key].chosen + 4)))
         for key, count in lacking.items()
@@ -420,7 +422,7 @@ def _draw(
     number = config.part.first
     for place, split in enumerate(SPLITS):
         mine = [choice for choice in chooser.chosen if choice.split == split]
-        order = np.random.default_rng([config.seed, 13, place]).permutation(len(mine))
+        order = generator(Stream.IMAGE_ORDER, config.seed, place).permutation(len(mine))
         count = -(-len(mine) // config.shard)
         for index in range(count):
             rows = []

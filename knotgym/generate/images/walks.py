@@ -23,6 +23,7 @@ from knotgym.quality import Limits, measure
 from knotgym.relaxation import relaxed
 from knotgym.rope import Array, Rope
 from knotgym.simulation import Simulation
+from knotgym.streams import Stream, generator
 from knotgym.topology.crossings import count_crossings, find_crossings, visit_spacing
 from knotgym.topology.reference_labeller import pyknotid_code
 
@@ -38,7 +39,7 @@ CLEARANCE = 7.0
 
 
 class Walk(NamedTuple):
-    """One to be made: from base `base`, drawing from SeedSequence([seed, 6, number])."""
+    """One to be made: from base `base`, drawing from stream IMAGE_WALK."""
 
     number: int
     base: int
@@ -100,7 +101,7 @@ def stir(unit: Unit) -> Frames:
     count = len(unit.walks)
     simulation, ids = _simulation(), np.arange(count)
     simulation.restore(unit.states, ids)
-    rngs = [np.random.default_rng([unit.seed, 6, walk.number]) for walk in unit.walks]
+    rngs = [generator(Stream.IMAGE_WALK, unit.seed, walk.number) for walk in unit.walks]
     gentle = [bool(rng.random() < GENTLE) for rng in rngs]
     hand, alive = Hand(count), np.ones(count, dtype=bool)
     beads, forces = (

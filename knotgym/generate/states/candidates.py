@@ -23,6 +23,7 @@ from knotgym.generate.states.search import JITTER, readings, simulation_of
 from knotgym.quality import Limits, Quality, measure, noise_survival
 from knotgym.rope import Array, Rope, RopeConfig, noised
 from knotgym.simulation import Simulation
+from knotgym.streams import generator_of
 from knotgym.topology.crossings import find_crossings, label, label_many
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.reference_labeller import pyknotid_code
@@ -64,7 +65,7 @@ class InstanceConfig:
 
 class Order(NamedTuple):
     """One instance to make: of `code`, which has its chirality, from one of `elites`, drawing from
-    SeedSequence(seed).
+    the stream of the key `seed`.
     """
 
     config: InstanceConfig
@@ -113,7 +114,7 @@ def make(order: Order) -> Instance:
 
 
 def _made(order: Order, simulation: Simulation) -> Instance:
-    config, rng, rope = order.config, np.random.default_rng(order.seed), simulation.rope
+    config, rng, rope = order.config, generator_of(order.seed), simulation.rope
     elite = order.elites[int(rng.integers(len(order.elites)))]
     if rng.random() < 0.5:
         elite = min(order.elites, key=lambda one: one.badness)

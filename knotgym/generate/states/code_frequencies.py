@@ -10,6 +10,7 @@ import numpy as np
 
 from knotgym.rope import Rope, RopeConfig
 from knotgym.simulation import Simulation
+from knotgym.streams import Stream, generator
 from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import is_unknot
@@ -31,7 +32,7 @@ def frequencies(
         rope: physics.
         most_actions: after which to stop in any case.
     """
-    rng = np.random.default_rng([seed, 3, nx])
+    rng = generator(Stream.FREQUENCIES, seed, nx)
     simulation = Simulation(ROPES, Rope(rope), threads=0)
     loop = np.repeat(simulation.rope.qpos(simulation.rope.loop())[None], ROPES, axis=0)
     met: Counter[GaussCode] = Counter()
@@ -56,5 +57,5 @@ def natural_shares(nx: int, count: int, seed: int, rope: RopeConfig) -> dict[Gau
     met = frequencies(nx, 1000 if nx else 1, seed, rope)
     codes = sorted(met, key=lambda code: code.visits)
     weights = np.array([met[code] for code in codes], dtype=np.float64)
-    drawn = np.random.default_rng([seed, 4, nx]).multinomial(count, weights / weights.sum())
+    drawn = generator(Stream.FREQUENCY_SHARES, seed, nx).multinomial(count, weights / weights.sum())
     return {code: int(times) for code, times in zip(codes, drawn, strict=True) if times}

@@ -14,8 +14,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import numpy as np
-
 from knotgym.control.planner import PlannerConfig
 from knotgym.errors import KnotgymError
 from knotgym.generate.states.archive import Archive, Elite
@@ -28,6 +26,7 @@ from knotgym.generate.states.targeted_search import Target, reach
 from knotgym.rope import Array, Rope
 from knotgym.runs.executors import Pool
 from knotgym.runs.shards import Part
+from knotgym.streams import Stream, derived_seed, generator, key
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import knot_type
@@ -298,7 +297,11 @@ def _targets(job: Job, search: SearchConfig) -> list[Target]:
             if code not in sure:
                 aimed = job.aimed[code]
                 target = Target(
-                    search, config.planner, start, code, (search.seed, 5, nx, index, aimed)
+                    search,
+                    config.planner,
+                    start,
+                    code,
+                    key(Stream.TARGETED_SEARCH, search.seed, nx, index, aimed),
                 )
                 lacking.append(
                     (
@@ -316,7 +319,7 @@ def search_config(config: GenerateConfig) -> SearchConfig:
     seed = (
         config.seed
         if config.part.whole
-        else int(np.random.SeedSequence([config.seed, 3, config.part.number]).generate_state(1)[0])
+        else derived_seed(Stream.SHARD, config.seed, config.part.number)
     )
     return SearchConfig(
         max_nx=max(*config.nx, label(start_of(config)).nx), seed=seed, rope=config.instance.rope
@@ -362,7 +365,7 @@ def _dealt(config: GenerateConfig, nx: int, shares: dict[GaussCode, int]) -> dic
     """
     if config.part.whole:
         return shares
-    order = np.random.default_rng([config.seed, nx, 4]).permutation(len(shares))
+    order = generator(Stream.SHARD_CODES, config.seed, nx).permutation(len(shares))
     codes = [list(shares)[k] for k in order]
     wanted = [code for copy in range(max(shares.values())) for code in codes if shares[code] > copy]
     mine = Counter(config.part.dealt(wanted))
@@ -381,7 +384,7 @@ def _orders(job: Job, fresh: dict[GaussCode, Elite]) -> list[tuple[int, Order]]:
         have = Counter(instance.code.plain for instance in job.accepted[nx])
         share = list(job.shares[nx])
         ranked = [
-            share[k] for k in np.random.default_rng([config.seed, nx, 1]).permutation(len(share))
+            share[k] for k in generator(Stream.CODE_ORDER, config.seed, nx).permutation(len(share))
         ]
         if (
             not config.every_code
@@ -400,10 +403,10 @@ def _orders(job: Job, fresh: dict[GaussCode, Elite]) -> list[tuple[int, Order]]:
                 known = [one for one in known if job.archive.sure(one)] or known
             job.tried[nx][code] += 1
             # not all begin with the same handedness
-            first = int(np.random.default_rng([config.seed, nx, 6, index]).integers(2**nx))
+            first = int(generator(Stream.CHIRALITY, config.seed, nx, index).integers(2**nx))
             target = fresh[code].code if code in fresh else known[(number + first) % len(known)]
             elites = (fresh[code],) if code in fresh else tuple(job.archive.leading_to(target))
-            seed = (config.seed, 2, nx, index, config.part.first + number)
+            seed = key(Stream.CANDIDATE, config.seed, nx, index, config.part.first + number)
             out.append((nx, Order(config.instance, target, elites, start, seed)))
     return out
 

@@ -21,6 +21,7 @@ from knotgym.quality import Limits, base_spacing, measure
 from knotgym.rope import Array, Rope, RopeConfig
 from knotgym.runs.executors import Pool
 from knotgym.simulation import Simulation
+from knotgym.streams import Stream, generator
 from knotgym.topology.crossings import find_crossings, label_many
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry, mirror_images, rolled, rolls
@@ -34,7 +35,7 @@ class SearchConfig:
 
     Attributes:
         max_nx: crossings above which a state isn't kept.
-        seed: slot s of round r draws from SeedSequence([seed, r, s]).
+        seed: rope i of round r draws from stream SEARCH_ROPE with counters (r, i).
         slots: ropes in a round.
         pulls: that a rope makes in a round.
         longest: ways longer than this are not gone on with.
@@ -195,7 +196,7 @@ def play(
     config, slots = shift.config, len(shift.slots)
     simulation = simulation_of(slots, config.rope)
     simulation.restore(shift.states)
-    rngs = [np.random.default_rng([config.seed, shift.round, slot]) for slot in shift.slots]
+    rngs = [generator(Stream.SEARCH_ROPE, config.seed, shift.round, slot) for slot in shift.slots]
     hand, limits = Hand(slots), Limits()
     beads = np.zeros((slots, config.pulls), dtype=np.int16)
     forces = np.zeros((slots, config.pulls, 3), dtype=np.float32)
@@ -274,7 +275,7 @@ def _unconfirmed(archive: Archive, config: SearchConfig, number: int) -> list[Wa
     """
     if archive.settings["start"] != "loop":
         return []
-    rng = np.random.default_rng([config.seed, number, config.slots, 1])
+    rng = generator(Stream.SEARCH_REPLAYS, config.seed, number)
     sure = {
         image.plain
         for niche in archive.niches
@@ -305,7 +306,7 @@ def _parents(archive: Archive, config: SearchConfig, number: int) -> list[Elite]
     """Draw where the slots set out from: classes seldom set out from more often, then any elite
     whose way isn't too long.
     """
-    rng = np.random.default_rng([config.seed, number, config.slots])
+    rng = generator(Stream.SEARCH_PARENTS, config.seed, number)
     near = {niche: elites for niche, elites in archive.niches.items() if niche.nx <= config.max_nx}
     able = {
         niche: [one for one in elites if len(one.way) + 4 <= config.longest]

@@ -28,6 +28,7 @@ from knotgym.generate.states.job import Job
 from knotgym.quality import UNITS, Quality
 from knotgym.rendering.picture import draw_many
 from knotgym.rope import RopeConfig
+from knotgym.streams import Stream, generator
 from knotgym.tasks import TaskConfig
 from knotgym.topology.crossings import label_many
 from knotgym.topology.knots import knot_type
@@ -43,7 +44,7 @@ def states_of(job: Job) -> States:
     longest = max(len(one.actions) for _, one in instances)
     splits: list[str] = []
     for nx in config.nx:
-        rng = np.random.default_rng([config.seed, 5, nx])
+        rng = generator(Stream.SPLIT, config.seed, nx)
         splits += split(
             [one.code for one in job.accepted[nx]], config.split_by, config.train_share, rng
         ).tolist()

@@ -15,6 +15,7 @@ from knotgym.generate.states.archive import Elite
 from knotgym.generate.states.search import SearchConfig, readings, simulation_of
 from knotgym.quality import Limits
 from knotgym.rope import Array
+from knotgym.streams import generator_of
 from knotgym.topology.gauss import GaussCode
 
 
@@ -50,7 +51,7 @@ def reach(target: Target) -> Shot:
         target.goal,
         shipped_atlas(),
         planner,
-        np.random.default_rng(target.seed),
+        generator_of(target.seed),
         steps=search.longest,
     )
     if not found.solved:
