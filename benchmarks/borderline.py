@@ -3,9 +3,9 @@ that just fail it.
 
     python benchmarks/borderline.py --out docs/borderline.png
 
-The states are ropes tangled by random manoeuvres, at rest or not, with one to four crossings; those
-shown differ from acceptable ones in that measure alone, or nearly so. Prints how many of all states
-miss each limit.
+The states are ropes tangled by random macro-actions, at rest or not, with one to four crossings;
+those shown differ from acceptable ones in that measure alone, or nearly so. Prints how many of all
+states miss each limit.
 """
 
 import argparse

@@ -157,7 +157,7 @@ def main() -> None:
         "--ropes",
         type=int,
         default=2000,
-        help="rope states beside them, tangled by random manoeuvres",
+        help="rope states beside them, tangled by random macro_actions",
     )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, help="JSON file to write")

@@ -21,7 +21,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from knotgym.atomic_files import whole
+from knotgym.atomic_files import atomic_write
 from knotgym.control.planner import PlannerConfig
 from knotgym.control.policies import PolicyConfig
 from knotgym.generate.episodes.evaluate import EvaluateConfig, Result, evaluate
@@ -75,8 +75,8 @@ def play(args: argparse.Namespace) -> dict[str, dict[str, Any]]:
                         "result": asdict(result),
                         "seconds": round(time.perf_counter() - began, 1),
                     }
-                    with whole(args.out) as part:
-                        part.write_text(json.dumps(done, indent=1) + "\n", encoding="utf-8")
+                    with atomic_write(args.out) as temporary:
+                        temporary.write_text(json.dumps(done, indent=1) + "\n", encoding="utf-8")
                     Console(width=150).print(
                         f"{name}: {result.successes} of {result.episodes},"
                         f" {done[name]['seconds']} s",
@@ -158,8 +158,8 @@ def main() -> None:
     done = play(args)
     show(done)
     if args.references:
-        with whole(args.references) as part:
-            part.write_text(json.dumps(references(done), indent=1) + "\n", encoding="utf-8")
+        with atomic_write(args.references) as temporary:
+            temporary.write_text(json.dumps(references(done), indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
-"""Rope states for the other scripts: ropes that random manoeuvres have tangled, as they come, none
-chosen.
+"""Rope states for the other scripts: ropes that random macro-actions have tangled, as they come,
+none chosen.
 """
 
 from collections.abc import Iterator
 
 import numpy as np
 
-from knotgym.control.macro_actions import Hand, propose, pull
+from knotgym.control.macro_actions import WaypointController, propose, step_ropes
 from knotgym.rope import Array
 from knotgym.simulation import Simulation
 from knotgym.topology.crossings import count_crossings
@@ -21,7 +21,7 @@ def tangled(
     """Yield `count` configurations (beads, 3) with `least` to `most` crossings, at most every
     fourth pull of a rope.
     """
-    simulation, hand = Simulation(ROPES, threads=0), Hand(ROPES)
+    simulation, hand = Simulation(ROPES, threads=0), WaypointController(ROPES)
     loop = np.repeat(simulation.rope.qpos(simulation.rope.loop())[None], ROPES, axis=0)
     step = given = 0
     while True:
@@ -31,7 +31,7 @@ def tangled(
                 hand.take(rope, propose(simulation.points[rope], rng))
         for rope in np.flatnonzero(hand.idle(simulation.points)):
             hand.take(int(rope), propose(simulation.points[rope], rng))
-        pull(simulation, hand.beads, hand.forces(simulation.points))
+        step_ropes(simulation, hand.beads, hand.forces(simulation.points))
         step += 1
         for points in simulation.points if step % 4 == 0 else ():
             if least <= count_crossings(points) <= most:

@@ -24,8 +24,8 @@ from rich.table import Table
 from knotgym.atomic_files import sha256
 from knotgym.control.policies import PolicyConfig
 from knotgym.generate.episodes.collect import CollectConfig, collect
-from knotgym.generate.states.job import GenerateConfig
-from knotgym.generate.states.recipe import generate
+from knotgym.generate.states.curation_run import GenerateConfig
+from knotgym.generate.states.state_recipe import generate
 from knotgym.tasks import TaskConfig
 
 JOBS = ("state", "pixels", "main")

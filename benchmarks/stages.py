@@ -88,8 +88,8 @@ class Stopwatch:
         """Put the stopwatch on every function watched, under every name it was imported by."""
         import knotgym.cli.main
         import knotgym.generate.episodes.collect
-        import knotgym.generate.images.recipe
-        import knotgym.generate.states.recipe
+        import knotgym.generate.images.image_recipe
+        import knotgym.generate.states.state_recipe
         import knotgym.simulation
 
         class Batch(mujoco.batch.Batch):  # type: ignore[misc]
@@ -117,14 +117,14 @@ def job(name: str, number: int, of: int, size: int, folder: Path) -> None:
     """
     from knotgym.control.policies import PolicyConfig
     from knotgym.generate.episodes.collect import CollectConfig, collect
-    from knotgym.generate.images.recipe import ImagesConfig, make
-    from knotgym.generate.states.job import GenerateConfig
-    from knotgym.generate.states.recipe import generate
-    from knotgym.runs.shards import Part
+    from knotgym.generate.images.image_recipe import ImagesConfig, make
+    from knotgym.generate.states.curation_run import GenerateConfig
+    from knotgym.generate.states.state_recipe import generate
+    from knotgym.runs.shards import Shard
     from knotgym.tasks import TaskConfig
 
-    part, how = (
-        Part(number, of),
+    shard, how = (
+        Shard(number, of),
         {
             "workers": 1,
             "resume": False,
@@ -132,17 +132,17 @@ def job(name: str, number: int, of: int, size: int, folder: Path) -> None:
             "console": Console(),
         },
     )
-    out = part.folder(folder / name)
+    out = shard.folder(folder / name)
     if name == "main":
-        generate(GenerateConfig(nx=(3,), count=size * of, part=part), out, archive=None, **how)
+        generate(GenerateConfig(nx=(3,), count=size * of, shard=shard), out, archive=None, **how)
     elif name == "images":
-        make(ImagesConfig(count=size * of, part=part), out, archive=None, states=None, **how)
+        make(ImagesConfig(count=size * of, shard=shard), out, archive=None, states=None, **how)
     else:
         task = TaskConfig(task="tie", nx=2, observation=name)
         collect(
             CollectConfig(task=task, policy=PolicyConfig(policy="random"), episodes=size * of),
             out,
-            part=part,
+            shard=shard,
             **how,
         )
 

@@ -59,15 +59,15 @@ def measured(env: gym.Env[Any, Any], actions: NDArray[np.float32]) -> tuple[floa
     raw = Raw(simulation.rope, simulation.qpos()[0])
     ours, theirs = 0.0, 0.0
     for start in range(0, len(actions), CHUNK):
-        pulls = []
+        steps = []
         began = time.process_time()
         for action in actions[start : start + CHUNK]:
             info = env.step(action)[4]
-            pulls.append((info["bead"], info["force"], info["simulation_failed"]))
+            steps.append((info["bead"], info["force"], info["simulation_failed"]))
         ours += time.process_time() - began
         began = time.process_time()
-        for pull in pulls:
-            raw.pull(*pull)
+        for pull in steps:
+            raw.step(*pull)
         theirs += time.process_time() - began
     if not np.array_equal(raw.qpos, simulation.qpos()):
         raise SystemExit(

@@ -1,4 +1,4 @@
-"""Make the table of transitions that the expert's atlas is drawn from, the one that ships.
+"""Make the table of transitions that the expert's graph is drawn from, the one that ships.
 
     python benchmarks/transitions.py --seeds 8 7 0 --rounds 50 20 40
 
@@ -12,7 +12,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from knotgym.control.transition_counts import Transitions
+from knotgym.control.transition_counts import TransitionCounts
 from knotgym.generate.states.archive import Archive
 from knotgym.generate.states.search import SearchConfig, advance, new_archive
 from knotgym.runs.executors import engine
@@ -36,7 +36,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("knotgym/generate/data/transitions.h5"))
     args = parser.parse_args()
-    console, table = Console(), Transitions()
+    console, table = Console(), TransitionCounts()
     for path in args.archive:
         table.add(Archive.load(path).transitions)
     with engine(args.workers) as pool:

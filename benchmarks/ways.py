@@ -18,7 +18,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from knotgym.control.macro_actions import pull
+from knotgym.control.macro_actions import step_ropes
 from knotgym.generate.states.archive import Archive, Elite
 from knotgym.generate.states.curation import codes_of
 from knotgym.simulation import Simulation
@@ -36,15 +36,17 @@ def leads(simulation: Simulation, elite: Elite, code: GaussCode) -> int | None:
         if shown.plain != code:
             continue
         symmetry = replace(
-            symmetry, reverse=elite.reverse, roll=-elite.roll if elite.reverse else elite.roll
+            symmetry,
+            reverse=elite.reverse,
+            base_shift=-elite.base_shift if elite.reverse else elite.base_shift,
         )
         simulation.lay(rope.qpos(symmetry.configuration(rope.loop()))[None])
-        beads = symmetry.beads(elite.way.beads, rope.config.beads)
-        forces = symmetry.vectors(elite.way.forces.astype(np.float64))
+        beads = symmetry.beads(elite.sequence.beads, rope.config.beads)
+        forces = symmetry.vectors(elite.sequence.forces.astype(np.float64))
         for taken, (bead, force) in enumerate(zip(beads, forces, strict=True)):
             if label(simulation.points[0]).plain == code:
                 return taken
-            pull(simulation, np.array([bead]), force[None].astype(np.float32))
+            step_ropes(simulation, np.array([bead]), force[None].astype(np.float32))
         if label(simulation.points[0]).plain == code:
             return len(beads)
     return None
@@ -74,7 +76,7 @@ def main() -> None:
         lengths: dict[str, int] = {}
         for code in codes_of("0_1", nx):
             elites = [one for handed in archive.handed(code) for one in archive.leading_to(handed)]
-            for elite in sorted(elites, key=lambda one: len(one.way)):
+            for elite in sorted(elites, key=lambda one: len(one.sequence)):
                 if (taken := leads(simulation, elite, code)) is not None:
                     lengths[str(code)] = taken
                     break

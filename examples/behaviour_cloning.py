@@ -163,19 +163,19 @@ def examples(dataset: str, nx: int) -> Examples:
     data: dict[str, Any] = arrays(dataset, observation="state", relabel="all")
     ropes = np.asarray(data["observations"], dtype=np.float64).reshape(-1, 2, ROPE.beads, 3)
     actions = np.asarray(data["actions"], dtype=np.float32)
-    way = np.concatenate([[0], np.cumsum(data["terminals"])[:-1]])
-    inputs, beads, forces, ways = [], [], [], []
+    sequence = np.concatenate([[0], np.cumsum(data["terminals"])[:-1]])
+    inputs, beads, forces, sequences = [], [], [], []
     goal, last = GaussCode(()), -1
     for row, ((rope, wanted), action) in enumerate(zip(ropes, actions, strict=True)):
-        if way[row] != last:
-            goal, last = find_crossings(wanted).code.plain, int(way[row])
+        if sequence[row] != last:
+            goal, last = find_crossings(wanted).code.plain, int(sequence[row])
         if goal.nx == nx:
             frame = frame_of(rope, goal)
             inputs.append(seen(rope, goal, frame))
             beads.append(int(((rope - ROPE.reach * action[:3]) ** 2).sum(axis=1).argmin()))
             forces.append(frame.into(action[3:]))
-            ways.append(last)
-    number = np.unique(ways, return_inverse=True)[1]
+            sequences.append(last)
+    number = np.unique(sequences, return_inverse=True)[1]
     return Examples(
         np.array(inputs), np.array(beads), np.array(forces, dtype=np.float32), number % 10 == 9
     )

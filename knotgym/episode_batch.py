@@ -100,7 +100,7 @@ class Episodes:
         """
         simulation, config = self.simulation, self.config
         self.beads[ids], self.forces[ids] = simulation.read_actions(actions, ids)
-        self.failed[ids] = ~simulation.pull(self.beads[ids], self.forces[ids], ids)
+        self.failed[ids] = ~simulation.step(self.beads[ids], self.forces[ids], ids)
         for index, code in zip(ids, label_many(simulation.points[ids]), strict=True):
             self.codes[index] = code
         reached = np.array(

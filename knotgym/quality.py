@@ -142,7 +142,7 @@ class Limits:
                 missed.append(limit.name)
         return missed
 
-    def badness(self, quality: Quality, nx: int) -> float:
+    def objective(self, quality: Quality, nx: int) -> float:
         """How far from comfortable: nothing for a measure twice as good as its limit, 1 for each
         one just at it, more beyond.
         """
@@ -176,10 +176,11 @@ class Spots:
     faces: Array
 
     def crampedness(self, limits: Limits) -> float:
-        """How far all of them together are from comfortable, where `Limits.badness` asks the worst.
+        """How far all of them together are from comfortable, where `Limits.objective` asks the
+        worst.
 
         A rope with several tight spots gets better as any of them opens. Same scale as
-        `Limits.badness`; 0 for a roomy picture.
+        `Limits.objective`; 0 for a roomy picture.
         """
         if not len(self.angles):
             return 0.0

@@ -396,6 +396,11 @@ def sub_chains(config: RopeConfig) -> list[tuple[int, int]]:
     return [(first, after - 1) for first, after in zip(cuts[:-1], cuts[1:], strict=True)]
 
 
+def base_shifts(config: RopeConfig) -> list[int]:
+    """The renumberings that nearly are symmetries: to the start of each sub-chain, vertices."""
+    return [first for first, _ in sub_chains(config)]
+
+
 def _rotate(vectors: Array, by: Array) -> Array:
     """Rotate each vector (n, 3) by its rotation vector (n, 3), radians (Rodrigues)."""
     angle = np.linalg.norm(by, axis=1, keepdims=True)
@@ -448,7 +453,7 @@ def _equal_chords(curve: Array, count: int) -> Array:
 
 
 def _walked(points: Array) -> Array:
-    """Way along a polyline to each of its n points, from 0: float64 (n,)."""
+    """ActionSequence along a polyline to each of its n points, from 0: float64 (n,)."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 

@@ -59,7 +59,7 @@ class Simulation:
         self._qpos: Array = self._batch.bind("qpos")
         self._xfrc: Array = self._batch.bind("xfrc_applied")
         self.points: Array = self.rope.points(self._qpos)
-        self.pulled = 0
+        self.steps_taken = 0
 
     def __getstate__(self) -> dict[str, Any]:
         return {
@@ -96,7 +96,7 @@ class Simulation:
         self._qpos[where] = qpos
         self.points[where] = self.rope.points(self._qpos[where])
 
-    def pull(self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None) -> NDArray[np.bool_]:
+    def step(self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None) -> NDArray[np.bool_]:
         """Pull one bead of each rope for one action (config.frame_skip steps of the integrator).
 
         Args:
@@ -117,11 +117,11 @@ class Simulation:
             self.rope.bodies[np.asarray(beads)],
             np.asarray(forces, dtype=np.float64),
         )
-        self.pulled += len(where)
+        self.steps_taken += len(where)
         before, left = self._batch.state[where].copy(), np.arange(len(where))
         whole = np.ones(len(where), dtype=bool)
         for share in (1.0, *EASED):
-            broken, gaps = self._step(where[left], bodies[left], share * full[left])
+            broken, gaps = self._integrate(where[left], bodies[left], share * full[left])
             back = left[broken | ~(gaps < 2 * self.rope.config.radius)]
             whole[left[broken]] = False
             if not len(back):
@@ -132,7 +132,7 @@ class Simulation:
                 break
         return whole
 
-    def _step(
+    def _integrate(
         self, where: NDArray[np.int64], bodies: NDArray[np.int64], forces: Array
     ) -> tuple[NDArray[np.bool_], Array]:
         """Step ropes `where` through one action; which blew up, and the gaps of all, metres."""
@@ -167,7 +167,7 @@ class Simulation:
             InvalidAction: a NaN, or a number outside [-1, 1]; no rope has moved.
         """
         beads, forces = self.read_actions(actions, ids)
-        return self.pull(beads, forces, ids)
+        return self.step(beads, forces, ids)
 
     def read_actions(self, actions: ArrayLike, ids: Ids = None) -> tuple[NDArray[np.int64], Array]:
         """The beads int (len(ids),) and forces float64 (len(ids), 3), newtons, that actions stand

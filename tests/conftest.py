@@ -99,7 +99,7 @@ def tangled(rope: Rope) -> NDArray[np.float64]:
     return np.concatenate(seen[-5:])
 
 
-SEARCH = SearchConfig(max_nx=3, slots=8, pulls=8)
+SEARCH = SearchConfig(max_nx=3, batch_size=8, steps=8, seed=1)
 
 
 @pytest.fixture(scope="session")

@@ -20,14 +20,14 @@ import pytest
 
 from knotgym.cli import main as cli
 from knotgym.control.planner import PlannerConfig
-from knotgym.generate.states import job
-from knotgym.generate.states import recipe as main_job
-from knotgym.generate.states.candidates import InstanceConfig
-from knotgym.generate.states.hill_climb import OpeningConfig
-from knotgym.generate.states.job import GenerateConfig
+from knotgym.generate.states import curation_run as job
+from knotgym.generate.states import state_recipe as main_job
+from knotgym.generate.states.candidates import CandidateConfig
+from knotgym.generate.states.curation_run import GenerateConfig
+from knotgym.generate.states.hill_climb import HillClimbConfig
 from knotgym.generate.states.search import SearchConfig
 
-INSTANCE = InstanceConfig(opening=OpeningConfig(pulls=6, tries=4), stir_loop=4)
+INSTANCE = CandidateConfig(opening=HillClimbConfig(steps=6, tries=4), stir_loop=4)
 WAVE = 8
 AIM = PlannerConfig(budget=400)
 
@@ -36,7 +36,7 @@ _search_config, _generate = job.search_config, main_job.generate
 
 def small_search(config: GenerateConfig) -> SearchConfig:
     """The search of a job, in rounds of 8 slots of 8 pulls."""
-    return replace(_search_config(config), slots=8, pulls=8)
+    return replace(_search_config(config), batch_size=8, steps=8)
 
 
 @contextmanager
@@ -45,7 +45,7 @@ def small() -> Iterator[None]:
 
     def generate(config: GenerateConfig, *arguments: Any, **keywords: Any) -> None:
         _generate(
-            replace(config, wave=WAVE, instance=INSTANCE, planner=AIM), *arguments, **keywords
+            replace(config, wave=WAVE, candidate=INSTANCE, planner=AIM), *arguments, **keywords
         )
 
     with (

@@ -277,7 +277,7 @@ def test_every_measure_has_a_unit() -> None:
 
 
 def test_a_perfect_state_has_no_faults() -> None:
-    assert Limits().faults(PERFECT, 3) == [] and Limits().badness(PERFECT, 3) == 0
+    assert Limits().faults(PERFECT, 3) == [] and Limits().objective(PERFECT, 3) == 0
 
 
 @pytest.mark.parametrize("name", [field.name for field in fields(Limits)])
@@ -304,7 +304,7 @@ def test_the_worse_a_measure_the_greater_the_badness(name: str) -> None:
     bound = getattr(Limits(), name)
     most = name in ("excess_crossing_number", "total_curvature")
     scores = [
-        Limits().badness(
+        Limits().objective(
             replace(PERFECT, **{name: bound * (4 if name == "total_curvature" else 1) * share}), 3
         )
         for share in (0.9, 1.0, 1.1)
@@ -319,4 +319,4 @@ def test_more_crossings_may_turn_more() -> None:
 
 def test_what_was_not_measured_is_no_fault() -> None:
     unmeasured = replace(PERFECT, noise_survival=math.nan, excess_crossing_number=math.nan)
-    assert Limits().faults(unmeasured, 3) == [] and Limits().badness(unmeasured, 3) == 0
+    assert Limits().faults(unmeasured, 3) == [] and Limits().objective(unmeasured, 3) == 0

@@ -46,7 +46,7 @@ def test_one_batched_rope_is_mujocos_own_loop(rope: Rope) -> None:
     rng = np.random.default_rng(0)
     for _ in range(4):
         bead, force = int(rng.integers(100)), rng.uniform(-0.2, 0.2, 3)
-        simulation.pull([bead], force[None])
+        simulation.step([bead], force[None])
         data.xfrc_applied[rope.bodies[bead], :3] = force
         for _ in range(rope.config.frame_skip):
             mujoco.mj_step(rope.model, data)
@@ -153,7 +153,7 @@ def test_bad_actions_are_refused_and_nothing_moves(
 def test_a_call_refused_by_mujoco_leaves_no_force_behind(rope: Rope) -> None:
     simulation, other = Simulation(2, rope), Simulation(2, rope)
     with pytest.raises(ValueError, match="sorted and unique"):
-        simulation.pull([3, 3], np.full((2, 3), 0.2), [1, 1])
+        simulation.step([3, 3], np.full((2, 3), 0.2), [1, 1])
     assert np.array_equal(moved(simulation, 2), moved(other, 2))
 
 
@@ -167,7 +167,7 @@ def test_an_action_pulls_the_nearest_bead(rope: Rope) -> None:
 def test_a_pulled_bead_goes_where_it_is_pulled(rope: Rope) -> None:
     simulation = Simulation(1, rope)
     before = simulation.points[0, 40].copy()
-    simulation.pull([40], [[0.0, 0.0, 0.2]])
+    simulation.step([40], [[0.0, 0.0, 0.2]])
     assert 0.02 < simulation.points[0, 40, 2] - before[2] < 0.06
 
 
@@ -226,7 +226,7 @@ def test_a_blown_up_rope_can_be_laid_again(rope: Rope) -> None:
 
 def test_a_force_that_is_no_number_moves_nothing(rope: Rope) -> None:
     simulation = Simulation(2, rope)
-    assert simulation.pull([0, 0], [[np.nan, 0, 0], [0.1, 0, 0]]).tolist() == [False, True]
+    assert simulation.step([0, 0], [[np.nan, 0, 0], [0.1, 0, 0]]).tolist() == [False, True]
     assert np.isfinite(simulation.points).all()
 
 
@@ -283,7 +283,7 @@ def test_the_root_of_a_sub_chain_is_bookkeeping(nx: int, finer: int, share: floa
         for rope, start in zip(made, starts, strict=True):
             simulation = Simulation(1, rope)
             simulation.lay(start[None])
-            assert simulation.pull([bead], force[None]).all()
+            assert simulation.step([bead], force[None]).all()
             ends.append(simulation.points[0].copy())
         way = np.linalg.norm(ends[0] - points, axis=1).max()
         assert way > 0.02

@@ -23,7 +23,7 @@ from knotgym.datasets.state_verification import folder_faults, state_faults
 from knotgym.datasets.states import merge_states, read_states, write_states
 from knotgym.datasets.video import FRAMES_PER_SECOND, captioned, write_film
 from knotgym.errors import KnotgymError
-from knotgym.generate.merge_shards import merge_shards, shard_of
+from knotgym.generate.merge_shards import merge_shards, shard_folder_of
 from knotgym.rendering.picture import draw
 from knotgym.rope import Array, Rope
 from knotgym.simulation import Simulation
@@ -139,8 +139,8 @@ def show(path: str, console: Console) -> None:
     rejected = manifest.get("report", {}).get("rejected", {})
     if rejected:
         console.print(
-            f"{manifest['report']['attempts']} instances made; rejected, by reason (an instance can"
-            " have several):",
+            f"{manifest['report']['attempts']} candidates made; rejected, by reason (a candidate"
+            " can have several):",
             highlight=False,
         )
         for nx, reasons in rejected.items():
@@ -171,7 +171,7 @@ def faults(path: str, console: Console | None) -> Iterator[str]:
 
 def merge(sources: Sequence[str], out: Path) -> None:
     """Put datasets of one kind together, or the shards of one run."""
-    found = [shard for source in sources if (shard := shard_of(source))]
+    found = [shard for source in sources if (shard := shard_folder_of(source))]
     if found:
         if len(found) < len(sources):
             raise UnknownDataset(

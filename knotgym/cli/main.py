@@ -16,11 +16,11 @@ import typer
 from rich.console import Console
 
 from knotgym.cli.dataset_commands import dataset_app
-from knotgym.cli.options import Engine, Scheduler, Shard
+from knotgym.cli.options import EngineOption, SchedulerOption, ShardOption
 from knotgym.cli.policy_commands import collect, evaluate
 from knotgym.errors import KnotgymError
 from knotgym.runs.executors import LostWorkers, scheduler_of
-from knotgym.runs.shards import Part
+from knotgym.runs.shards import Shard
 
 app = typer.Typer(
     add_completion=False,
@@ -87,7 +87,7 @@ def generate(
     balance: Annotated[
         str,
         typer.Option(
-            help='"even" over codes, or "natural": as often as a random policy meets them.'
+            help='"even" over codes, or "empirical": as often as a random policy meets them.'
         ),
     ] = "even",
     split_by: Annotated[
@@ -103,7 +103,7 @@ def generate(
         Path | None, typer.Option(help="Go on from the archive of another run (its archive.h5).")
     ] = None,
     attempts: Annotated[
-        int, typer.Option(help="Instances tried, for each state wanted, before giving up.")
+        int, typer.Option(help="Candidates tried, for each state wanted, before giving up.")
     ] = 100,
     cycles: Annotated[
         int,
@@ -116,17 +116,21 @@ def generate(
     ] = 0,
     seed: Seed = 0,
     workers: Workers = 0,
-    engine: Engine = "local",
-    scheduler: Scheduler = "",
-    shard: Shard = "",
+    engine: EngineOption = "local",
+    scheduler: SchedulerOption = "",
+    shard: ShardOption = "",
     resume: Resume = False,
     quiet: Quiet = False,
 ) -> None:
     """Make curated states, split into train and test, with the trajectories that reach them."""
-    from knotgym.generate.states.job import GenerateConfig
-    from knotgym.generate.states.recipe import generate as run_job
+    from knotgym.generate.states.curation_run import GenerateConfig
+    from knotgym.generate.states.state_recipe import generate as run_job
 
-    cluster, wanted, part = scheduler_of(engine, scheduler, workers), numbers(nx), Part.parse(shard)
+    cluster, wanted, part = (
+        scheduler_of(engine, scheduler, workers),
+        numbers(nx),
+        Shard.parse(shard),
+    )
     config = GenerateConfig(
         nx=wanted,
         count=count,
@@ -137,7 +141,7 @@ def generate(
         seed=seed,
         attempts=attempts,
         cycles=cycles,
-        part=part,
+        shard=part,
     )
     target = part.folder(out or Path("knotgym-data") / f"nx{nx.replace(' ', '')}")
     run_job(
@@ -184,22 +188,22 @@ def images(
     ] = "128",
     seed: Seed = 0,
     workers: Workers = 0,
-    engine: Engine = "local",
-    scheduler: Scheduler = "",
-    shard: Shard = "",
+    engine: EngineOption = "local",
+    scheduler: SchedulerOption = "",
+    shard: ShardOption = "",
     resume: Resume = False,
     quiet: Quiet = False,
 ) -> None:
     """Make a perception dataset: pictures with Gauss code, crossings, coordinates and
     difficulty.
     """
-    from knotgym.generate.images.recipe import ImagesConfig, make
+    from knotgym.generate.images.image_recipe import ImagesConfig, make
     from knotgym.rendering.appearance import VARIED, AppearanceConfig
 
     cluster, wanted, part, sizes = (
         scheduler_of(engine, scheduler, workers),
         numbers(nx),
-        Part.parse(shard),
+        Shard.parse(shard),
         size.split(","),
     )
     if not all(one.strip().isdecimal() for one in sizes):
@@ -221,7 +225,7 @@ def images(
         code_share=code_share,
         seed=seed,
         appearance=AppearanceConfig(vary=varied or (), sizes=tuple(map(int, sizes))),
-        part=part,
+        shard=part,
     )
     target = part.folder(out or Path("knotgym-data") / f"images-nx{nx.replace(' ', '')}")
     make(
@@ -248,7 +252,7 @@ def main_generate(arguments: Sequence[str] | None = None) -> None:
 
 
 def _run(command: typer.Typer, arguments: Sequence[str] | None) -> None:
-    from knotgym.generate.states.job import NotEnough
+    from knotgym.generate.states.curation_run import NotEnough
 
     for number in _SIGNALS:
         signal.signal(number, _interrupt)

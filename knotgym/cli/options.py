@@ -6,13 +6,13 @@ from typing import Annotated
 
 import typer
 
-Engine = Annotated[
+EngineOption = Annotated[
     str,
     typer.Option(
         help="local, or dask: the workers of a Dask cluster, on a file system that all of them see."
     ),
 ]
-Shard = Annotated[
+ShardOption = Annotated[
     str,
     typer.Option(
         help=(
@@ -21,6 +21,6 @@ Shard = Annotated[
         )
     ),
 ]
-Scheduler = Annotated[
+SchedulerOption = Annotated[
     str, typer.Option(help="Address of the cluster's scheduler, such as tcp://127.0.0.1:8786.")
 ]

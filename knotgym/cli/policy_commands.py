@@ -8,11 +8,11 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from knotgym.cli.options import Engine, Scheduler, Shard
+from knotgym.cli.options import EngineOption, SchedulerOption, ShardOption
 from knotgym.control.planner import PlannerConfig
 from knotgym.control.policies import PolicyConfig
 from knotgym.runs.executors import scheduler_of
-from knotgym.runs.shards import Part
+from knotgym.runs.shards import Shard
 from knotgym.tasks import TaskConfig
 
 _POLICIES = (
@@ -80,9 +80,9 @@ def collect(
     code_permalink: Annotated[str | None, typer.Option(help="For the metadata.")] = None,
     seed: Seed = 0,
     workers: Workers = 0,
-    engine: Engine = "local",
-    scheduler: Scheduler = "",
-    shard: Shard = "",
+    engine: EngineOption = "local",
+    scheduler: SchedulerOption = "",
+    shard: ShardOption = "",
     resume: Annotated[bool, typer.Option("--resume", help="Finish an interrupted run.")] = False,
     quiet: Quiet = False,
 ) -> None:
@@ -90,7 +90,7 @@ def collect(
     from knotgym.generate.episodes.collect import CollectConfig
     from knotgym.generate.episodes.collect import collect as run
 
-    cluster, part = scheduler_of(engine, scheduler, workers), Part.parse(shard)
+    cluster, part = scheduler_of(engine, scheduler, workers), Shard.parse(shard)
     config = CollectConfig(
         task=TaskConfig(
             task=task,
@@ -121,7 +121,7 @@ def collect(
         quiet=quiet,
         console=Console(),
         scheduler=cluster,
-        part=part,
+        shard=part,
     )
 
 

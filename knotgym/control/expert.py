@@ -2,8 +2,8 @@
 says.
 
 Each episode has a budget of simulated actions for all its plans together. When no plan is left to
-be had, the expert goes on without looking ahead, by manoeuvres that are like those that led towards
-the goal before.
+be had, the expert goes on without looking ahead, by macro-actions that are like those that led
+towards the goal before.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.control.macro_actions import Hand
+from knotgym.control.macro_actions import WaypointController
 from knotgym.control.planner import REST, Plan, PlannerConfig, guided, plan
 from knotgym.control.policies import Choice, Effort
-from knotgym.control.transition_graph import Atlas, shipped_atlas
+from knotgym.control.transition_graph import TransitionGraph, shipped_transition_graph
 from knotgym.episode_batch import Episodes
 from knotgym.simulation import Simulation
 
@@ -39,21 +39,23 @@ class _Mind:
 class Expert:
     """Leads every rope to its goal code; a `policies.Policy`."""
 
-    def __init__(self, config: PlannerConfig | None = None, atlas: Atlas | None = None) -> None:
+    def __init__(
+        self, config: PlannerConfig | None = None, graph: TransitionGraph | None = None
+    ) -> None:
         """Args:
         config: how hard to plan.
-        atlas: distances between codes, by default the one that comes with the package.
+        graph: distances between codes, by default the one that comes with the package.
         """
         self.config = config or PlannerConfig()
-        self._atlas = atlas
+        self._atlas = graph
         self._simulation: Simulation | None = None
         self._minds: dict[int, _Mind] = {}
-        self._hand = Hand(0)
+        self._controller = WaypointController(0)
 
     def begin(self, episodes: Episodes, index: int, rng: np.random.Generator) -> None:
-        if len(self._hand.beads) != episodes.count:
-            self._hand = Hand(episodes.count)
-        self._hand.drop(index)
+        if len(self._controller.beads) != episodes.count:
+            self._controller = WaypointController(episodes.count)
+        self._controller.release(index)
         self._minds[index] = _Mind(rng)
 
     def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
@@ -77,7 +79,7 @@ class Expert:
     def forget(self, index: int) -> None:
         """Plan anew before the next action."""
         self._minds[index].plan = None
-        self._hand.drop(index)
+        self._controller.release(index)
 
     def name(self, index: int) -> str:
         return "expert"
@@ -88,7 +90,7 @@ class Expert:
 
     def _planned(self, episodes: Episodes, index: int, mind: _Mind) -> Plan:
         if self._simulation is None:
-            self._simulation = Simulation(self.config.slots, episodes.simulation.rope)
+            self._simulation = Simulation(self.config.batch_size, episodes.simulation.rope)
         state = episodes.simulation.states([index])[0]
         left = int(episodes.config.horizon - episodes.steps[index])
         hold = (
@@ -115,16 +117,17 @@ class Expert:
         if episodes.codes[index].matches(episodes.goals[index]):
             mind.kind = REST
             return simulation.actions([0], np.zeros((1, 3)), [index])[0]
-        if self._hand.idle(points)[index]:
+        self._controller.advance(points)
+        if self._controller.idle[index]:
             distances = self._used().distances(episodes.goals[index])
-            manoeuvre = guided(points[index], self._used(), distances, mind.rng)
-            mind.kind = manoeuvre.kind
-            self._hand.take(index, manoeuvre)
-            self._hand.idle(points)
-        forces = self._hand.forces(points)[[index]] * simulation.rope.config.max_force
-        return simulation.actions(self._hand.beads[[index]], forces, [index])[0]
+            macro_action = guided(points[index], self._used(), distances, mind.rng)
+            mind.kind = macro_action.kind
+            self._controller.begin(index, macro_action)
+            self._controller.advance(points)
+        forces = self._controller.forces(points)[[index]] * simulation.rope.config.max_force
+        return simulation.actions(self._controller.beads[[index]], forces, [index])[0]
 
-    def _used(self) -> Atlas:
+    def _used(self) -> TransitionGraph:
         if self._atlas is None:
-            self._atlas = shipped_atlas()
+            self._atlas = shipped_transition_graph()
         return self._atlas

@@ -1,7 +1,7 @@
-"""Scripted manoeuvres: what a hand does to a rope with one bead in a few pulls.
+"""Scripted macro_actions: what a hand does to a rope with one bead in a few pulls.
 
-A manoeuvre leads one bead past waypoints; one pull moves it by three to five centimetres. They are
-drawn at random from what is near, without a goal: `pass` (over or under another strand), `curl`
+A macro-action leads one bead past waypoints; one pull moves it by three to five centimetres. They
+are drawn at random from what is near, without a goal: `pass` (over or under another strand), `curl`
 (over or under a strand close by along the rope, which makes or takes a kink), `spread` (away from
 the middle), `shift` (anywhere).
 """
@@ -25,7 +25,7 @@ LIFT = 0.03  # metres above or below a strand that a bead passes it at
 
 
 @dataclass(frozen=True)
-class Manoeuvre:
+class MacroAction:
     """Lead `bead` past `waypoints`, float64 (k, 3), metres, world frame.
 
     Attributes:
@@ -40,8 +40,8 @@ class Manoeuvre:
     side: int = 0
 
 
-def propose(points: Array, rng: np.random.Generator) -> Manoeuvre:
-    """Draw a manoeuvre for a configuration (beads, 3)."""
+def propose(points: Array, rng: np.random.Generator) -> MacroAction:
+    """Draw a macro-action for a configuration (beads, 3)."""
     beads = len(points)
     kind = KINDS[rng.choice(4, p=(0.4, 0.25, 0.1, 0.25))]
     bead = int(rng.integers(beads))
@@ -58,19 +58,19 @@ def propose(points: Array, rng: np.random.Generator) -> Manoeuvre:
 
 def move_aside(
     points: Array, kind: str, bead: int, side: int, rng: np.random.Generator
-) -> Manoeuvre:
+) -> MacroAction:
     """Lead `bead` away from the rope's middle ("spread"), or anywhere, lifted (side +1) or lowered
     (-1) ("shift").
     """
-    way = points[bead, :2] - points[:, :2].mean(axis=0)
+    offset = points[bead, :2] - points[:, :2].mean(axis=0)
     heading = (
-        np.arctan2(way[1], way[0]) + rng.normal(0, 0.5)
+        np.arctan2(offset[1], offset[0]) + rng.normal(0, 0.5)
         if kind == "spread"
         else rng.uniform(-np.pi, np.pi)
     )
     far = rng.uniform(0.03, 0.2)
     height = points[bead, 2] + (0.0 if kind == "spread" else side * LIFT)
-    return Manoeuvre(
+    return MacroAction(
         kind,
         bead,
         _waypoints(points, bead, heading, height, far, far),
@@ -81,55 +81,56 @@ def move_aside(
 
 def pass_strand(
     points: Array, kind: str, bead: int, target: int, side: int, rng: np.random.Generator
-) -> Manoeuvre:
+) -> MacroAction:
     """Lead `bead` over (side +1) or under (-1) the bead `target` and some way on."""
-    way = points[target, :2] - points[bead, :2]
-    far = min(float(np.hypot(*way)), 0.3)
-    heading = np.arctan2(way[1], way[0]) + rng.normal(0, 0.3)
+    offset = points[target, :2] - points[bead, :2]
+    far = min(float(np.hypot(*offset)), 0.3)
+    heading = np.arctan2(offset[1], offset[0]) + rng.normal(0, 0.3)
     waypoints = _waypoints(
         points, bead, heading, points[target, 2] + side * LIFT, far, far + rng.uniform(0.02, 0.09)
     )
-    return Manoeuvre(kind, bead, waypoints, target, side)
+    return MacroAction(kind, bead, waypoints, target, side)
 
 
-class Hand:
-    """Leads one bead of each of n ropes through its manoeuvre, pull by pull."""
+class WaypointController:
+    """Leads one bead of each of n ropes through its macro-action, pull by pull."""
 
     def __init__(self, count: int) -> None:
         self.beads = np.zeros(count, dtype=np.int64)
         self._waypoints = np.zeros((count, 3, 3))
         self._stage = np.full(count, 3)
 
-    def take(self, index: int, manoeuvre: Manoeuvre) -> None:
-        """Begin a manoeuvre on rope `index`."""
-        self.beads[index] = manoeuvre.bead
-        self._waypoints[index] = manoeuvre.waypoints
+    def begin(self, index: int, macro_action: MacroAction) -> None:
+        """Begin a macro-action on rope `index`."""
+        self.beads[index] = macro_action.bead
+        self._waypoints[index] = macro_action.waypoints
         self._stage[index] = 0
 
-    def drop(self, index: int) -> None:
+    def release(self, index: int) -> None:
         """Let go of rope `index`."""
         self._stage[index] = 3
 
-    def idle(self, points: Array) -> NDArray[np.bool_]:
-        """Which ropes have reached their last waypoint, bool (n,); points (n, beads, 3)."""
+    @property
+    def idle(self) -> NDArray[np.bool_]:
+        """Which ropes have no waypoint left to go to, bool (n,)."""
+        return self._stage >= 3
+
+    def advance(self, points: Array) -> None:
+        """Go on to the next waypoint where the bead is at one; points (n, beads, 3)."""
         rows = np.arange(len(self.beads))
         for _ in range(3):
             stage = np.minimum(self._stage, 2)
-            near = (
-                np.linalg.norm(self._waypoints[rows, stage] - points[rows, self.beads], axis=1)
-                < ARRIVED
-            )
-            self._stage += near & (self._stage < 3)
-        return self._stage >= 3
+            offset = self._waypoints[rows, stage] - points[rows, self.beads]
+            self._stage += (np.linalg.norm(offset, axis=1) < ARRIVED) & (self._stage < 3)
 
     def forces(self, points: Array) -> Array:
         """The pulls to make now, in units of the largest force, float64 (n, 3), at most 1 long; 0
         for an idle rope.
         """
         rows = np.arange(len(self.beads))
-        way = self._waypoints[rows, np.minimum(self._stage, 2)] - points[rows, self.beads]
-        far = np.linalg.norm(way, axis=1, keepdims=True)
-        pull = way / np.maximum(far, 1e-9) * np.minimum(1.0, far / STRIDE)
+        offset = self._waypoints[rows, np.minimum(self._stage, 2)] - points[rows, self.beads]
+        far = np.linalg.norm(offset, axis=1, keepdims=True)
+        pull = offset / np.maximum(far, 1e-9) * np.minimum(1.0, far / STRIDE)
         return np.where((self._stage < 3)[:, None], pull, 0.0)
 
 
@@ -145,7 +146,7 @@ def _waypoints(
 
 
 @dataclass(frozen=True)
-class Way:
+class ActionSequence:
     """Pulls that lead from one state to another, by bead and not by place, so that they fit a rope
     that lies otherwise.
 
@@ -160,23 +161,23 @@ class Way:
     def __len__(self) -> int:
         return len(self.beads)
 
-    def jittered(self, scale: float, rng: np.random.Generator) -> Way:
+    def jittered(self, scale: float, rng: np.random.Generator) -> ActionSequence:
         """The same pulls, each stronger or weaker by a share of about `scale`: another try where
         the way itself just misses.
         """
         strength = 1 + rng.normal(0, scale, (len(self), 1))
-        return Way(self.beads, np.clip(self.forces * strength, -1, 1).astype(np.float32))
+        return ActionSequence(self.beads, np.clip(self.forces * strength, -1, 1).astype(np.float32))
 
-    def __add__(self, other: Way) -> Way:
-        return Way(
+    def __add__(self, other: ActionSequence) -> ActionSequence:
+        return ActionSequence(
             np.concatenate([self.beads, other.beads]), np.concatenate([self.forces, other.forces])
         )
 
 
-NO_WAY = Way(np.zeros(0, dtype=np.int16), np.zeros((0, 3), dtype=np.float32))
+NO_ACTIONS = ActionSequence(np.zeros(0, dtype=np.int16), np.zeros((0, 3), dtype=np.float32))
 
 
-def pull(
+def step_ropes(
     simulation: Simulation,
     beads: NDArray[np.integer],
     forces: NDArray[np.floating],

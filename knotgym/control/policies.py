@@ -1,7 +1,7 @@
 """Policies: who pulls. One interface for a batch of ropes, every draw from a generator handed in.
 
 random          uniform in [-1, 1]^6
-scripted        one manoeuvre after the other, without a goal
+scripted        one macro-action after the other, without a goal
 expert          plans in the simulator from the state the rope is in, see `expert`
 noisy-expert    an expert; each pull is a random one instead with probability `noise`, and the
                 expert plans anew
@@ -26,7 +26,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.control.macro_actions import Hand, propose
+from knotgym.control.macro_actions import WaypointController, propose
 from knotgym.control.planner import PlannerConfig
 from knotgym.episode_batch import Episodes
 from knotgym.errors import KnotgymError
@@ -174,31 +174,32 @@ class Random(_Plain):
 
 
 class Scripted(_Plain):
-    """Manoeuvre after manoeuvre, any that may change something."""
+    """MacroAction after macro-action, any that may change something."""
 
     def __init__(self) -> None:
         super().__init__("scripted")
-        self._hand = Hand(0)
+        self._controller = WaypointController(0)
         self._kinds: dict[int, str] = {}
 
     def begin(self, episodes: Episodes, index: int, rng: np.random.Generator) -> None:
         super().begin(episodes, index, rng)
-        if len(self._hand.beads) != episodes.count:
-            self._hand = Hand(episodes.count)
-        self._hand.drop(index)
+        if len(self._controller.beads) != episodes.count:
+            self._controller = WaypointController(episodes.count)
+        self._controller.release(index)
 
     def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
         simulation = episodes.simulation
-        idle = self._hand.idle(simulation.points)
+        self._controller.advance(simulation.points)
+        idle = self._controller.idle
         for i in ids:
             if idle[i]:
-                manoeuvre = propose(simulation.points[i], self._rngs[int(i)])
-                self._kinds[int(i)] = manoeuvre.kind
-                self._hand.take(int(i), manoeuvre)
-        self._hand.idle(simulation.points)
-        forces = self._hand.forces(simulation.points)[ids] * simulation.rope.config.max_force
+                macro_action = propose(simulation.points[i], self._rngs[int(i)])
+                self._kinds[int(i)] = macro_action.kind
+                self._controller.begin(int(i), macro_action)
+        self._controller.advance(simulation.points)
+        forces = self._controller.forces(simulation.points)[ids] * simulation.rope.config.max_force
         return Choice(
-            simulation.actions(self._hand.beads[ids], forces, ids),
+            simulation.actions(self._controller.beads[ids], forces, ids),
             [self._kinds[int(i)] for i in ids],
         )
 

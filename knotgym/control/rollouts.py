@@ -61,7 +61,7 @@ def episode_seed(seed: int, number: int) -> int:
     return derived_seed(Stream.EPISODE, seed, number)
 
 
-def roll(task: TaskConfig, policy: Policy, numbers: Sequence[int], seed: int) -> list[Rollout]:
+def rollout(task: TaskConfig, policy: Policy, numbers: Sequence[int], seed: int) -> list[Rollout]:
     """Play episodes side by side.
 
     Args:

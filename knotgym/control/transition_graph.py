@@ -1,6 +1,6 @@
-"""How far a code is from a goal, in manoeuvres: shortest ways over the counted changes of codes.
+"""How far a code is from a goal, in macro_actions: shortest ways over the counted changes of codes.
 
-A change that one manoeuvre in n makes costs n manoeuvres, and more where few were tried. The
+A change that one macro-action in n makes costs n macro-actions, and more where few were tried. The
 distances of all codes to a goal come from Dijkstra's algorithm, run backwards from the goal; a code
 that the counts don't reach is as far as the last one reached and farther by its crossings.
 """
@@ -15,15 +15,15 @@ from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
 
-from knotgym.control.transition_counts import Grip, Transitions, spins, spun
+from knotgym.control.transition_counts import MacroTemplate, TransitionCounts, elements, transformed
 from knotgym.topology.diagrams import chiralities
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.symmetry import class_of
+from knotgym.topology.symmetry import canonical_form
 
-# failures added to those counted, so that a change seen in two of three manoeuvres isn't taken at
-# its word
+# failures added to those counted: a change seen in two of three macro-actions isn't taken at its
+# word
 DOUBT = 30.0
-STRANGE = 30.0  # manoeuvres that a crossing too many or too few costs where nothing is known
+STRANGE = 30.0  # macro-actions that a crossing too many or too few costs where nothing is known
 
 
 class Step(NamedTuple):
@@ -31,15 +31,15 @@ class Step(NamedTuple):
 
     Attributes:
         after: the code it shows.
-        chance: that a random manoeuvre makes it.
-        gain: manoeuvres that it saves.
-        grips: examples.
+        chance: that a random macro-action makes it.
+        gain: macro-actions that it saves.
+        templates: examples.
     """
 
     after: GaussCode
     chance: float
     gain: float
-    grips: tuple[Grip, ...]
+    templates: tuple[MacroTemplate, ...]
 
 
 @dataclass
@@ -49,7 +49,7 @@ class Distances:
     Attributes:
         nx: its crossings.
         goals: the codes with chirality that show it.
-        far: code -> expected manoeuvres, for the codes known.
+        far: code -> expected macro-actions, for the codes known.
         hops: code -> changes of code on the way.
         beyond: what codes not in `far` are at least away.
     """
@@ -61,14 +61,14 @@ class Distances:
     beyond: float = 0.0
 
     def __call__(self, code: GaussCode) -> float:
-        """Expected manoeuvres from a code with chirality."""
+        """Expected macro-actions from a code with chirality."""
         return self.far.get(code, self.beyond + STRANGE * max(1, abs(code.nx - self.nx)))
 
 
-class Atlas:
+class TransitionGraph:
     """The graph of codes that transitions make, every symmetry used."""
 
-    def __init__(self, transitions: Transitions) -> None:
+    def __init__(self, transitions: TransitionCounts) -> None:
         self._transitions = transitions
         self._after: dict[
             GaussCode, list[tuple[GaussCode, float]]
@@ -79,7 +79,7 @@ class Atlas:
         for (before, after), seen in transitions.seen.items():
             chance = seen / (transitions.tried[before] + DOUBT)
             self._after.setdefault(before, []).append((after, chance))
-            self._before.setdefault(class_of(after), []).append((before, after, chance))
+            self._before.setdefault(canonical_form(after), []).append((before, after, chance))
         self._known: dict[GaussCode, Distances] = {}
         self._backwards: dict[GaussCode, list[tuple[GaussCode, float]]] = {}
 
@@ -92,19 +92,20 @@ class Atlas:
         return self._known[goal.plain]
 
     def steps(self, code: GaussCode, distances: Distances) -> list[Step]:
-        """Changes out of a code that lead nearer to the goal, with chances and grips for a rope
+        """Changes out of a code that lead nearer to the goal, with chances and templates for a rope
         that shows this very code.
         """
         out = []
-        base, here, arcs = class_of(code), distances(code), 2 * code.nx + 1
-        for spin in spins(code):
+        base, here, arcs = canonical_form(code), distances(code), 2 * code.nx + 1
+        for element in elements(code):
             for shown, chance in self._after.get(base, []):
-                after = spun(shown, spin)
+                after = transformed(shown, element)
                 if distances(after) < here - 1e-9:
-                    grips = tuple(
-                        grip.spun(spin, arcs) for grip in self._transitions.grips[base, shown]
+                    templates = tuple(
+                        template.transformed(element, arcs)
+                        for template in self._transitions.templates[base, shown]
                     )
-                    out.append(Step(after, chance, here - distances(after), grips))
+                    out.append(Step(after, chance, here - distances(after), templates))
         return out
 
     def _search(self, goal: GaussCode) -> Distances:
@@ -129,9 +130,9 @@ class Atlas:
         if code in self._backwards:
             return self._backwards[code]
         best: dict[GaussCode, float] = {}
-        for before, after, chance in self._before.get(class_of(code), []):
-            for spin in _between(after, code):
-                origin = spun(before, spin)
+        for before, after, chance in self._before.get(canonical_form(code), []):
+            for element in _between(after, code):
+                origin = transformed(before, element)
                 best[origin] = max(best.get(origin, 0.0), chance)
         self._backwards[code] = list(best.items())
         return self._backwards[code]
@@ -139,15 +140,15 @@ class Atlas:
 
 @lru_cache(maxsize=200_000)
 def _between(one: GaussCode, other: GaussCode) -> tuple[tuple[bool, bool, bool], ...]:
-    """The spins that take one code to another of its class."""
+    """The elements that take one code to another of its class."""
     each = (False, True)
     return tuple(
-        (a, b, c) for a in each for b in each for c in each if spun(one, (a, b, c)) == other
+        (a, b, c) for a in each for b in each for c in each if transformed(one, (a, b, c)) == other
     )
 
 
 @lru_cache(maxsize=4)
-def shipped_atlas() -> Atlas:
-    """The atlas that comes with the package; an empty one if it was left out."""
+def shipped_transition_graph() -> TransitionGraph:
+    """The graph that comes with the package; an empty one if it was left out."""
     path = Path(str(files("knotgym.control") / "data" / "transitions.h5"))
-    return Atlas(Transitions.load(path) if path.is_file() else Transitions())
+    return TransitionGraph(TransitionCounts.load(path) if path.is_file() else TransitionCounts())

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.atomic_files import new_hdf5, whole
+from knotgym.atomic_files import atomic_write, new_hdf5
 from knotgym.datasets.episode_reader import (
     FORMAT,
     FORMAT_VERSION,
@@ -73,7 +73,10 @@ class EpisodeWriter:
     def __enter__(self) -> Self:
         with ExitStack() as stack:
             self._file = stack.enter_context(
-                _created(stack.enter_context(whole(self.path)), _attributes(self.task, self.stored))
+                _created(
+                    stack.enter_context(atomic_write(self.path)),
+                    _attributes(self.task, self.stored),
+                )
             )
             self._stack = stack.pop_all()
         return self
@@ -180,7 +183,7 @@ def merge(
         "rope": first.rope,
         "versions": json.dumps(versions),
     }
-    with whole(target) as part, _created(part, said) as file:
+    with atomic_write(target) as temporary, _created(temporary, said) as file:
         for number, (_, reader, i) in enumerate(order):
             source, group = reader.group(i), file.create_group(f"episode_{number}")
             _copy(source, group, number, keep=store == first.stored)

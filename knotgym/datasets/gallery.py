@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.atomic_files import whole
+from knotgym.atomic_files import atomic_write
 from knotgym.datasets.states import States
 
 _EDGE, _TEXT = 6, 30  # pixels round a tile, and below its picture
@@ -73,5 +73,5 @@ def write_png(path: str | os.PathLike[str], image: NDArray[np.uint8]) -> None:
     encoded, data = cv2.imencode(".png", image[..., ::-1])
     if not encoded:
         raise ValueError(f"no PNG can be made of an array of shape {image.shape}")
-    with whole(path) as part:
-        part.write_bytes(data.tobytes())
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(data.tobytes())

@@ -19,9 +19,9 @@ import mujoco
 import numpy as np
 
 import knotgym
-from knotgym.atomic_files import new_hdf5, sha256, whole
+from knotgym.atomic_files import atomic_write, new_hdf5, sha256
 from knotgym.datasets.image_table import GRADES, SPLITS, read_table
-from knotgym.generate.images.seed_states import Bases
+from knotgym.generate.images.seed_states import SeedStates
 from knotgym.generate.images.walks import Frames
 from knotgym.rope import RopeConfig
 
@@ -34,7 +34,7 @@ def finish(
     shards: Sequence[Path],
     asked: Mapping[str, Any],
     report: Mapping[str, Any],
-    start: Bases,
+    start: SeedStates,
     walks: Sequence[Frames],
 ) -> None:
     """Write walks, card and manifest into a folder whose shards are written; the manifest comes
@@ -53,8 +53,8 @@ def close(
     """Write card and manifest into a folder that has everything else."""
     facts = summary(folder)
     text = card(facts, asked["config"], report, sum(path.stat().st_size for path in shards))
-    with whole(folder / "README.md") as part:
-        part.write_text(text, encoding="utf-8")
+    with atomic_write(folder / "README.md") as temporary:
+        temporary.write_text(text, encoding="utf-8")
     manifest = {
         "format": "knotgym-images-manifest",
         "format_version": 1,
@@ -73,11 +73,11 @@ def close(
             if path.is_file() and path.name != "manifest.json"
         },
     }
-    with whole(folder / "manifest.json") as part:
-        part.write_text(json.dumps(manifest, indent=1, sort_keys=True), encoding="utf-8")
+    with atomic_write(folder / "manifest.json") as temporary:
+        temporary.write_text(json.dumps(manifest, indent=1, sort_keys=True), encoding="utf-8")
 
 
-def write_walks(path: Path, start: Bases, walks: Sequence[Frames], used: set[int]) -> None:
+def write_walks(path: Path, start: SeedStates, walks: Sequence[Frames], used: set[int]) -> None:
     """Write the walks whose numbers are used, and the states they set out from."""
     rows = [
         (number, unit, row)
@@ -119,7 +119,7 @@ def join_walks(path: Path, sources: Sequence[Path]) -> None:
 
 def _write_walks(path: Path, columns: Mapping[str, np.ndarray]) -> None:
     squeezed = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
-    with whole(path) as part, new_hdf5(part) as file:
+    with atomic_write(path) as temporary, new_hdf5(temporary) as file:
         file.attrs["format"], file.attrs["format_version"], file.attrs["rope"] = (
             WALKS_FORMAT,
             WALKS_VERSION,

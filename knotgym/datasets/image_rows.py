@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from knotgym.atomic_files import sha256, whole
+from knotgym.atomic_files import atomic_write, sha256
 from knotgym.datasets.image_table import encode, write_rows
 from knotgym.difficulty import grade
 from knotgym.errors import KnotgymError
@@ -47,7 +47,7 @@ class Row:
 
 
 @dataclass(frozen=True, eq=False)
-class Shard:
+class TableFile:
     """A file to be written, and a file for its checksum, by which a later sitting knows that it is
     whole.
     """
@@ -58,7 +58,7 @@ class Shard:
     appearance: AppearanceConfig
 
 
-def write_shard(shard: Shard) -> Path:
+def write_table_file(shard: TableFile) -> Path:
     """Write a shard unless it is there already, unspoilt; it appears whole.
 
     Raises:
@@ -70,8 +70,8 @@ def write_shard(shard: Shard) -> Path:
         and shard.seal.read_bytes() == sha256(shard.path).encode()
     ):
         write_rows(shard.path, [record(row, shard.appearance) for row in shard.rows])
-        with whole(shard.seal) as part:
-            part.write_text(sha256(shard.path))
+        with atomic_write(shard.seal) as temporary:
+            temporary.write_text(sha256(shard.path))
     return shard.path
 
 

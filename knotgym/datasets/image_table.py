@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.atomic_files import whole
+from knotgym.atomic_files import atomic_write
 from knotgym.errors import KnotgymError
 
 FORMAT = "knotgym-images"
@@ -149,9 +149,9 @@ def write_rows(path: str | os.PathLike[str], rows: Sequence[Mapping[str, Any]]) 
 
 def write_table(path: str | os.PathLike[str], table: Any) -> None:
     """As `write_rows`, of a pyarrow.Table that has the schema."""
-    with whole(path) as part:
+    with atomic_write(path) as temporary:
         arrow("pyarrow.parquet").write_table(
-            table, part, row_group_size=ROW_GROUP, compression="zstd", write_page_index=True
+            table, temporary, row_group_size=ROW_GROUP, compression="zstd", write_page_index=True
         )
 
 

@@ -267,9 +267,8 @@ def _trip_faults(trip: _Trip) -> list[str]:
     for where, place, source, stored in trip.rows:
         frame = traces[place, source["pulls"]]
         points = relaxed(frame, source["rounds"], rope) if source["rounds"] else frame
-        symmetry = Symmetry(
-            **{name: source[name] for name in ("reflect", "switch", "reverse", "roll")}
-        )
+        moved = {name: source[name] for name in ("reflect", "switch", "reverse")}
+        symmetry = Symmetry(**moved, base_shift=source["roll"])
         if points is None or not np.array_equal(symmetry.configuration(points), stored):
             out.append(f"{where}: its walk, made again, does not end in its points bit for bit")
     return out

@@ -25,7 +25,7 @@ from typing import Any
 import gymnasium
 
 import knotgym
-from knotgym.atomic_files import whole
+from knotgym.atomic_files import atomic_write
 from knotgym.datasets.episode_reader import EpisodeReader, InvalidEpisodeFile, minari_root
 from knotgym.datasets.episode_writer import merge
 from knotgym.tasks import TaskConfig
@@ -120,8 +120,8 @@ def publish(
         raise InvalidEpisodeFile(
             "a Minari dataset has observations; the compact form is a file, see `compact`"
         )
-    with whole(folder) as part:
-        data = part / "data"
+    with atomic_write(folder) as temporary:
+        data = temporary / "data"
         data.mkdir(parents=True)
         merge(
             sources,
@@ -130,7 +130,7 @@ def publish(
             concatenate=concatenate,
             attributes={"metadata": json.dumps(asdict(metadata))},
         )
-        merged = EpisodeReader(part)
+        merged = EpisodeReader(temporary)
         entries = {
             **minari_entries(metadata, merged.task),
             "total_episodes": len(merged),

@@ -21,7 +21,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.atomic_files import new_hdf5, whole
+from knotgym.atomic_files import atomic_write, new_hdf5
 from knotgym.errors import KnotgymError
 
 FORMAT = "knotgym-states"
@@ -104,7 +104,7 @@ def write_states(path: str | os.PathLike[str], states: States) -> None:
     """Write a state file; it appears under its name whole or not at all."""
     if states.image is None:
         raise InvalidStates("a state file holds images; these states were read without")
-    with whole(path) as part, new_hdf5(part) as file:
+    with atomic_write(path) as temporary, new_hdf5(temporary) as file:
         for name, value in {
             "format": FORMAT,
             "format_version": FORMAT_VERSION,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from knotgym.atomic_files import whole
+from knotgym.atomic_files import atomic_write
 from knotgym.errors import KnotgymError
 
 FRAMES_PER_SECOND = 5  # an action lasts 0.192 s
@@ -58,11 +58,11 @@ def write_film(path: str | os.PathLike[str], frames: Sequence[NDArray[np.uint8]]
     kind = Path(path).suffix.lower()
     if kind not in (".gif", ".mp4"):
         raise UnknownFilm(f"a video ends in .gif or .mp4, got {os.fspath(path)!r}")
-    with whole(path) as part:
+    with atomic_write(path) as temporary:
         if kind == ".gif":
             images = [Image.fromarray(frame) for frame in frames]
             images[0].save(
-                part,
+                temporary,
                 save_all=True,
                 append_images=images[1:],
                 duration=1000 // FRAMES_PER_SECOND,
@@ -71,7 +71,7 @@ def write_film(path: str | os.PathLike[str], frames: Sequence[NDArray[np.uint8]]
             return
         height, width = frames[0].shape[:2]
         writer = cv2.VideoWriter(
-            str(part), cv2.VideoWriter.fourcc(*"mp4v"), FRAMES_PER_SECOND, (width, height)
+            str(temporary), cv2.VideoWriter.fourcc(*"mp4v"), FRAMES_PER_SECOND, (width, height)
         )
         if not writer.isOpened():
             raise UnknownFilm("this build of OpenCV has no mp4 encoder; write a .gif")

@@ -39,8 +39,8 @@ from knotgym.generate.episodes.collect import REPORT, CollectConfig, Tally, writ
 from knotgym.generate.states import state_folder as output
 from knotgym.generate.states.archive import Archive
 from knotgym.generate.states.curation import split
-from knotgym.runs.shards import Part
-from knotgym.runs.staging import Occupied, held
+from knotgym.runs.shards import Shard
+from knotgym.runs.staging import Occupied, staging
 from knotgym.streams import Stream, generator
 from knotgym.tasks import TaskConfig
 from knotgym.topology.gauss import GaussCode
@@ -53,43 +53,45 @@ class InvalidMerge(KnotgymError, ValueError):
 
 
 @dataclass(frozen=True)
-class Shard:
-    """A folder that a part of a run made.
+class ShardFolder:
+    """A folder that a shard of a run made.
 
     Attributes:
         kind: "states", "episodes" or "images".
-        part: which.
+        shard: which.
         asked: the rest of the run's settings; shards of one run have the same.
         said: its manifest or report.
     """
 
     folder: Path
     kind: str
-    part: Part
+    shard: Shard
     asked: dict[str, Any]
     said: dict[str, Any]
 
 
-def shard_of(source: str) -> Shard | None:
+def shard_folder_of(source: str) -> ShardFolder | None:
     """What a folder says it is a shard of; None of anything else."""
     folder = Path(source)
     for name in ("manifest.json", REPORT):
         try:
             said = json.loads((folder / name).read_text(encoding="utf-8"))
             config = dict(said["config"])
-            part = Part(**config.pop("part"))
+            shard = Shard(**config.pop("shard"))
         except (OSError, ValueError, KeyError, TypeError):
             continue
         asked = {"config": config, "source": said.get("source"), "version": said.get("version")}
         return (
             None
-            if part.whole
-            else Shard(folder, _FORMATS.get(said.get("format"), "episodes"), part, asked, said)
+            if shard.is_whole
+            else ShardFolder(
+                folder, _FORMATS.get(said.get("format"), "episodes"), shard, asked, said
+            )
         )
     return None
 
 
-def merge_shards(found: Sequence[Shard], out: Path) -> Path:
+def merge_shards(found: Sequence[ShardFolder], out: Path) -> Path:
     """Put all the shards of a run together.
 
     Args:
@@ -103,34 +105,34 @@ def merge_shards(found: Sequence[Shard], out: Path) -> Path:
         InvalidMerge: some are missing, are there twice, are spoilt, or belong to different runs.
         Occupied: there is something in the way.
     """
-    ordered = sorted(found, key=lambda shard: shard.part.number)
+    ordered = sorted(found, key=lambda one: one.shard.number)
     first = ordered[0]
     for other in ordered[1:]:
-        if (other.kind, other.part.of, other.asked) != (first.kind, first.part.of, first.asked):
+        if (other.kind, other.shard.of, other.asked) != (first.kind, first.shard.of, first.asked):
             raise InvalidMerge(
                 f"{first.folder} and {other.folder} are not shards of one run: they were asked for"
                 " different things"
             )
-    numbers = [shard.part.number for shard in ordered]
-    missing = sorted(set(range(1, first.part.of + 1)) - set(numbers))
+    numbers = [shard.shard.number for shard in ordered]
+    missing = sorted(set(range(1, first.shard.of + 1)) - set(numbers))
     if missing:
         raise InvalidMerge(
-            f"of {first.part.of} shards {', '.join(map(str, missing))}"
+            f"of {first.shard.of} shards {', '.join(map(str, missing))}"
             f" {'is' if len(missing) == 1 else 'are'} missing"
         )
-    if len(numbers) > first.part.of:
+    if len(numbers) > first.shard.of:
         raise InvalidMerge(f"a shard is named twice: {', '.join(map(str, numbers))}")
     for shard in ordered:
         for name, digest in shard.said["files"].items():
             path = shard.folder / name
             if not path.is_file() or sha256(path) != digest:
                 raise InvalidMerge(
-                    f"{path} is missing or spoilt (SHA-256 differs); make shard {shard.part} again"
+                    f"{path} is missing or spoilt (SHA-256 differs); make shard {shard.shard} again"
                 )
     folder = out / first.asked["config"]["dataset_id"] if first.kind == "episodes" else out
     if folder.exists():
         raise Occupied(f"{folder} is there already; choose another --out, or remove it")
-    with held(folder, resume=False) as partial:
+    with staging(folder, resume=False) as partial:
         made = {"states": _states, "episodes": _episodes, "images": _images}[first.kind](
             ordered, partial / "whole"
         )
@@ -139,9 +141,9 @@ def merge_shards(found: Sequence[Shard], out: Path) -> Path:
     return folder
 
 
-def _states(ordered: Sequence[Shard], folder: Path) -> Path:
+def _states(ordered: Sequence[ShardFolder], folder: Path) -> Path:
     read = [read_states(shard.folder / "states.h5") for shard in ordered]
-    config = {**ordered[0].asked["config"], "part": asdict(Part())}
+    config = {**ordered[0].asked["config"], "shard": asdict(Shard())}
     merged = merge_states(read)
     order = np.argsort(np.concatenate([states.nx for states in read]), kind="stable")
     number = np.repeat(np.arange(len(read)), [len(states) for states in read])[order]
@@ -173,16 +175,16 @@ def _states(ordered: Sequence[Shard], folder: Path) -> Path:
     write_states(folder / "states.h5", merged)
     for nx in sorted(set(merged.nx.tolist())):
         mine = np.flatnonzero(merged.nx == nx)
-        ways = [
+        sequences = [
             Chosen(
-                output.ways_folder(shard.folder / "minari", nx),
+                output.demonstrations_folder(shard.folder / "minari", nx),
                 trajectories[mine[number[mine] == k]].tolist(),
             )
             for k, shard in enumerate(ordered)
         ]
-        output.publish_ways(
+        output.publish_demonstrations(
             nx,
-            [one for one in ways if one.episode_indices],
+            [one for one in sequences if one.episode_indices],
             len(mine),
             folder / "minari",
             folder / "states.h5",
@@ -250,7 +252,7 @@ def _report_of_states(reports: Sequence[dict[str, Any]], near: int) -> dict[str,
     }
 
 
-def _episodes(ordered: Sequence[Shard], folder: Path) -> Path:
+def _episodes(ordered: Sequence[ShardFolder], folder: Path) -> Path:
     asked = ordered[0].asked["config"]
     policy = PolicyConfig(
         **{
@@ -282,7 +284,7 @@ def _tuples(settings: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _images(ordered: Sequence[Shard], folder: Path) -> Path:
+def _images(ordered: Sequence[ShardFolder], folder: Path) -> Path:
     pa = arrow()
     tables = [path for shard in ordered for path in shards(shard.folder)]
     points = [points_of(read_table(path, columns=["points"])) for path in tables]
@@ -294,7 +296,7 @@ def _images(ordered: Sequence[Shard], folder: Path) -> Path:
         )
     )
     near = sum(int((~rows).sum()) for rows in kept.values())
-    config = {**ordered[0].asked["config"], "part": asdict(Part())}
+    config = {**ordered[0].asked["config"], "shard": asdict(Shard())}
     written: list[Path] = []
     for name in SPLITS:
         mine = [
@@ -304,9 +306,9 @@ def _images(ordered: Sequence[Shard], folder: Path) -> Path:
                 shard_name(name, 0, 1).removeprefix("data/").split("-")[0] + "-"
             )
         ]
-        count = -(-sum(int(kept[path].sum()) for path in mine) // config["shard"])
+        count = -(-sum(int(kept[path].sum()) for path in mine) // config["rows_per_file"])
         chosen = (read_table(path).filter(pa.array(kept[path])) for path in mine)
-        for index, table in enumerate(_cut(chosen, config["shard"])):
+        for index, table in enumerate(_cut(chosen, config["rows_per_file"])):
             written.append(folder / shard_name(name, index, count))
             write_table(written[-1], table)
     image_folder.join_walks(folder / "walks.h5", [shard.folder / "walks.h5" for shard in ordered])

@@ -12,7 +12,7 @@ Every loader takes a dataset as a Minari id, a folder, an episode file (compact 
 Torch, d3rlpy and TensorDict are imported only by the loaders that are for them.
 """
 
-from knotgym.loaders.adapters import MissingExtra, to_d3rlpy, to_tensordict, torch_dataset
+from knotgym.loaders.converters import MissingExtra, to_d3rlpy, to_tensordict, torch_dataset
 from knotgym.loaders.perception import images
 from knotgym.loaders.rows import arrays
 from knotgym.loaders.transitions import Transitions

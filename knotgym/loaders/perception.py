@@ -8,7 +8,7 @@ import importlib
 import os
 from typing import Any
 
-from knotgym.loaders.adapters import MissingExtra
+from knotgym.loaders.converters import MissingExtra
 
 KINDS = ("torch", "huggingface")
 

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from knotgym.generate.states.job import Job
+from knotgym.generate.states.curation_run import Job
 
 _EVERY = 10.0  # seconds between plain lines
 
@@ -39,12 +39,16 @@ class Progress:
         """Show where the job stands."""
         if self._quiet:
             return
-        accepted = sum(len(instances) for instances in job.accepted.values())
+        accepted = sum(len(candidates) for candidates in job.accepted.values())
         wanted = sum(job.wanted(nx) for nx in job.config.nx)
         actions = job.steps()
         seconds = time.perf_counter() - self._began
         codes = len(
-            {instance.code.plain for instances in job.accepted.values() for instance in instances}
+            {
+                candidate.code.plain
+                for candidates in job.accepted.values()
+                for candidate in candidates
+            }
         )
         rejected: Counter[str] = sum(job.rejected.values(), Counter())
         left = seconds * (wanted - accepted) / accepted if accepted else float("nan")

@@ -18,7 +18,7 @@ class Occupied(KnotgymError, ValueError):
     """The folder cannot be written to now."""
 
 
-def partial_of(out: Path) -> Path:
+def staging_folder(out: Path) -> Path:
     """The folder `.NAME.partial` beside `out`, in which everything stands until `out` is
     finished.
     """
@@ -26,7 +26,7 @@ def partial_of(out: Path) -> Path:
 
 
 @contextmanager
-def held(out: Path, resume: bool) -> Iterator[Path]:
+def staging(out: Path, resume: bool) -> Iterator[Path]:
     """Hold the partial folder of `out`, emptied unless an earlier run's work is to be resumed.
 
     The folder stays until the caller removes it.
@@ -34,8 +34,8 @@ def held(out: Path, resume: bool) -> Iterator[Path]:
     Raises:
         Occupied: another process holds it.
     """
-    partial = partial_of(out)
-    with locked(partial):
+    partial = staging_folder(out)
+    with lock_folder(partial):
         for path in [] if resume else partial.iterdir():
             if path.name != "lock":
                 shutil.rmtree(path) if path.is_dir() else path.unlink()
@@ -43,7 +43,7 @@ def held(out: Path, resume: bool) -> Iterator[Path]:
 
 
 @contextmanager
-def locked(partial: Path) -> Iterator[None]:
+def lock_folder(partial: Path) -> Iterator[None]:
     """Hold a folder, as it is; the lock goes with the process, however it ends, so that none is
     ever stale.
 

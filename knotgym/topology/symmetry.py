@@ -16,9 +16,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.rope import Array, RopeConfig, sub_chains
 from knotgym.topology.crossings import Crossings
 from knotgym.topology.gauss import GaussCode
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -31,14 +32,14 @@ class Symmetry:
         switch: z -> -z.
         turn: about z, radians, after the reflection.
         reverse: the new vertex j is the old vertex -j.
-        roll: then, the new vertex j is the old vertex j + roll.
+        base_shift: then, the new vertex j is the old vertex j + base_shift.
     """
 
     reflect: bool = False
     switch: bool = False
     turn: float = 0.0
     reverse: bool = False
-    roll: int = 0
+    base_shift: int = 0
 
     def vectors(self, v: Array) -> Array:
         """Positions or forces (..., 3), as the symmetry moves them."""
@@ -53,13 +54,13 @@ class Symmetry:
 
     def configuration(self, points: Array) -> Array:
         """A configuration (beads, 3), moved and renumbered."""
-        index = np.arange(len(points)) + self.roll
+        index = np.arange(len(points)) + self.base_shift
         return self.vectors(points)[(-index if self.reverse else index) % len(points)]
 
     def beads(self, beads: NDArray[np.integer], count: int) -> NDArray[np.int64]:
         """New numbers of beads; bead b lies between the vertices b and b + 1."""
         old = np.asarray(beads, dtype=np.int64)
-        return ((-old - 1 if self.reverse else old) - self.roll) % count
+        return ((-old - 1 if self.reverse else old) - self.base_shift) % count
 
     def back_to_loop(self, count: int) -> Symmetry:
         """The exact symmetry that lays a plain loop of `count` beads, moved by this one, down as it
@@ -68,7 +69,7 @@ class Symmetry:
         A loop lies as it did after a turn; one that was mirrored, or walked the other way, after a
         reflection and a turn.
         """
-        rolled, half = 2 * np.pi * self.roll / count, np.pi if self.reverse else 0.0
+        rolled, half = 2 * np.pi * self.base_shift / count, np.pi if self.reverse else 0.0
         if self.reflect != self.reverse:
             return Symmetry(reflect=True, turn=self.turn - rolled - half)
         return Symmetry(turn=-(half + rolled + self.turn))
@@ -99,10 +100,10 @@ def variants(code: GaussCode) -> Iterator[tuple[GaussCode, Symmetry]]:
 
 
 @lru_cache(maxsize=200_000)
-def class_of(code: GaussCode) -> GaussCode:
+def canonical_form(code: GaussCode) -> GaussCode:
     """The code that stands for all its variants: the first in order of visits and chirality.
 
-    >>> class_of(GaussCode.parse("1+a,1-a")) == class_of(GaussCode.parse("1-c,1+c"))
+    >>> canonical_form(GaussCode.parse("1+a,1-a")) == canonical_form(GaussCode.parse("1-c,1+c"))
     True
     """
     return min((member for member, _ in variants(code)), key=_order)
@@ -114,15 +115,10 @@ def mirror_images(code: GaussCode) -> tuple[GaussCode, ...]:
     return tuple(sorted({image for image, _ in mirrorings(code)}, key=_order))
 
 
-def rolls(rope: RopeConfig) -> list[int]:
-    """The renumberings that nearly are symmetries: to the start of each sub-chain, vertices."""
-    return [first for first, _ in sub_chains(rope)]
-
-
-def rolled(crossings: Crossings, roll: int) -> GaussCode:
-    """The code of the same rope with its walk starting at vertex `roll`."""
+def shifted_base(crossings: Crossings, base_shift: int) -> GaussCode:
+    """The code of the same rope with its walk starting at vertex `base_shift`."""
     places = np.concatenate([crossings.over_place, crossings.under_place])
-    return crossings.code.rebased(int((places < roll).sum()))
+    return crossings.code.rebased(int((places < base_shift).sum()))
 
 
 def _order(code: GaussCode) -> tuple[tuple[int, ...], str]:

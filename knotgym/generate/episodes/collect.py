@@ -20,9 +20,9 @@ from typing import Any, NamedTuple
 from rich.console import Console
 
 import knotgym
-from knotgym.atomic_files import sha256, whole
+from knotgym.atomic_files import atomic_write, sha256
 from knotgym.control.policies import PolicyConfig, make_policy
-from knotgym.control.rollouts import roll
+from knotgym.control.rollouts import rollout
 from knotgym.datasets.episode_reader import minari_root
 from knotgym.datasets.episode_writer import EpisodeWriter, merge
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
@@ -30,13 +30,13 @@ from knotgym.datasets.states import states_file
 from knotgym.errors import KnotgymError
 from knotgym.rope import RopeConfig
 from knotgym.runs.executors import engine
-from knotgym.runs.shards import Part
-from knotgym.runs.staging import Occupied, held, partial_of
+from knotgym.runs.shards import Shard
+from knotgym.runs.staging import Occupied, staging, staging_folder
 from knotgym.tasks import TaskConfig
 
 SHARD = 4  # episodes; part of the format of a run under way, not of a dataset
 REPORT = "collection.json"
-_WHOLE = Part()
+_WHOLE = Shard()
 _REFERENCES = Path(__file__).parent / "data" / "references.json"
 
 
@@ -88,7 +88,7 @@ class CollectConfig:
         return self.task if self.task.states is None else replace(self.task, states=self.dataset_id)
 
 
-class _Shard(NamedTuple):
+class _EpisodeFile(NamedTuple):
     """Work for one process: episodes `numbers`, to `path`."""
 
     config: CollectConfig
@@ -136,7 +136,7 @@ def collect(
     quiet: bool,
     console: Console,
     scheduler: str = "",
-    part: Part = _WHOLE,
+    shard: Shard = _WHOLE,
 ) -> Path:
     """Make the dataset and return its folder.
 
@@ -161,32 +161,32 @@ def collect(
     make_policy(config.policy)  # refuses what isn't there before any work is done
     _metadata(config, Tally())  # refuses a bad id
     root = Path(out) if out is not None else minari_root()
-    folder = part.folder(root / config.dataset_id)
-    settings = json.loads(json.dumps({**asdict(config), "part": asdict(part)}))
-    numbers = part.share(config.episodes)
+    folder = shard.folder(root / config.dataset_id)
+    settings = json.loads(json.dumps({**asdict(config), "shard": asdict(shard)}))
+    numbers = shard.share(config.episodes)
     if not numbers:
         raise InvalidCollection(
-            f"shard {part} of {config.episodes} episodes has none: cut the run into fewer shards"
+            f"shard {shard} of {config.episodes} episodes has none: cut the run into fewer shards"
         )
     if folder.exists():
         if resume and settings_of(folder) == settings:
             # killed between its last two steps
-            shutil.rmtree(partial_of(folder), ignore_errors=True)
+            shutil.rmtree(staging_folder(folder), ignore_errors=True)
             if not quiet:
                 console.print(f"{folder} is finished already", soft_wrap=True)
             return folder
         raise Occupied(f"{folder} is there already; choose another --out or --id, or remove it")
     began = time.perf_counter()
-    with held(folder, resume) as partial:
+    with staging(folder, resume) as partial:
         if settings_of(partial) not in (None, settings):
             raise InvalidCollection(
                 f"{partial} holds another collection than the one asked for; give the same options"
                 " again, or start without --resume"
             )
-        with whole(partial / REPORT) as file:
+        with atomic_write(partial / REPORT) as file:
             file.write_text(json.dumps({"config": settings}))
         shards = [
-            _Shard(
+            _EpisodeFile(
                 config, numbers[first : first + SHARD], partial / f"shard-{first // SHARD:06d}.h5"
             )
             for first in range(0, len(numbers), SHARD)
@@ -196,10 +196,10 @@ def collect(
         shutil.rmtree(staged, ignore_errors=True)
         made = (
             write_whole(config, [shard.path for shard in shards], tally, staged)
-            if part.whole
+            if shard.is_whole
             else staged
         )
-        if not part.whole:
+        if not shard.is_whole:
             made.mkdir()
             merge([shard.path for shard in shards], made / "main_data.hdf5")
             _report(
@@ -245,7 +245,7 @@ def write_whole(
     made = publish(sources, _metadata(config, tally), root, concatenate=concatenate, states=carried)
     _report(
         made / "data" / REPORT,
-        json.loads(json.dumps({**asdict(config), "part": asdict(_WHOLE)})),
+        json.loads(json.dumps({**asdict(config), "shard": asdict(_WHOLE)})),
         tally,
     )
     return made
@@ -263,7 +263,7 @@ def _report(path: Path, settings: Any, tally: Tally, files: dict[str, str] | Non
 
 
 def _play_all(
-    shards: Sequence[_Shard], workers: int, scheduler: str, quiet: bool, console: Console
+    shards: Sequence[_EpisodeFile], workers: int, scheduler: str, quiet: bool, console: Console
 ) -> Tally:
     """Play the shards that aren't finished; the tally of all."""
     done = {shard.path: _finished(shard.path) for shard in shards}
@@ -287,12 +287,12 @@ def _play_all(
     return total
 
 
-def play(shard: _Shard) -> Tally:
+def play(shard: _EpisodeFile) -> Tally:
     """Play a shard and write it, then its tally beside it; a shard without a tally isn't
     finished.
     """
     config = shard.config
-    rollouts = roll(config.task, make_policy(config.policy), shard.numbers, config.seed)
+    rollouts = rollout(config.task, make_policy(config.policy), shard.numbers, config.seed)
     kept = [one for one in rollouts if one.success or config.keep_failed]
     with EpisodeWriter(shard.path, config.stored_task) as writer:
         for one in kept:
@@ -307,8 +307,8 @@ def play(shard: _Shard) -> Tally:
         planning_seconds=sum(one.effort.seconds for one in rollouts),
         simulation_failures=sum(bool(one.episode.simulation_failed[-1]) for one in rollouts),
     )
-    with whole(shard.path.with_suffix(".json")) as part:
-        part.write_text(
+    with atomic_write(shard.path.with_suffix(".json")) as temporary:
+        temporary.write_text(
             json.dumps({"sha256": sha256(shard.path), "tally": asdict(tally)}), encoding="utf-8"
         )
     return tally

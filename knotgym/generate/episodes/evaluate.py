@@ -20,9 +20,9 @@ from rich.console import Console
 from rich.table import Table
 
 import knotgym
-from knotgym.atomic_files import whole
+from knotgym.atomic_files import atomic_write
 from knotgym.control.policies import PolicyConfig, make_policy
-from knotgym.control.rollouts import Rollout, roll
+from knotgym.control.rollouts import Rollout, rollout
 from knotgym.datasets.trajectory import Episode
 from knotgym.errors import KnotgymError
 from knotgym.runs.executors import Pool, engine
@@ -262,8 +262,10 @@ def run(
     if not quiet:
         show(results, console)
     if out is not None:
-        with whole(out) as part:
-            part.write_text(json.dumps(report(config, results), indent=1) + "\n", encoding="utf-8")
+        with atomic_write(out) as temporary:
+            temporary.write_text(
+                json.dumps(report(config, results), indent=1) + "\n", encoding="utf-8"
+            )
     if video is not None:
         write_film(video, [frame for episode in films for frame in film(episode, config.task)])
     return results
@@ -292,7 +294,7 @@ def film(episode: Episode, task: TaskConfig) -> list[NDArray[np.uint8]]:
 
 
 def _play(piece: _Piece) -> list[_Played]:
-    rollouts = roll(piece.task, make_policy(piece.policy), piece.numbers, piece.seed)
+    rollouts = rollout(piece.task, make_policy(piece.policy), piece.numbers, piece.seed)
     return [_counted(one, one.number < piece.filmed) for one in rollouts]
 
 

@@ -24,15 +24,15 @@ from knotgym.rope import Array, Rope
 from knotgym.simulation import Simulation
 from knotgym.topology.crossings import label
 from knotgym.topology.knots import knot_type
-from knotgym.topology.symmetry import class_of
+from knotgym.topology.symmetry import canonical_form
 
 
-class NoBases(KnotgymError, ValueError):
+class NoSeedStates(KnotgymError, ValueError):
     """There is nothing to set out from."""
 
 
 @dataclass(frozen=True, eq=False)
-class Bases:
+class SeedStates:
     """n states, at most as many families.
 
     Attributes:
@@ -57,16 +57,18 @@ class Bases:
         return len(self.states)
 
 
-def bases(nx: tuple[int, ...], archive: Path | None = None, states: Path | None = None) -> Bases:
+def seed_states(
+    nx: tuple[int, ...], archive: Path | None = None, states: Path | None = None
+) -> SeedStates:
     """Read the states with at most as many crossings as are wanted; the curated states that ship
     unless another file is given.
 
     Raises:
-        NoBases: both files were given, or nothing in them will do.
+        NoSeedStates: both files were given, or nothing in them will do.
         FileNotFoundError, InvalidArchive, InvalidStates: of a file.
     """
     if archive and states:
-        raise NoBases(
+        raise NoSeedStates(
             "set out from an archive or from states, not from both: give --archive or --states"
         )
     simulation = Simulation(1, Rope())
@@ -81,14 +83,14 @@ def bases(nx: tuple[int, ...], archive: Path | None = None, states: Path | None 
             elite.state for elite in {elite.state.tobytes(): elite for elite in elites}.values()
         ]
         if rows and len(rows[0]) != simulation.states().shape[1]:
-            raise NoBases(
+            raise NoSeedStates(
                 f"{archive} was made with another rope: its states have {len(rows[0])} numbers,"
                 f" this rope's {simulation.states().shape[1]}"
             )
     else:
         table = read_states(states or shipped(), images=False)
         if table.attributes.get("rope") != simulation.rope.config.fingerprint:
-            raise NoBases(
+            raise NoSeedStates(
                 f"{states} was made with another rope, {table.attributes.get('rope')}; this one is"
                 f" {simulation.rope.config.fingerprint}"
             )
@@ -97,7 +99,7 @@ def bases(nx: tuple[int, ...], archive: Path | None = None, states: Path | None 
             simulation.lay(qpos[None])
             rows.append(simulation.states()[0])
     if not rows:
-        raise NoBases(f"{archive or states} holds no state with at most {max(nx)} crossings")
+        raise NoSeedStates(f"{archive or states} holds no state with at most {max(nx)} crossings")
     points = []
     for row in rows:
         simulation.restore(row[None])
@@ -106,15 +108,17 @@ def bases(nx: tuple[int, ...], archive: Path | None = None, states: Path | None 
     kinds = {
         code: number
         for number, code in enumerate(
-            sorted({class_of(code) for code in codes}, key=lambda code: (code.nx, code.chiral))
+            sorted(
+                {canonical_form(code) for code in codes}, key=lambda code: (code.nx, code.chiral)
+            )
         )
     }
     path = archive or states or shipped()
-    return Bases(
+    return SeedStates(
         states=np.stack(rows),
         points=np.stack(points),
         nx=np.array([code.nx for code in codes], dtype=np.int64),
-        kind=np.array([kinds[class_of(code)] for code in codes], dtype=np.int64),
+        kind=np.array([kinds[canonical_form(code)] for code in codes], dtype=np.int64),
         family=families(np.stack(points), NEAR),
         knots=tuple(sorted({knot_type(code) for code in codes})),
         source={

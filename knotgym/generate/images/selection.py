@@ -138,7 +138,7 @@ class Chooser:
                 reflect=reflect,
                 switch=bool(draws[0] < 0.5),
                 reverse=bool(draws[1] < 0.5),
-                roll=int(draws[2] * beads),
+                base_shift=int(draws[2] * beads),
             )
         places = np.sort(np.concatenate([crossings.over_place, crossings.under_place]))
         gaps = [_inside(float(places[k - 1]), float(places[k]), beads) for k in range(len(places))]
@@ -159,7 +159,7 @@ class Chooser:
             reflect=reflect,
             switch=option.switch,
             reverse=option.reverse,
-            roll=(-base if option.reverse else base) % beads,
+            base_shift=(-base if option.reverse else base) % beads,
         )
 
     def _apart(self, points: Array) -> bool:

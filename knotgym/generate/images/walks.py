@@ -2,9 +2,9 @@
 they began with and of others.
 
 Most walks move single beads aside, which as a rule keeps the code; the others are led through
-manoeuvres that pass strands over each other, as the search's are. Of the frames met, those are kept
-whose label is beyond doubt and whose picture shows it: as they are, opened up a little, and opened
-up much.
+macro-actions that pass strands over each other, as the search's are. Of the frames met, those are
+kept whose label is beyond doubt and whose picture shows it: as they are, opened up a little, and
+opened up much.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.control.macro_actions import Hand, move_aside, propose, pull
+from knotgym.control.macro_actions import WaypointController, move_aside, propose, step_ropes
 from knotgym.difficulty import ease
 from knotgym.quality import Limits, measure
 from knotgym.relaxation import relaxed
@@ -61,7 +61,7 @@ class Unit:
     walks: tuple[Walk, ...]
     states: Array
     seed: int
-    pulls: int
+    steps: int
     stride: int
     max_nx: int
 
@@ -84,7 +84,7 @@ class Frames:
 
     points: Array
     walk: NDArray[np.int64]
-    pulls: NDArray[np.int64]
+    steps: NDArray[np.int64]
     rounds: NDArray[np.int64]
     ease: Array
     numbers: NDArray[np.int64]
@@ -103,28 +103,29 @@ def stir(unit: Unit) -> Frames:
     simulation.restore(unit.states, ids)
     rngs = [generator(Stream.IMAGE_WALK, unit.seed, walk.number) for walk in unit.walks]
     gentle = [bool(rng.random() < GENTLE) for rng in rngs]
-    hand, alive = Hand(count), np.ones(count, dtype=bool)
+    controller, alive = WaypointController(count), np.ones(count, dtype=bool)
     beads, forces = (
-        np.zeros((count, unit.pulls), dtype=np.int16),
-        np.zeros((count, unit.pulls, 3), dtype=np.float32),
+        np.zeros((count, unit.steps), dtype=np.int16),
+        np.zeros((count, unit.steps, 3), dtype=np.float32),
     )
     met: list[tuple[int, int, int, float, Array]] = []
     dropped: Counter[str] = Counter()
-    for step in range(unit.pulls):
+    for step in range(unit.steps):
         now = simulation.points[:count]
-        for row in np.flatnonzero(hand.idle(now)):
+        controller.advance(now)
+        for row in np.flatnonzero(controller.idle):
             rng = rngs[row]
             if gentle[row]:
                 kind = "spread" if rng.random() < 0.6 else "shift"
-                manoeuvre = move_aside(
+                macro_action = move_aside(
                     now[row], kind, int(rng.integers(now.shape[1])), int(rng.choice((-1, 1))), rng
                 )
             else:
-                manoeuvre = propose(now[row], rng)
-            hand.take(int(row), manoeuvre)
-        hand.idle(now)
-        beads[:, step], forces[:, step] = hand.beads, hand.forces(now)
-        _, held = pull(simulation, beads[:, step], forces[:, step], ids)
+                macro_action = propose(now[row], rng)
+            controller.begin(int(row), macro_action)
+        controller.advance(now)
+        beads[:, step], forces[:, step] = controller.beads, controller.forces(now)
+        _, held = step_ropes(simulation, beads[:, step], forces[:, step], ids)
         alive &= held
         if (step + 1) % unit.stride:
             continue
@@ -144,7 +145,7 @@ def stir(unit: Unit) -> Frames:
     return Frames(
         points=np.array([one[4] for one in met]).reshape(-1, *simulation.points.shape[1:]),
         walk=np.array([unit.walks[one[0]].number for one in met], dtype=np.int64),
-        pulls=np.array([one[1] for one in met], dtype=np.int64),
+        steps=np.array([one[1] for one in met], dtype=np.int64),
         rounds=np.array([one[2] for one in met], dtype=np.int64),
         ease=np.array([one[3] for one in met]),
         numbers=np.array([walk.number for walk in unit.walks], dtype=np.int64),
@@ -184,7 +185,7 @@ def retrace(states: Array, beads: NDArray[np.int16], forces: NDArray[np.float32]
     simulation.restore(states, ids)
     out = [simulation.points[ids].copy()]
     for step in range(beads.shape[1]):
-        pull(simulation, beads[:, step], forces[:, step], ids)
+        step_ropes(simulation, beads[:, step], forces[:, step], ids)
         out.append(simulation.points[ids].copy())
     return np.stack(out, axis=1)
 

@@ -19,9 +19,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from knotgym.atomic_files import new_hdf5, whole
-from knotgym.control.macro_actions import Way
-from knotgym.control.transition_counts import Transitions
+from knotgym.atomic_files import atomic_write, new_hdf5
+from knotgym.control.macro_actions import ActionSequence
+from knotgym.control.transition_counts import TransitionCounts
 from knotgym.errors import KnotgymError
 from knotgym.rope import Array
 from knotgym.topology.diagrams import chiralities
@@ -29,8 +29,9 @@ from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import mirror_images
 
 FORMAT = "knotgym-archive"
-FORMAT_VERSION = 2
-FAIR = 50  # actions that 1 of badness is worth
+FORMAT_VERSION = 3
+_OLD = {"base_shift": "roll", "objective": "badness"}  # what version 2, read too, calls them
+FAIR = 50  # actions that 1 of objective is worth
 KEPT = 2  # elites kept for their short way, and as many for their looks
 
 
@@ -43,25 +44,26 @@ class Elite:
     """A state the search has been in.
 
     Attributes:
-        code: what it shows, with chirality, walked from vertex `roll`, the other way if `reverse`.
-        roll: a vertex where a sub-chain starts.
+        code: what it shows, with chirality, walked from vertex `base_shift`, the other way if
+        `reverse`.
+        base_shift: a vertex where a sub-chain starts.
         reverse: the walk runs towards falling index.
         way: from the plain loop at rest, beads numbered as there.
         state: MuJoCo integration state at the end of the way, float64.
-        badness: how far from legible, see `Limits.badness`.
+        objective: how far from legible, see `Limits.objective`.
     """
 
     code: GaussCode
-    roll: int
+    base_shift: int
     reverse: bool
-    way: Way
+    sequence: ActionSequence
     state: Array
-    badness: float
+    objective: float
 
     @property
     def exact(self) -> bool:
         """Whether the code is that of the rope as it is numbered."""
-        return self.roll == 0 and not self.reverse
+        return self.base_shift == 0 and not self.reverse
 
 
 @dataclass
@@ -73,20 +75,20 @@ class Archive:
         visits: class -> how often the search set out from it.
         growth: one row a round: actions taken so far, classes known by then.
         settings: of the search, JSON-able; a resumed search must agree with them.
-        transitions: what the manoeuvres of the search did to codes.
+        transitions: what the macro-actions of the search did to codes.
     """
 
     niches: dict[GaussCode, list[Elite]] = field(default_factory=dict)
     visits: dict[GaussCode, int] = field(default_factory=dict)
     growth: list[dict[str, int]] = field(default_factory=list)
     settings: dict[str, object] = field(default_factory=dict)
-    transitions: Transitions = field(default_factory=Transitions)
+    transitions: TransitionCounts = field(default_factory=TransitionCounts)
 
     def offer(self, elite: Elite) -> bool:
         """Keep an elite if it is among the KEPT shortest or the KEPT best-looking of its class; say
         whether the class is new.
 
-        Looks are paid for with actions: FAIR of them for 1 of badness.
+        Looks are paid for with actions: FAIR of them for 1 of objective.
         """
         niche = mirror_images(elite.code)[0]
         new = niche not in self.niches
@@ -95,10 +97,10 @@ class Archive:
             one.exact for one in pool
         ):  # a way that holds for this very base bead beats those that hold nearly
             pool = [one for one in pool if one.exact]
-        short = sorted(pool, key=lambda one: (len(one.way), one.badness))[:KEPT]
-        pretty = sorted(pool, key=lambda one: (one.badness + len(one.way) / FAIR, len(one.way)))[
-            :KEPT
-        ]
+        short = sorted(pool, key=lambda one: (len(one.sequence), one.objective))[:KEPT]
+        pretty = sorted(
+            pool, key=lambda one: (one.objective + len(one.sequence) / FAIR, len(one.sequence))
+        )[:KEPT]
         self.niches[niche] = short + [
             one for one in pretty if not any(one is other for other in short)
         ]
@@ -126,7 +128,7 @@ class Archive:
         """Whether an elite with a way of at most `longest` shows a mirror image of `code`, which
         has its chirality, as the rope is numbered.
         """
-        return any(one.exact and len(one.way) <= longest for one in self.leading_to(code))
+        return any(one.exact and len(one.sequence) <= longest for one in self.leading_to(code))
 
     def leading_to(self, code: GaussCode) -> list[Elite]:
         """Elites whose mirror images show `code`, which has its chirality."""
@@ -135,7 +137,7 @@ class Archive:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the archive; it appears whole or not at all."""
         elites = list(self._elites())
-        with whole(path) as part, new_hdf5(part) as file:
+        with atomic_write(path) as temporary, new_hdf5(temporary) as file:
             file.attrs["format"], file.attrs["format_version"] = FORMAT, FORMAT_VERSION
             # datasets: an attribute holds 64 kB at most
             file["settings"] = json.dumps(self.settings)
@@ -149,15 +151,17 @@ class Archive:
                 data=[elite.code.chiral for elite in elites],
                 dtype=h5py.string_dtype("utf-8"),
             )
-            file.create_dataset("roll", data=[elite.roll for elite in elites])
+            file.create_dataset("base_shift", data=[elite.base_shift for elite in elites])
             file.create_dataset("reverse", data=[elite.reverse for elite in elites])
-            file.create_dataset("badness", data=[elite.badness for elite in elites])
-            file.create_dataset("length", data=[len(elite.way) for elite in elites])
+            file.create_dataset("objective", data=[elite.objective for elite in elites])
+            file.create_dataset("length", data=[len(elite.sequence) for elite in elites])
             file.create_dataset(
-                "beads", data=np.concatenate([elite.way.beads for elite in elites]), **squeezed
+                "beads", data=np.concatenate([elite.sequence.beads for elite in elites]), **squeezed
             )
             file.create_dataset(
-                "forces", data=np.concatenate([elite.way.forces for elite in elites]), **squeezed
+                "forces",
+                data=np.concatenate([elite.sequence.forces for elite in elites]),
+                **squeezed,
             )
             file.create_dataset(
                 "state", data=np.stack([elite.state for elite in elites]), **squeezed
@@ -176,13 +180,13 @@ class Archive:
             raise FileNotFoundError(f"no archive at {path}")
         try:
             with h5py.File(path, "r") as file:
-                if (file.attrs.get("format"), file.attrs.get("format_version")) != (
-                    FORMAT,
-                    FORMAT_VERSION,
-                ):
+                said = file.attrs.get("format"), file.attrs.get("format_version")
+                if said not in ((FORMAT, 2), (FORMAT, FORMAT_VERSION)):
                     raise InvalidArchive(
-                        f"{path} isn't an archive of format {FORMAT!r} version {FORMAT_VERSION}"
+                        f"{path} isn't an archive of format {FORMAT!r} version 2 or"
+                        f" {FORMAT_VERSION}"
                     )
+                names = _OLD if said[1] == 2 else {name: name for name in _OLD}
                 archive = cls(
                     visits={
                         GaussCode.parse(code): int(count)
@@ -191,26 +195,33 @@ class Archive:
                     growth=json.loads(file["growth"][()]),
                     settings=json.loads(file["settings"][()]),
                     transitions=(
-                        Transitions.read(file["transitions"])
+                        TransitionCounts.read(file["transitions"])
                         if "transitions" in file
-                        else Transitions()
+                        else TransitionCounts()
                     ),
                 )
                 ends = np.cumsum(file["length"][()])
                 beads, forces, states = file["beads"][()], file["forces"][()], file["state"][()]
                 if {len(beads), len(forces)} != {int(ends[-1])}:
-                    raise ValueError("its ways are cut short")
+                    raise ValueError("its action sequences are cut short")
                 walks = zip(
                     file["code"].asstr()[()],
-                    file["roll"][()],
+                    file[names["base_shift"]][()],
                     file["reverse"][()],
-                    file["badness"][()],
+                    file[names["objective"]][()],
                     strict=True,
                 )
-                for row, (text, roll, reverse, badness) in enumerate(walks):
+                for row, (text, base_shift, reverse, objective) in enumerate(walks):
                     code, start = GaussCode.parse(text), 0 if row == 0 else ends[row - 1]
-                    way = Way(beads[start : ends[row]], forces[start : ends[row]])
-                    elite = Elite(code, int(roll), bool(reverse), way, states[row], float(badness))
+                    sequence = ActionSequence(beads[start : ends[row]], forces[start : ends[row]])
+                    elite = Elite(
+                        code,
+                        int(base_shift),
+                        bool(reverse),
+                        sequence,
+                        states[row],
+                        float(objective),
+                    )
                     archive.niches.setdefault(mirror_images(code)[0], []).append(elite)
                 return archive
         except InvalidArchive:

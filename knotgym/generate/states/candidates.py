@@ -1,4 +1,4 @@
-"""Instances: one concrete rope state that shows one Gauss code, made from an archived way by a
+"""Candidates: one concrete rope state that shows one Gauss code, made from an archived way by a
 symmetry.
 
 A fresh plain loop, noised, turned, renumbered, is led down the way, opened up, left to come to
@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.control.macro_actions import NO_WAY, Way, pull
+from knotgym.control.macro_actions import NO_ACTIONS, ActionSequence, step_ropes
 from knotgym.generate.states.archive import Elite
-from knotgym.generate.states.hill_climb import OpeningConfig, open_up
+from knotgym.generate.states.hill_climb import HillClimbConfig, hill_climb
 from knotgym.generate.states.search import JITTER, readings, simulation_of
 from knotgym.quality import Limits, Quality, measure, noise_survival
 from knotgym.rope import Array, Rope, RopeConfig, noised
@@ -29,23 +29,25 @@ from knotgym.topology.gauss import GaussCode
 from knotgym.topology.reference_labeller import pyknotid_code
 from knotgym.topology.symmetry import Symmetry, mirrorings
 
-GAIN = 0.05  # badness by which an instance must be better than the archive to be handed back to it
+GAIN = (
+    0.05  # objective by which a candidate must be better than the archive to be handed back to it
+)
 ROUNDS = 2  # of opening up and coming to rest
 REST = 3  # pulls of no force at the end: the rope is slower than 1 mm/s after two
-STILL = Way(np.zeros(REST, dtype=np.int16), np.zeros((REST, 3), dtype=np.float32))
+STILL = ActionSequence(np.zeros(REST, dtype=np.int16), np.zeros((REST, 3), dtype=np.float32))
 ONE = np.array([0])  # the rope that is led; the others try what may open it up
 
 
 @dataclass(frozen=True, kw_only=True)
-class InstanceConfig:
-    """How instances are made and judged.
+class CandidateConfig:
+    """How candidates are made and judged.
 
     Attributes:
         limits: of accepted states.
         opening: how hard to open them up.
         start_noise: of the plain loop each begins as, as `rope.noised`; a tenth of a degree loses
             three ways in ten.
-        stir: random pulls after the way at most, so that two instances of one way lie differently;
+        stir: random pulls after the way at most, so that two candidates of one way lie differently;
             one that changes the code is taken back.
         stir_loop: the same for plain loops, which have no way.
         longest: ways of more actions aren't handed back to the archive.
@@ -54,7 +56,7 @@ class InstanceConfig:
     """
 
     limits: Limits = Limits()
-    opening: OpeningConfig = OpeningConfig()
+    opening: HillClimbConfig = HillClimbConfig()
     start_noise: float = 0.0
     stir: int = 3
     stir_loop: int = 12
@@ -63,12 +65,12 @@ class InstanceConfig:
     rope: RopeConfig = RopeConfig()
 
 
-class Order(NamedTuple):
-    """One instance to make: of `code`, which has its chirality, from one of `elites`, drawing from
+class CandidateTask(NamedTuple):
+    """One candidate to make: of `code`, which has its chirality, from one of `elites`, drawing from
     the stream of the key `seed`.
     """
 
-    config: InstanceConfig
+    config: CandidateConfig
     code: GaussCode
     elites: Sequence[Elite]
     start: Array
@@ -76,13 +78,13 @@ class Order(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Instance:
-    """What came of an order.
+class Candidate:
+    """What came of a task.
 
     Attributes:
         code: with chirality; of the last state.
         faults: why it is rejected, empty if accepted.
-        seed: of the order.
+        seed: of the task.
         start_qpos: float64 (nq,), laid at rest.
         actions: float32 (T, 6), from there.
         points: float64 (T + 1, beads, 3), metres, the configurations on the way.
@@ -101,66 +103,66 @@ class Instance:
     points: Array
     qpos: Array
     quality: Quality
-    pulls: int = 0
+    steps: int = 0
     elites: tuple[Elite, ...] = field(default=(), repr=False)
 
 
-def make(order: Order) -> Instance:
-    """Make an instance; the same order gives the same bytes."""
-    simulation = simulation_of(order.config.opening.tries, order.config.rope)
-    before = simulation.pulled
-    instance = _made(order, simulation)
-    return replace(instance, pulls=simulation.pulled - before)
+def make_candidate(task: CandidateTask) -> Candidate:
+    """Make a candidate; the same order gives the same bytes."""
+    simulation = simulation_of(task.config.opening.tries, task.config.rope)
+    before = simulation.steps_taken
+    candidate = _made(task, simulation)
+    return replace(candidate, steps=simulation.steps_taken - before)
 
 
-def _made(order: Order, simulation: Simulation) -> Instance:
-    config, rng, rope = order.config, generator_of(order.seed), simulation.rope
-    elite = order.elites[int(rng.integers(len(order.elites)))]
+def _made(task: CandidateTask, simulation: Simulation) -> Candidate:
+    config, rng, rope = task.config, generator_of(task.seed), simulation.rope
+    elite = task.elites[int(rng.integers(len(task.elites)))]
     if rng.random() < 0.5:
-        elite = min(order.elites, key=lambda one: one.badness)
-    symmetry = _symmetry(elite, order.code, rng)
-    start_qpos = rope.qpos(symmetry.configuration(noised(order.start, config.start_noise, rng)))
+        elite = min(task.elites, key=lambda one: one.objective)
+    symmetry = _symmetry(elite, task.code, rng)
+    start_qpos = rope.qpos(symmetry.configuration(noised(task.start, config.start_noise, rng)))
     simulation.lay(start_qpos[None], ONE)
-    way = Way(
-        symmetry.beads(elite.way.beads, config.rope.beads).astype(np.int16),
-        symmetry.vectors(elite.way.forces.astype(np.float64)).astype(np.float32),
+    sequence = ActionSequence(
+        symmetry.beads(elite.sequence.beads, config.rope.beads).astype(np.int16),
+        symmetry.vectors(elite.sequence.forces.astype(np.float64)).astype(np.float32),
     )
     if not elite.exact:
-        way = way.jittered(rng.uniform(0, JITTER), rng)
-    if _follow(simulation, way) is None:
-        return _rejected("simulation failed", order, rope)
-    if label(simulation.points[0]) != order.code:
-        return _rejected("way missed the code", order, rope)
-    way += _opening(simulation, order, rng, at_rest=not way.forces[-REST:].any())
+        sequence = sequence.jittered(rng.uniform(0, JITTER), rng)
+    if _follow(simulation, sequence) is None:
+        return _rejected("simulation failed", task, rope)
+    if label(simulation.points[0]) != task.code:
+        return _rejected("way missed the code", task, rope)
+    sequence += _opening(simulation, task, rng, at_rest=not sequence.forces[-REST:].any())
     simulation.lay(start_qpos[None], ONE)
-    followed = _follow(simulation, way)
+    followed = _follow(simulation, sequence)
     if followed is None:
-        return _rejected("simulation failed", order, rope)
+        return _rejected("simulation failed", task, rope)
     actions, points = followed
     qpos, last = simulation.qpos(ONE)[0], points[-1]
     crossings = find_crossings(last)
     quality = measure(last, crossings)
     elites: tuple[Elite, ...] = ()
-    if crossings.code == order.code and len(way) <= config.longest:
-        best = min((one.badness for one in order.elites if one.exact), default=np.inf)
+    if crossings.code == task.code and len(sequence) <= config.longest:
+        best = min((one.objective for one in task.elites if one.exact), default=np.inf)
         if (
-            config.limits.badness(replace(quality, excess_crossing_number=np.nan), crossings.nx)
+            config.limits.objective(replace(quality, excess_crossing_number=np.nan), crossings.nx)
             < best - GAIN
         ):
-            elites = _home(simulation, order, symmetry, way)
+            elites = _home(simulation, task, symmetry, sequence)
     quality = replace(quality, noise_survival=noise_survival(last, config.reset_noise, rng))
     faults = config.limits.faults(quality, crossings.nx)
-    if crossings.code != order.code:
+    if crossings.code != task.code:
         faults.append("code lost at rest")
     elif pyknotid_code(last) != crossings.code:
         faults.append("labellers disagree")
     elif not _shown_longest_last(points, crossings.code):
         # an episode that ends when the code has been held so long would end there
         faults.append("code shown longer before")
-    return Instance(
+    return Candidate(
         crossings.code,
         tuple(faults),
-        order.seed,
+        task.seed,
         start_qpos,
         actions,
         points,
@@ -182,108 +184,124 @@ def _shown_longest_last(points: Array, code: GaussCode) -> bool:
     return not runs or max(runs[:-1], default=0) < runs[-1]
 
 
-def _follow(simulation: Simulation, way: Way) -> tuple[NDArray[np.float32], Array] | None:
+def _follow(
+    simulation: Simulation, sequence: ActionSequence
+) -> tuple[NDArray[np.float32], Array] | None:
     """Lead rope 0 down a way; actions (T, 6) and configurations (T + 1, beads, 3), or None if the
     simulation failed.
     """
-    actions, points = np.empty((len(way), 6), dtype=np.float32), [simulation.points[0].copy()]
-    for step, (bead, force) in enumerate(zip(way.beads, way.forces, strict=True)):
-        actions[step], held = pull(simulation, np.array([bead]), force[None], ONE)
+    actions, points = np.empty((len(sequence), 6), dtype=np.float32), [simulation.points[0].copy()]
+    for step, (bead, force) in enumerate(zip(sequence.beads, sequence.forces, strict=True)):
+        actions[step], held = step_ropes(simulation, np.array([bead]), force[None], ONE)
         if not held.all():
             return None
         points.append(simulation.points[0].copy())
     return actions, np.stack(points)
 
 
-def _opening(simulation: Simulation, order: Order, rng: np.random.Generator, at_rest: bool) -> Way:
+def _opening(
+    simulation: Simulation, task: CandidateTask, rng: np.random.Generator, at_rest: bool
+) -> ActionSequence:
     """Stir rope 0, open it up and let it come to rest, and once more if it doesn't do yet; the way
     from where it lies.
     """
-    config, way, state = order.config, NO_WAY, simulation.states(ONE)
+    config, sequence, state = task.config, NO_ACTIONS, simulation.states(ONE)
     if not at_rest:
-        if _follow(simulation, STILL) and label(simulation.points[0]) == order.code:
-            way = STILL
+        if _follow(simulation, STILL) and label(simulation.points[0]) == task.code:
+            sequence = STILL
         else:  # what shows the code in motion alone may be opened up in motion
             simulation.restore(state, ONE)
     state, stirring = _stir(
-        simulation, int(rng.integers(config.stir + 1)) if order.code.nx else config.stir_loop, rng
+        simulation, int(rng.integers(config.stir + 1)) if task.code.nx else config.stir_loop, rng
     )
-    way += stirring
+    sequence += stirring
     for _ in range(ROUNDS):
-        state, opening = open_up(simulation, state, config.limits, config.opening, rng)
-        way += opening + STILL
+        state, opening = hill_climb(simulation, state, config.limits, config.opening, rng)
+        sequence += opening + STILL
         simulation.restore(state[None], ONE)
         _follow(simulation, STILL)
         state, crossings = simulation.states(ONE)[0], find_crossings(simulation.points[0])
-        if crossings.code != order.code or not config.limits.faults(
+        if crossings.code != task.code or not config.limits.faults(
             measure(simulation.points[0], crossings, quick=True), crossings.nx
         ):
             break
-    return way
+    return sequence
 
 
-def _home(simulation: Simulation, order: Order, symmetry: Symmetry, way: Way) -> tuple[Elite, ...]:
-    """Follow an instance's way once more from where the archive's ways begin; what the rope shows
+def _home(
+    simulation: Simulation, task: CandidateTask, symmetry: Symmetry, sequence: ActionSequence
+) -> tuple[Elite, ...]:
+    """Follow a candidate's way once more from where the archive's ways begin; what the rope shows
     there.
 
     The plain loop is had back exactly whatever was done to it; another start only if it wasn't
     renumbered.
     """
     rope = simulation.rope
-    if np.array_equal(order.start, rope.loop()):
+    if np.array_equal(task.start, rope.loop()):
         back = symmetry.back_to_loop(rope.config.beads)
-    elif symmetry.reverse or symmetry.roll:
+    elif symmetry.reverse or symmetry.base_shift:
         return ()
     else:
         back = symmetry.undone()
-    home = Way(way.beads, back.vectors(way.forces.astype(np.float64)).astype(np.float32))
-    simulation.lay(rope.qpos(order.start)[None], ONE)
+    home = ActionSequence(
+        sequence.beads, back.vectors(sequence.forces.astype(np.float64)).astype(np.float32)
+    )
+    simulation.lay(rope.qpos(task.start)[None], ONE)
     if _follow(simulation, home) is None:
         return ()
     state = simulation.states(ONE)[0]
     return tuple(
         reading.elite(home, state)
-        for reading in readings(simulation.points[0], order.config.limits, order.config.rope)
+        for reading in readings(simulation.points[0], task.config.limits, task.config.rope)
     )
 
 
-def _stir(simulation: Simulation, pulls: int, rng: np.random.Generator) -> tuple[Array, Way]:
+def _stir(
+    simulation: Simulation, steps: int, rng: np.random.Generator
+) -> tuple[Array, ActionSequence]:
     """Pull rope 0 about at random without changing what it shows; the state reached and the way
     there.
     """
-    code, way, state = label(simulation.points[0]), NO_WAY, simulation.states(ONE)
-    for _ in range(pulls):
+    code, sequence, state = label(simulation.points[0]), NO_ACTIONS, simulation.states(ONE)
+    for _ in range(steps):
         bead, heading, strength = (
             rng.integers(simulation.rope.config.beads, size=1),
             rng.uniform(-np.pi, np.pi),
             rng.uniform(0.3, 1.0),
         )
         force = (strength * np.array([[np.cos(heading), np.sin(heading), 0.0]])).astype(np.float32)
-        _, held = pull(simulation, bead, force, ONE)
+        _, held = step_ropes(simulation, bead, force, ONE)
         if held.all() and label(simulation.points[0]) == code:
-            state, way = simulation.states(ONE), way + Way(bead.astype(np.int16), force)
+            state, sequence = (
+                simulation.states(ONE),
+                sequence + ActionSequence(bead.astype(np.int16), force),
+            )
         else:
             simulation.restore(state, ONE)
-    return state[0], way
+    return state[0], sequence
 
 
 def _symmetry(elite: Elite, code: GaussCode, rng: np.random.Generator) -> Symmetry:
     """A random symmetry that takes what the elite shows to `code`."""
     fitting = [symmetry for shown, symmetry in mirrorings(elite.code) if shown == code]
     symmetry = fitting[rng.integers(len(fitting))]
-    turn, roll = float(rng.uniform(-np.pi, np.pi)), -elite.roll if elite.reverse else elite.roll
-    return replace(symmetry, turn=turn, reverse=elite.reverse, roll=roll)
+    turn, base_shift = (
+        float(rng.uniform(-np.pi, np.pi)),
+        -elite.base_shift if elite.reverse else elite.base_shift,
+    )
+    return replace(symmetry, turn=turn, reverse=elite.reverse, base_shift=base_shift)
 
 
-def _rejected(fault: str, order: Order, rope: Rope) -> Instance:
+def _rejected(fault: str, task: CandidateTask, rope: Rope) -> Candidate:
     nothing = np.zeros((0, 6), dtype=np.float32)
-    return Instance(
-        order.code,
+    return Candidate(
+        task.code,
         (fault,),
-        order.seed,
+        task.seed,
         np.zeros(rope.nq),
         nothing,
-        order.start[None],
+        task.start[None],
         np.zeros(rope.nq),
-        measure(order.start),
+        measure(task.start),
     )

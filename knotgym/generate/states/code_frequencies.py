@@ -50,7 +50,7 @@ def frequencies(
     return met
 
 
-def natural_shares(nx: int, count: int, seed: int, rope: RopeConfig) -> dict[GaussCode, int]:
+def empirical_shares(nx: int, count: int, seed: int, rope: RopeConfig) -> dict[GaussCode, int]:
     """Draw `count` codes with nx crossings as a random policy meets them: code -> how often it was
     drawn.
     """

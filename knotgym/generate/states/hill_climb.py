@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.control.macro_actions import NO_WAY, Way, pull
+from knotgym.control.macro_actions import NO_ACTIONS, ActionSequence, step_ropes
 from knotgym.quality import Limits, measure, spots_of, tightest_spot
 from knotgym.rope import Array
 from knotgym.simulation import Simulation
@@ -21,29 +21,29 @@ from knotgym.topology.gauss import GaussCode
 
 
 @dataclass(frozen=True, kw_only=True)
-class OpeningConfig:
+class HillClimbConfig:
     """How hard to try.
 
     Attributes:
         pulls: rounds at most, a pull each.
         tries: copies of the rope that try a pull in each round.
         patience: rounds without a gain before giving up.
-        enough: badness (see `Limits.badness`) at which a state is open enough.
+        enough: objective (see `Limits.objective`) at which a state is open enough.
     """
 
-    pulls: int = 24
+    steps: int = 24
     tries: int = 12
     patience: int = 4
     enough: float = 0.3
 
 
-def open_up(
+def hill_climb(
     simulation: Simulation,
     state: Array,
     limits: Limits,
-    config: OpeningConfig,
+    config: HillClimbConfig,
     rng: np.random.Generator,
-) -> tuple[Array, Way]:
+) -> tuple[Array, ActionSequence]:
     """Pull a rope into a more legible configuration with the same code.
 
     Args:
@@ -58,13 +58,13 @@ def open_up(
     """
     ids = np.arange(config.tries)
     simulation.restore(np.repeat(state[None], config.tries, axis=0), ids)
-    code, way, idle = label(simulation.points[0]), NO_WAY, 0
+    code, sequence, idle = label(simulation.points[0]), NO_ACTIONS, 0
     bad, best = _score(simulation.points[0], code, limits)
-    for _ in range(config.pulls):
+    for _ in range(config.steps):
         if bad <= config.enough or idle >= config.patience:
             break
         beads, forces = _proposals(simulation.points[0], config.tries, rng)
-        _, held = pull(simulation, beads, forces, ids)
+        _, held = step_ropes(simulation, beads, forces, ids)
         scores = [
             _score(simulation.points[i], code, limits) if held[i] else (np.inf, np.inf) for i in ids
         ]
@@ -72,21 +72,23 @@ def open_up(
         if scores[choice][1] < best - 0.01:
             (bad, best), idle = scores[choice], 0
             state = simulation.states([choice])[0]
-            way += Way(beads[[choice]].astype(np.int16), forces[[choice]])
+            sequence += ActionSequence(beads[[choice]].astype(np.int16), forces[[choice]])
         else:
             idle += 1
         simulation.restore(np.repeat(state[None], config.tries, axis=0), ids)
-    return state, way
+    return state, sequence
 
 
 def _score(points: Array, code: GaussCode, limits: Limits) -> tuple[float, float]:
-    """Badness, and badness with all that is cramped besides; infinite where the code is another."""
+    """Badness, and objective with all that is cramped besides; infinite where the code is
+    another.
+    """
     crossings = find_crossings(points)
     if crossings.code != code:
         return np.inf, np.inf
     spots = spots_of(points, crossings)
-    badness = limits.badness(measure(points, crossings, spots=spots, quick=True), code.nx)
-    return badness, badness + spots.crampedness(limits)
+    objective = limits.objective(measure(points, crossings, spots=spots, quick=True), code.nx)
+    return objective, objective + spots.crampedness(limits)
 
 
 def _proposals(

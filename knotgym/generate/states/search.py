@@ -1,7 +1,7 @@
 """Search of the space of Gauss codes, round by round.
 
 A round sets out from states in the archive, one a slot, and leads each rope through random
-manoeuvres for a fixed number of pulls; every state that shows few enough crossings is offered to
+macro-actions for a fixed number of pulls; every state that shows few enough crossings is offered to
 the archive, in the order of slots. What a slot does depends on the archive at the start of the
 round, the seed, the round and the slot alone: rounds come out the same on any workers.
 """
@@ -14,17 +14,23 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.control.macro_actions import NO_WAY, Hand, Way, propose, pull
-from knotgym.control.transition_counts import Transitions, Watch
+from knotgym.control.macro_actions import (
+    NO_ACTIONS,
+    ActionSequence,
+    WaypointController,
+    propose,
+    step_ropes,
+)
+from knotgym.control.transition_counts import TransitionCounts, TransitionRecorder
 from knotgym.generate.states.archive import Archive, Elite
 from knotgym.quality import Limits, base_spacing, measure
-from knotgym.rope import Array, Rope, RopeConfig
+from knotgym.rope import Array, Rope, RopeConfig, base_shifts
 from knotgym.runs.executors import Pool
 from knotgym.simulation import Simulation
 from knotgym.streams import Stream, generator
 from knotgym.topology.crossings import find_crossings, label_many
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.symmetry import Symmetry, mirror_images, rolled, rolls
+from knotgym.topology.symmetry import Symmetry, mirror_images, shifted_base
 
 JITTER = 0.04  # of ways that hold nearly: the same way would miss again
 
@@ -36,7 +42,7 @@ class SearchConfig:
     Attributes:
         max_nx: crossings above which a state isn't kept.
         seed: rope i of round r draws from stream SEARCH_ROPE with counters (r, i).
-        slots: ropes in a round.
+        batch_size: ropes in a round.
         pulls: that a rope makes in a round.
         longest: ways longer than this are not gone on with.
         rope: its physics.
@@ -44,46 +50,46 @@ class SearchConfig:
 
     max_nx: int = 4
     seed: int = 0
-    slots: int = 64
-    pulls: int = 12
+    batch_size: int = 64
+    steps: int = 12
     longest: int = 48
     rope: RopeConfig = RopeConfig()
 
 
-class Shift(NamedTuple):
+class SearchUnit(NamedTuple):
     """A share of a round: slots `slots`, from states (len(slots), nstate)."""
 
     config: SearchConfig
     round: int
-    slots: range
+    indices: range
     states: Array
 
 
-class Trial(NamedTuple):
+class Replay(NamedTuple):
     """Ways to follow from the plain loop."""
 
     config: SearchConfig
-    ways: tuple[Way, ...]
+    sequences: tuple[ActionSequence, ...]
 
 
 class Reading(NamedTuple):
     """What a state shows, walked from a sub-chain, the other way if `reverse`."""
 
     code: GaussCode
-    roll: int
+    base_shift: int
     reverse: bool
-    badness: float
+    objective: float
 
-    def elite(self, way: Way, state: Array) -> Elite:
+    def elite(self, sequence: ActionSequence, state: Array) -> Elite:
         """The state with this reading, reached by `way`."""
-        return Elite(self.code, self.roll, self.reverse, way, state, self.badness)
+        return Elite(self.code, self.base_shift, self.reverse, sequence, state, self.objective)
 
 
-class Find(NamedTuple):
+class Discovery(NamedTuple):
     """A state met: by which slot, after how many pulls."""
 
-    slot: int
-    pulls: int
+    batch_index: int
+    steps: int
     reading: Reading
     state: Array
 
@@ -101,7 +107,7 @@ def new_archive(config: SearchConfig, start: Array | None = None) -> Archive:
         }
     )
     for reading in readings(rope.points(simulation.qpos()[0]), Limits(), config.rope):
-        archive.offer(reading.elite(NO_WAY, simulation.states()[0]))
+        archive.offer(reading.elite(NO_ACTIONS, simulation.states()[0]))
     return archive
 
 
@@ -114,8 +120,8 @@ def advance(archive: Archive, config: SearchConfig, pool: Pool, chunk: int = 16)
     Args:
         archive: changed in place.
         config: the same for every round of an archive.
-        pool: plays the shifts.
-        chunk: slots in a shift; does not change the result.
+        pool: plays the units.
+        chunk: slots in a unit; does not change the result.
 
     Returns:
         How many classes are new.
@@ -123,119 +129,142 @@ def advance(archive: Archive, config: SearchConfig, pool: Pool, chunk: int = 16)
     number, known = len(archive.growth), len(archive.niches)
     actions = archive.growth[-1]["actions"] if archive.growth else 0
     renumbered = _unconfirmed(archive, config, number)
-    trials = [
-        Trial(config, tuple(renumbered[first : first + chunk]))
+    replays = [
+        Replay(config, tuple(renumbered[first : first + chunk]))
         for first in range(0, len(renumbered), chunk)
     ]
     parents = _parents(archive, config, number)
-    shifts = [
-        Shift(
+    units = [
+        SearchUnit(
             config,
             number,
-            range(first, min(first + chunk, config.slots)),
+            range(first, min(first + chunk, config.batch_size)),
             np.stack([elite.state for elite in parents[first : first + chunk]]),
         )
-        for first in range(0, config.slots, chunk)
+        for first in range(0, config.batch_size, chunk)
     ]
-    for trial, finds in zip(trials, pool.map(confirm, trials), strict=True):
-        actions += sum(len(way) for way in trial.ways)
-        for find in finds:
-            archive.offer(find.reading.elite(trial.ways[find.slot], find.state))
-    for finds, beads, forces, taken, transitions in pool.map(play, shifts):
+    for replay, discoveries in zip(replays, pool.map(confirm, replays), strict=True):
+        actions += sum(len(sequence) for sequence in replay.sequences)
+        for find in discoveries:
+            archive.offer(find.reading.elite(replay.sequences[find.batch_index], find.state))
+    for discoveries, beads, forces, taken, transitions in pool.map(play, units):
         archive.transitions.add(transitions)
         actions += int(taken.sum())
-        for find in finds:
-            row = find.slot % chunk
-            way = parents[find.slot].way + Way(beads[row, : find.pulls], forces[row, : find.pulls])
-            if len(way) <= config.longest:
-                archive.offer(find.reading.elite(way, find.state))
+        for find in discoveries:
+            row = find.batch_index % chunk
+            sequence = parents[find.batch_index].sequence + ActionSequence(
+                beads[row, : find.steps], forces[row, : find.steps]
+            )
+            if len(sequence) <= config.longest:
+                archive.offer(find.reading.elite(sequence, find.state))
     archive.growth.append({"round": number, "actions": actions, "classes": len(archive.niches)})
     return len(archive.niches) - known
 
 
-def confirm(trial: Trial) -> list[Find]:
-    """Follow each way from the plain loop; what it shows at its end, `Find.slot` counting the
+def confirm(replay: Replay) -> list[Discovery]:
+    """Follow each way from the plain loop; what it shows at its end, `Discovery.slot` counting the
     ways.
     """
-    simulation = simulation_of(len(trial.ways), trial.config.rope)
+    simulation = simulation_of(len(replay.sequences), replay.config.rope)
     rope = simulation.rope
-    simulation.lay(np.repeat(rope.qpos(rope.loop())[None], len(trial.ways), axis=0))
-    alive = np.ones(len(trial.ways), dtype=bool)
-    for step in range(max(len(way) for way in trial.ways)):
+    simulation.lay(np.repeat(rope.qpos(rope.loop())[None], len(replay.sequences), axis=0))
+    alive = np.ones(len(replay.sequences), dtype=bool)
+    for step in range(max(len(sequence) for sequence in replay.sequences)):
         ids = np.array(
-            [row for row, way in enumerate(trial.ways) if alive[row] and step < len(way)]
+            [
+                row
+                for row, sequence in enumerate(replay.sequences)
+                if alive[row] and step < len(sequence)
+            ]
         )
         if len(ids):
-            _, held = pull(
+            _, held = step_ropes(
                 simulation,
-                np.array([trial.ways[i].beads[step] for i in ids]),
-                np.stack([trial.ways[i].forces[step] for i in ids]),
+                np.array([replay.sequences[i].beads[step] for i in ids]),
+                np.stack([replay.sequences[i].forces[step] for i in ids]),
                 ids,
             )
             alive[ids] = held
-    out: list[Find] = []
+    out: list[Discovery] = []
     for row in np.flatnonzero(alive):
-        for reading in readings(simulation.points[row], Limits(), trial.config.rope):
-            if reading.code.nx <= trial.config.max_nx:
+        for reading in readings(simulation.points[row], Limits(), replay.config.rope):
+            if reading.code.nx <= replay.config.max_nx:
                 out.append(
-                    Find(int(row), len(trial.ways[row]), reading, simulation.states([int(row)])[0])
+                    Discovery(
+                        int(row),
+                        len(replay.sequences[row]),
+                        reading,
+                        simulation.states([int(row)])[0],
+                    )
                 )
     return out
 
 
 def play(
-    shift: Shift,
-) -> tuple[list[Find], NDArray[np.int16], NDArray[np.float32], NDArray[np.int64], Transitions]:
-    """Lead the ropes of a shift through manoeuvres.
+    unit: SearchUnit,
+) -> tuple[
+    list[Discovery], NDArray[np.int16], NDArray[np.float32], NDArray[np.int64], TransitionCounts
+]:
+    """Lead the ropes of a unit through macro_actions.
 
     Returns:
-        The finds, by slot and then by pull; beads int16 (slots, pulls) and forces float32 (slots,
-        pulls, 3) of every pull; how many pulls each slot made before its rope broke, int (slots,);
-        and what the manoeuvres did to codes.
+        The discoveries, by slot and then by pull; beads int16 (slots, pulls) and forces float32
+        (slots, pulls, 3) of every pull; how many pulls each slot made before its rope broke, int
+        (slots,); and what the macro-actions did to codes.
     """
-    config, slots = shift.config, len(shift.slots)
-    simulation = simulation_of(slots, config.rope)
-    simulation.restore(shift.states)
-    rngs = [generator(Stream.SEARCH_ROPE, config.seed, shift.round, slot) for slot in shift.slots]
-    hand, limits = Hand(slots), Limits()
-    beads = np.zeros((slots, config.pulls), dtype=np.int16)
-    forces = np.zeros((slots, config.pulls, 3), dtype=np.float32)
-    taken = np.full(slots, config.pulls)
-    alive = np.ones(slots, dtype=bool)
+    config, count = unit.config, len(unit.indices)
+    simulation = simulation_of(count, config.rope)
+    simulation.restore(unit.states)
+    rngs = [generator(Stream.SEARCH_ROPE, config.seed, unit.round, index) for index in unit.indices]
+    controller, limits = WaypointController(count), Limits()
+    beads = np.zeros((count, config.steps), dtype=np.int16)
+    forces = np.zeros((count, config.steps, 3), dtype=np.float32)
+    taken = np.full(count, config.steps)
+    alive = np.ones(count, dtype=bool)
     last = label_many(simulation.points)
-    finds: list[Find] = []
-    watches = [Watch(rolls(config.rope), config.rope.beads) for _ in shift.slots]
-    for step in range(config.pulls):
-        for row in np.flatnonzero(hand.idle(simulation.points)):
-            manoeuvre = propose(simulation.points[row], rngs[row])
-            hand.take(int(row), manoeuvre)
-            watches[row].set_out(find_crossings(simulation.points[row]), manoeuvre)
-        hand.idle(simulation.points)
-        beads[:, step] = hand.beads
-        forces[:, step] = hand.forces(simulation.points)
-        _, held = pull(simulation, beads[:, step], forces[:, step])
+    discoveries: list[Discovery] = []
+    watches = [
+        TransitionRecorder(base_shifts(config.rope), config.rope.beads) for _ in unit.indices
+    ]
+    for step in range(config.steps):
+        controller.advance(simulation.points)
+        for row in np.flatnonzero(controller.idle):
+            macro_action = propose(simulation.points[row], rngs[row])
+            controller.begin(int(row), macro_action)
+            watches[row].set_out(find_crossings(simulation.points[row]), macro_action)
+        controller.advance(simulation.points)
+        beads[:, step] = controller.beads
+        forces[:, step] = controller.forces(simulation.points)
+        _, held = step_ropes(simulation, beads[:, step], forces[:, step])
         taken[alive & ~held] = step
         alive &= held
-        ended = hand.idle(simulation.points)
+        controller.advance(simulation.points)
+        ended = controller.idle
         codes = label_many(simulation.points)
         for row in np.flatnonzero(alive):
             if codes[row] != last[row]:
                 watches[row].show(find_crossings(simulation.points[row]))
             if codes[row].nx <= config.max_nx and (
-                codes[row] != last[row] or ended[row] or step == config.pulls - 1
+                codes[row] != last[row] or ended[row] or step == config.steps - 1
             ):
                 state = simulation.states([int(row)])[0]
-                finds += [
-                    Find(shift.slots[row], step + 1, reading, state)
+                discoveries += [
+                    Discovery(unit.indices[row], step + 1, reading, state)
                     for reading in readings(simulation.points[row], limits, config.rope)
                 ]
         last = codes
-    transitions = Transitions()
+    transitions = TransitionCounts()
     for watch in watches:
         transitions.add(watch.transitions)
     return (
         sorted(
-            finds, key=lambda find: (find.slot, find.pulls, find.reading.roll, find.reading.reverse)
+            discoveries,
+            key=lambda find: (
+                find.batch_index,
+                find.steps,
+                find.reading.base_shift,
+                find.reading.reverse,
+            ),
         ),
         beads,
         forces,
@@ -251,20 +280,20 @@ def readings(points: Array, limits: Limits, rope: RopeConfig) -> list[Reading]:
     crossings = find_crossings(points)
     quality = measure(points, crossings, quick=True)
     found: dict[GaussCode, Reading] = {}
-    for roll in rolls(rope):
-        code = rolled(crossings, roll)
-        badness = limits.badness(
-            replace(quality, base_spacing=base_spacing(points, crossings, roll)), code.nx
+    for base_shift in base_shifts(rope):
+        code = shifted_base(crossings, base_shift)
+        objective = limits.objective(
+            replace(quality, base_spacing=base_spacing(points, crossings, base_shift)), code.nx
         )
         for reverse in (False, True):
-            reading = Reading(code.reversed() if reverse else code, roll, reverse, badness)
+            reading = Reading(code.reversed() if reverse else code, base_shift, reverse, objective)
             known = found.setdefault(reading.code, reading)
-            if badness < known.badness and (known.roll or known.reverse):
+            if objective < known.objective and (known.base_shift or known.reverse):
                 found[reading.code] = reading
     return list(found.values())
 
 
-def _unconfirmed(archive: Archive, config: SearchConfig, number: int) -> list[Way]:
+def _unconfirmed(archive: Archive, config: SearchConfig, number: int) -> list[ActionSequence]:
     """Ways for the rope renumbered, to codes that no elite shows as it is numbered; half as many as
     slots.
 
@@ -288,18 +317,21 @@ def _unconfirmed(archive: Archive, config: SearchConfig, number: int) -> list[Wa
         if 0 < niche.nx <= config.max_nx and not archive.sure(niche)
     ]
     drawn = [near[pick] for pick in rng.permutation(len(near))]
-    ways = []
-    for niche in sorted(drawn, key=lambda one: one.plain in sure)[: config.slots // 2]:
+    sequences = []
+    for niche in sorted(drawn, key=lambda one: one.plain in sure)[: config.batch_size // 2]:
         elites = archive.niches[niche]
         elite = elites[rng.integers(len(elites))]
         renumbered = Symmetry(
-            reverse=elite.reverse, roll=-elite.roll if elite.reverse else elite.roll
+            reverse=elite.reverse,
+            base_shift=-elite.base_shift if elite.reverse else elite.base_shift,
         )
-        beads = renumbered.beads(elite.way.beads, config.rope.beads).astype(np.int16)
+        beads = renumbered.beads(elite.sequence.beads, config.rope.beads).astype(np.int16)
         back = renumbered.back_to_loop(config.rope.beads)
-        way = Way(beads, back.vectors(elite.way.forces.astype(np.float64)).astype(np.float32))
-        ways.append(way.jittered(rng.uniform(0, JITTER), rng))
-    return ways
+        sequence = ActionSequence(
+            beads, back.vectors(elite.sequence.forces.astype(np.float64)).astype(np.float32)
+        )
+        sequences.append(sequence.jittered(rng.uniform(0, JITTER), rng))
+    return sequences
 
 
 def _parents(archive: Archive, config: SearchConfig, number: int) -> list[Elite]:
@@ -309,12 +341,14 @@ def _parents(archive: Archive, config: SearchConfig, number: int) -> list[Elite]
     rng = generator(Stream.SEARCH_PARENTS, config.seed, number)
     near = {niche: elites for niche, elites in archive.niches.items() if niche.nx <= config.max_nx}
     able = {
-        niche: [one for one in elites if len(one.way) + 4 <= config.longest]
+        niche: [one for one in elites if len(one.sequence) + 4 <= config.longest]
         for niche, elites in near.items()
     }
     niches = [niche for niche, elites in able.items() if elites]
     weights = np.array([1 / np.sqrt(1 + archive.visits.get(niche, 0)) for niche in niches])
-    chosen = [niches[i] for i in rng.choice(len(niches), config.slots, p=weights / weights.sum())]
+    chosen = [
+        niches[i] for i in rng.choice(len(niches), config.batch_size, p=weights / weights.sum())
+    ]
     for niche in chosen:
         archive.visits[niche] = archive.visits.get(niche, 0) + 1
     return [able[niche][rng.integers(len(able[niche]))] for niche in chosen]

@@ -22,9 +22,9 @@ from knotgym.datasets.minari_dataset import MinariMetadata, publish
 from knotgym.datasets.state_card import card, summary
 from knotgym.datasets.states import States, write_states
 from knotgym.datasets.trajectory import Episode
-from knotgym.generate.states.candidates import Instance
+from knotgym.generate.states.candidates import Candidate
 from knotgym.generate.states.curation import split
-from knotgym.generate.states.job import Job
+from knotgym.generate.states.curation_run import Job
 from knotgym.quality import UNITS, Quality
 from knotgym.rendering.picture import draw_many
 from knotgym.rope import RopeConfig
@@ -34,50 +34,51 @@ from knotgym.topology.crossings import label_many
 from knotgym.topology.knots import knot_type
 
 HORIZON = 200  # actions, longer than any way
-POLICY = "ways"  # the archive's ways, carried over by a symmetry, stirred and opened up
+# the archive's action sequences, carried over by a symmetry, followed by a random walk, opened up
+POLICY = "demonstrations"
 
 
 def states_of(job: Job) -> States:
-    """The accepted instances as rows, by nx and then in the order of acceptance."""
+    """The accepted candidates as rows, by nx and then in the order of acceptance."""
     config = job.config
-    instances = [(nx, one) for nx in config.nx for one in job.accepted[nx]]
-    longest = max(len(one.actions) for _, one in instances)
+    candidates = [(nx, one) for nx in config.nx for one in job.accepted[nx]]
+    longest = max(len(one.actions) for _, one in candidates)
     splits: list[str] = []
     for nx in config.nx:
         rng = generator(Stream.SPLIT, config.seed, nx)
         splits += split(
             [one.code for one in job.accepted[nx]], config.split_by, config.train_share, rng
         ).tolist()
-    points = np.stack([one.points[-1] for _, one in instances])
+    points = np.stack([one.points[-1] for _, one in candidates])
     return States(
-        qpos=np.stack([one.qpos for _, one in instances]),
+        qpos=np.stack([one.qpos for _, one in candidates]),
         points=points,
         image=draw_many(points),
-        gauss_code=np.array([str(one.code) for _, one in instances]),
-        gauss_code_chiral=np.array([one.code.chiral for _, one in instances]),
-        knot=np.array([knot_type(one.code) for _, one in instances]),
-        nx=np.array([nx for nx, _ in instances], dtype=np.int64),
+        gauss_code=np.array([str(one.code) for _, one in candidates]),
+        gauss_code_chiral=np.array([one.code.chiral for _, one in candidates]),
+        knot=np.array([knot_type(one.code) for _, one in candidates]),
+        nx=np.array([nx for nx, _ in candidates], dtype=np.int64),
         split=np.array(splits),
         quality={
-            field.name: np.array([getattr(one.quality, field.name) for _, one in instances])
+            field.name: np.array([getattr(one.quality, field.name) for _, one in candidates])
             for field in fields(Quality)
         },
         units=dict(UNITS),
         source={
-            "start_qpos": np.stack([one.start_qpos for _, one in instances]),
-            "actions": np.stack([_padded(one, longest) for _, one in instances]),
-            "steps": np.array([len(one.actions) for _, one in instances], dtype=np.int64),
-            "seed": np.array([one.seed for _, one in instances], dtype=np.int64),
-            "policy": np.array([POLICY] * len(instances)),
+            "start_qpos": np.stack([one.start_qpos for _, one in candidates]),
+            "actions": np.stack([_padded(one, longest) for _, one in candidates]),
+            "steps": np.array([len(one.actions) for _, one in candidates], dtype=np.int64),
+            "seed": np.array([one.seed for _, one in candidates], dtype=np.int64),
+            "policy": np.array([POLICY] * len(candidates)),
             "trajectory": np.array(
                 [k for nx in config.nx for k in range(len(job.accepted[nx]))], dtype=np.int64
             ),
-            "step": np.array([len(one.actions) for _, one in instances], dtype=np.int64),
+            "step": np.array([len(one.actions) for _, one in candidates], dtype=np.int64),
         },
         attributes={
             "knotgym": knotgym.__version__,
             "mujoco": mujoco.__version__,
-            "rope": config.instance.rope.fingerprint,
+            "rope": config.candidate.rope.fingerprint,
             "config": json.dumps(asdict(config), sort_keys=True),
         },
     )
@@ -140,19 +141,19 @@ def finish(
 
 
 def write_trajectories(job: Job, folder: Path, states: Path) -> None:
-    """One Minari dataset for each nx, knotgym/tie-nx3/ways-v0 below `folder`, pixels and states; an
-    episode a state, in their order.
+    """One Minari dataset for each nx, knotgym/tie-nx3/demonstrations-v0 below `folder`, pixels and
+    states; an episode a state, in their order.
     """
     for nx in [nx for nx in job.config.nx if job.accepted[nx]]:
         shard = folder / f"nx{nx}.h5"
-        with EpisodeWriter(shard, ways_task(nx)) as writer:
-            for instance in job.accepted[nx]:
-                writer.add(episode_of(instance))
-        publish_ways(nx, [shard], len(job.accepted[nx]), folder, states)
+        with EpisodeWriter(shard, demonstration_task(nx)) as writer:
+            for candidate in job.accepted[nx]:
+                writer.add(episode_of(candidate))
+        publish_demonstrations(nx, [shard], len(job.accepted[nx]), folder, states)
         shard.unlink()
 
 
-def ways_task(nx: int) -> TaskConfig:
+def demonstration_task(nx: int) -> TaskConfig:
     """The task that the ways to states with nx crossings are episodes of."""
     # a loop has nothing to tie: its episodes are those of an unknot task whose goal is shown from
     # the start
@@ -161,23 +162,25 @@ def ways_task(nx: int) -> TaskConfig:
         nx=max(1, nx),
         observation="both",
         horizon=HORIZON,
-        states=_ways_id(nx),
+        states=_demonstrations_id(nx),
     )
 
 
-def ways_folder(root: Path, nx: int) -> Path:
+def demonstrations_folder(root: Path, nx: int) -> Path:
     """Where the ways to states with nx crossings stand below `root`."""
-    return root / _ways_id(nx)
+    return root / _demonstrations_id(nx)
 
 
-def publish_ways(nx: int, sources: Sequence[Any], count: int, root: Path, states: Path) -> None:
+def publish_demonstrations(
+    nx: int, sources: Sequence[Any], count: int, root: Path, states: Path
+) -> None:
     """Write `count` ways from the episodes of `sources`, one source after another, below `root`.
 
     The dataset carries `states`, so that the environment recovered from it resets from the very
     states that the ways lead to.
     """
     metadata = MinariMetadata(
-        dataset_id=_ways_id(nx),
+        dataset_id=_demonstrations_id(nx),
         algorithm_name=POLICY,
         description=(
             f"The ways to {count} curated rope states with {nx} crossings: searched, carried over"
@@ -188,23 +191,23 @@ def publish_ways(nx: int, sources: Sequence[Any], count: int, root: Path, states
     publish(sources, metadata, root, concatenate=True, states=states)
 
 
-def _ways_id(nx: int) -> str:
+def _demonstrations_id(nx: int) -> str:
     return f"knotgym/{'tie' if nx else 'unknot'}-nx{max(1, nx)}/{POLICY}-v0"
 
 
-def episode_of(instance: Instance) -> Episode:
+def episode_of(candidate: Candidate) -> Episode:
     """The way to a state as an episode; it goes on past the first time that the code is shown,
     until the rope lies open and at rest.
     """
-    steps, codes = len(instance.actions), label_many(instance.points)
-    shown = np.array([code.matches(instance.code) for code in codes])
+    steps, codes = len(candidate.actions), label_many(candidate.points)
+    shown = np.array([code.matches(candidate.code) for code in codes])
     end = np.arange(steps + 1) == steps
-    beads, forces = _pulled(instance)
+    beads, forces = _pulled(candidate)
     return Episode(
-        start_qpos=instance.start_qpos,
-        points=instance.points,
-        goal_points=instance.points[-1],
-        actions=instance.actions,
+        start_qpos=candidate.start_qpos,
+        points=candidate.points,
+        goal_points=candidate.points[-1],
+        actions=candidate.actions,
         rewards=np.where(end[1:], TaskConfig(task="tie").success_reward, 0.0),
         terminations=end[1:],
         truncations=np.zeros(steps, dtype=bool),
@@ -215,23 +218,23 @@ def episode_of(instance: Instance) -> Episode:
         force=forces,
         is_success=end,
         simulation_failed=np.zeros(steps + 1, dtype=bool),
-        goal_gauss_code=str(instance.code),
+        goal_gauss_code=str(candidate.code),
         policy=POLICY,
         hold=int(np.argmin(shown[:0:-1])) if not shown[1:].all() else steps,
     )
 
 
-def _pulled(instance: Instance) -> tuple[np.ndarray, np.ndarray]:
+def _pulled(candidate: Candidate) -> tuple[np.ndarray, np.ndarray]:
     """Bead int64 (T + 1,) and force float64 (T + 1, 3), newtons, that led to each state."""
     rope = RopeConfig()
-    places = rope.reach * instance.actions[:, None, :3].astype(np.float64)
-    beads = np.argmin(((instance.points[:-1] - places) ** 2).sum(axis=2), axis=1)
+    places = rope.reach * candidate.actions[:, None, :3].astype(np.float64)
+    beads = np.argmin(((candidate.points[:-1] - places) ** 2).sum(axis=2), axis=1)
     return np.concatenate([[-1], beads]), np.concatenate(
-        [np.zeros((1, 3)), rope.max_force * instance.actions[:, 3:].astype(np.float64)]
+        [np.zeros((1, 3)), rope.max_force * candidate.actions[:, 3:].astype(np.float64)]
     )
 
 
-def _padded(instance: Instance, longest: int) -> np.ndarray:
+def _padded(candidate: Candidate, longest: int) -> np.ndarray:
     out = np.zeros((longest, 6), dtype=np.float32)
-    out[: len(instance.actions)] = instance.actions
+    out[: len(candidate.actions)] = candidate.actions
     return out

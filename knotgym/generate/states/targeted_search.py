@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from knotgym.control.macro_actions import Way, pull
+from knotgym.control.macro_actions import ActionSequence, step_ropes
 from knotgym.control.planner import PlannerConfig, plan
-from knotgym.control.transition_graph import shipped_atlas
+from knotgym.control.transition_graph import shipped_transition_graph
 from knotgym.generate.states.archive import Elite
 from knotgym.generate.states.search import SearchConfig, readings, simulation_of
 from knotgym.quality import Limits
@@ -29,7 +29,7 @@ class Target(NamedTuple):
     seed: tuple[int, ...]
 
 
-class Shot(NamedTuple):
+class TargetPlan(NamedTuple):
     """What came of a target: states for the archive, none if the planner failed; and simulated
     actions spent.
     """
@@ -38,10 +38,10 @@ class Shot(NamedTuple):
     spent: int
 
 
-def reach(target: Target) -> Shot:
+def reach(target: Target) -> TargetPlan:
     """Plan a way to a target that the search could have gone, and act it out."""
     search, planner = target.search, target.planner
-    simulation = simulation_of(planner.slots, search.rope)
+    simulation = simulation_of(planner.batch_size, search.rope)
     rope = simulation.rope
     simulation.lay(rope.qpos(target.start)[None], [0])
     state = simulation.states([0])[0]
@@ -49,13 +49,13 @@ def reach(target: Target) -> Shot:
         simulation,
         state,
         target.goal,
-        shipped_atlas(),
+        shipped_transition_graph(),
         planner,
         generator_of(target.seed),
         steps=search.longest,
     )
     if not found.solved:
-        return Shot((), found.spent)
+        return TargetPlan((), found.spent)
     simulation.restore(state[None], [0])
     beads, forces = (
         np.zeros(len(found.actions), dtype=np.int16),
@@ -64,7 +64,7 @@ def reach(target: Target) -> Shot:
     for step, action in enumerate(found.actions):
         (beads[step],), force = simulation.read_actions(action[None], [0])
         forces[step] = force[0] / rope.config.max_force
-        pull(simulation, beads[[step]], forces[[step]], [0])
-    end, way = simulation.states([0])[0], Way(beads, forces)
+        step_ropes(simulation, beads[[step]], forces[[step]], [0])
+    end, sequence = simulation.states([0])[0], ActionSequence(beads, forces)
     shown = readings(simulation.points[0], Limits(), search.rope)
-    return Shot(tuple(one.elite(way, end) for one in shown), found.spent + len(way))
+    return TargetPlan(tuple(one.elite(sequence, end) for one in shown), found.spent + len(sequence))

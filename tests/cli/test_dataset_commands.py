@@ -23,10 +23,10 @@ from knotgym.datasets.states import States, read_states, write_states
 from knotgym.datasets.video import FRAMES_PER_SECOND, UnknownFilm, captioned, write_film
 from knotgym.rendering.picture import draw
 
-from .small_job import knotgym
+from ..small_job import knotgym
 
 FRAMES = [np.full((40, 60, 3), level, dtype=np.uint8) for level in (0, 60, 120, 180, 240)]
-WAYS = "minari/knotgym/tie-nx1/ways-v0"
+WAYS = "minari/knotgym/tie-nx1/demonstrations-v0"
 
 
 @contextmanager
@@ -128,7 +128,7 @@ def test_show_counts_states_codes_and_rejections(
 ) -> None:
     assert knotgym("dataset", "show", curated) == 0
     told = capfd.readouterr().out
-    assert "8 states" in told and "noise_survival" in told and "instances made; rejected" in told
+    assert "8 states" in told and "noise_survival" in told and "candidates made; rejected" in told
 
 
 def test_show_sums_up_trajectories(curated: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -137,7 +137,7 @@ def test_show_sums_up_trajectories(curated: Path, capfd: pytest.CaptureFixture[s
     assert (
         told["episodes"].split()[1] == "4"
         and told["successes"].split()[1] == "4"
-        and "ways" in told["policies"]
+        and "demonstrations" in told["policies"]
     )
 
 
@@ -145,8 +145,8 @@ def test_show_finds_a_dataset_by_its_id(
     curated: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(curated / "minari"))
-    assert knotgym("dataset", "show", "knotgym/tie-nx1/ways-v0") == 0
-    assert "knotgym/tie-nx1/ways-v0" in capfd.readouterr().out
+    assert knotgym("dataset", "show", "knotgym/tie-nx1/demonstrations-v0") == 0
+    assert "knotgym/tie-nx1/demonstrations-v0" in capfd.readouterr().out
 
 
 def test_growth_is_told_in_a_dozen_rows_the_last_among_them() -> None:

@@ -34,9 +34,9 @@ from knotgym.datasets.image_table import (
 from knotgym.datasets.image_verification import image_faults, row_faults
 from knotgym.datasets.near_duplicates import NEAR, distances
 from knotgym.difficulty import grade
-from knotgym.generate.images import recipe as job
-from knotgym.generate.images.recipe import ImagesConfig, InvalidImagesJob, make, quotas
-from knotgym.generate.images.seed_states import NoBases, bases, families
+from knotgym.generate.images import image_recipe as job
+from knotgym.generate.images.image_recipe import ImagesConfig, InvalidImagesJob, make, quotas
+from knotgym.generate.images.seed_states import NoSeedStates, families, seed_states
 from knotgym.generate.images.selection import _options
 from knotgym.loaders import MissingExtra
 from knotgym.loaders import images as load
@@ -49,7 +49,7 @@ from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry
 
-from .conftest import curled
+from ..conftest import curled
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed"
@@ -59,9 +59,9 @@ CONFIG = ImagesConfig(
     nx=(0, 1, 2),
     count=36,
     test_share=0.2,
-    pulls=4,
+    steps=4,
     stride=2,
-    shard=10,
+    rows_per_file=10,
     appearance=AppearanceConfig(vary=VARIED, sizes=(64, 128)),
 )
 
@@ -208,7 +208,7 @@ def test_a_near_duplicate_in_another_split_is_found(
     planted = Row(points, label(points), "test", {**train["source"], "family": 10**6, "row": 10**6})
     write_rows(tmp_path / "data.parquet", [train, record(planted, AppearanceConfig())])
     [fault] = image_faults(tmp_path / "data.parquet", workers=1)
-    assert "(train)" in fault and "1000000 (test) are near-duplicates" in fault
+    assert "(train)" in fault and "1000000 (test)" in fault and "are near-duplicates" in fault
 
 
 def test_a_walk_that_ends_elsewhere_is_found(folder: Path, tmp_path: Path) -> None:
@@ -314,16 +314,18 @@ def test_a_walk_begun_in_another_gap_shows_the_code_foretold(nx: int, rope: Rope
     places = np.sort(np.concatenate([found.over_place, found.under_place]))
     for option in _options(found.code):
         base = int(np.ceil(places[option.gap - 1])) % 100
-        roll = (-base if option.reverse else base) % 100
-        moved = Symmetry(switch=option.switch, reverse=option.reverse, roll=roll).configuration(
-            points
-        )
+        base_shift = (-base if option.reverse else base) % 100
+        moved = Symmetry(
+            switch=option.switch, reverse=option.reverse, base_shift=base_shift
+        ).configuration(points)
         assert label(moved).plain == option.shown
 
 
 def test_mirror_images_reversals_and_renumberings_are_one_family(rope: Rope) -> None:
     first, second = (rope.from_curve(curled(nx, 0.3)) for nx in (2, 3))
-    kin = Symmetry(reflect=True, switch=True, reverse=True, turn=1.0, roll=37).configuration(first)
+    kin = Symmetry(reflect=True, switch=True, reverse=True, turn=1.0, base_shift=37).configuration(
+        first
+    )
     assert families(np.stack([first, second, kin]), 2 * NEAR).tolist() in ([0, 1, 0], [1, 0, 1])
 
 
@@ -345,8 +347,8 @@ def test_a_grade_is_that_of_the_worst_measure(rope: Rope) -> None:
 
 
 def test_bases_come_from_one_file(tmp_path: Path) -> None:
-    with pytest.raises(NoBases):
-        bases((1,), archive=tmp_path / "a.h5", states=tmp_path / "b.h5")
+    with pytest.raises(NoSeedStates):
+        seed_states((1,), archive=tmp_path / "a.h5", states=tmp_path / "b.h5")
 
 
 def test_the_code_shown_is_the_one_of_the_points(rows: list[dict[str, Any]]) -> None:
@@ -420,7 +422,7 @@ def hugging_face(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     """
     if not _installed("datasets"):
         pytest.skip("Hugging Face's datasets isn't installed")
-    checkout = Path(__file__).parents[1]
+    checkout = Path(__file__).parents[2]
     monkeypatch.setattr(
         sys, "path", [place for place in sys.path if Path(place).resolve() != checkout]
     )

@@ -26,7 +26,7 @@ from knotgym.generate.episodes.collect import CollectConfig, InvalidCollection, 
 from knotgym.runs.staging import Occupied
 from knotgym.tasks import TaskConfig
 
-from .minari_list import check_minari
+from ..minari_list import check_minari
 
 FORK = multiprocessing.get_context("forkserver")
 FORK.set_forkserver_preload(["knotgym.cli.main", "knotgym.generate.episodes.collect"])
@@ -152,7 +152,7 @@ def test_minari_does_it_with_hindsight_too(
 
 @pytest.mark.parametrize("name", ["scripted", "noisy-expert"])
 def test_workers_do_not_change_the_bytes(name: str, states_path: str, tmp_path: Path) -> None:
-    policy = PolicyConfig(policy=name, planner=PlannerConfig(budget=40, slots=2))
+    policy = PolicyConfig(policy=name, planner=PlannerConfig(budget=40, batch_size=2))
     one = collect(config(states_path, policy=policy), tmp_path / "one", **QUIET)
     two = collect(config(states_path, policy=policy), tmp_path / "two", **{**QUIET, "workers": 2})
     assert made(one) == made(two)
@@ -161,7 +161,7 @@ def test_workers_do_not_change_the_bytes(name: str, states_path: str, tmp_path: 
 def test_failed_episodes_are_dropped_when_asked_and_counted(
     states_path: str, tmp_path: Path
 ) -> None:
-    policy = PolicyConfig(policy="expert", planner=PlannerConfig(budget=24, slots=4))
+    policy = PolicyConfig(policy="expert", planner=PlannerConfig(budget=24, batch_size=4))
     kept = collect(config(states_path, policy=policy), tmp_path / "kept", **QUIET)
     tally = json.loads((kept / "data" / "collection.json").read_text())["tally"]
     assert 0 < tally["succeeded"] < tally["played"] == tally["kept"] == 6

@@ -8,17 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from knotgym.rope import Rope, RopeConfig
+from knotgym.rope import Rope, RopeConfig, base_shifts
 from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.diagrams import chiralities, planar_codes
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import (
     Symmetry,
-    class_of,
+    canonical_form,
     mirror_images,
     mirrorings,
-    rolled,
-    rolls,
+    shifted_base,
     variants,
 )
 
@@ -37,7 +36,7 @@ symmetries = st.builds(
     switch=st.booleans(),
     turn=st.floats(-np.pi, np.pi),
     reverse=st.booleans(),
-    roll=st.integers(-BEADS, 2 * BEADS),
+    base_shift=st.integers(-BEADS, 2 * BEADS),
 )
 rows = st.integers(0, 39)
 
@@ -50,12 +49,12 @@ def configurations(rope: Rope, tangled: NDArray[np.float64]) -> NDArray[np.float
 
 @given(codes)
 def test_a_class_is_the_same_for_every_variant(code: GaussCode) -> None:
-    assert {class_of(shown) for shown, _ in variants(code)} == {class_of(code)}
+    assert {canonical_form(shown) for shown, _ in variants(code)} == {canonical_form(code)}
 
 
 @given(codes)
 def test_a_class_stands_for_itself(code: GaussCode) -> None:
-    assert class_of(class_of(code)) == class_of(code)
+    assert canonical_form(canonical_form(code)) == canonical_form(code)
 
 
 @given(codes)
@@ -75,7 +74,7 @@ def test_variants_are_the_mirrorings_of_the_walk_either_way(code: GaussCode) -> 
 
 
 def test_classes_part_the_codes() -> None:
-    by_class = {one: {shown for shown, _ in variants(one)} for one in map(class_of, CODES)}
+    by_class = {one: {shown for shown, _ in variants(one)} for one in map(canonical_form, CODES)}
     assert sum(map(len, by_class.values())) == len(set(CODES)) == len(set.union(*by_class.values()))
 
 
@@ -91,7 +90,7 @@ def test_a_plain_loop_can_be_laid_down_as_it_was(symmetry: Symmetry) -> None:
 def test_what_renumbers_nothing_can_be_taken_back(
     configurations: NDArray[np.float64], symmetry: Symmetry, row: int
 ) -> None:
-    exact, points = replace(symmetry, reverse=False, roll=0), configurations[row]
+    exact, points = replace(symmetry, reverse=False, base_shift=0), configurations[row]
     assert np.allclose(
         exact.undone().configuration(exact.configuration(points)), points, atol=1e-12
     )
@@ -117,8 +116,10 @@ def test_what_a_variant_shows_is_what_the_moved_rope_shows(
 def test_a_walk_from_any_vertex_reads_the_rolled_code(configurations: NDArray[np.float64]) -> None:
     for points in configurations[::4]:
         crossings = find_crossings(points)
-        for roll in range(BEADS):
-            assert label(Symmetry(roll=roll).configuration(points)) == rolled(crossings, roll), roll
+        for base_shift in range(BEADS):
+            assert label(Symmetry(base_shift=base_shift).configuration(points)) == shifted_base(
+                crossings, base_shift
+            ), base_shift
 
 
 def test_rolling_and_a_variant_show_the_variant_of_the_rolled_code(
@@ -126,10 +127,14 @@ def test_rolling_and_a_variant_show_the_variant_of_the_rolled_code(
 ) -> None:
     for points in configurations[::4]:
         crossings = find_crossings(points)
-        for roll in rolls(RopeConfig()):
-            for shown, one in variants(rolled(crossings, roll)):
+        for base_shift in base_shifts(RopeConfig()):
+            for shown, one in variants(shifted_base(crossings, base_shift)):
                 symmetry = Symmetry(
-                    one.reflect, one.switch, 0.3, one.reverse, -roll if one.reverse else roll
+                    one.reflect,
+                    one.switch,
+                    0.3,
+                    one.reverse,
+                    -base_shift if one.reverse else base_shift,
                 )
                 assert label(symmetry.configuration(points)) == shown
 
@@ -168,17 +173,19 @@ def test_no_symmetry_is_bit_for_bit_nothing(configurations: NDArray[np.float64])
 
 def test_configuration_leaves_its_input_alone(configurations: NDArray[np.float64]) -> None:
     before = configurations[5].copy()
-    Symmetry(reflect=True, switch=True, turn=1.0, reverse=True, roll=3).configuration(
+    Symmetry(reflect=True, switch=True, turn=1.0, reverse=True, base_shift=3).configuration(
         configurations[5]
     )
     assert np.array_equal(configurations[5], before)
 
 
 def test_the_plain_loop_renumbered_and_turned_back_is_the_plain_loop(rope: Rope) -> None:
-    for roll in rolls(rope.config):
-        back = Symmetry(roll=roll, turn=-2 * np.pi * roll / BEADS)
+    for base_shift in base_shifts(rope.config):
+        back = Symmetry(base_shift=base_shift, turn=-2 * np.pi * base_shift / BEADS)
         assert np.allclose(back.configuration(rope.loop()), rope.loop(), atol=1e-12)
 
 
 def test_rolls_start_at_each_sub_chain(rope: Rope) -> None:
-    assert rolls(rope.config)[0] == 0 and len(rolls(rope.config)) == rope.config.sub_chains
+    assert (
+        base_shifts(rope.config)[0] == 0 and len(base_shifts(rope.config)) == rope.config.sub_chains
+    )

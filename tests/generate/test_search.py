@@ -2,24 +2,25 @@
 reached again.
 """
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from knotgym.control.macro_actions import pull
+from knotgym.control.macro_actions import step_ropes
 from knotgym.generate.states.archive import Archive, Elite
 from knotgym.generate.states.search import SearchConfig, advance, new_archive
 from knotgym.quality import Limits, base_spacing, measure
-from knotgym.rope import Rope
+from knotgym.rope import Rope, base_shifts
 from knotgym.runs.executors import InProcess, Pool, engine
 from knotgym.simulation import Simulation
 from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.knots import is_unknot, knot_type
-from knotgym.topology.symmetry import rolled, rolls
+from knotgym.topology.symmetry import shifted_base
 
-from .conftest import SEARCH, trefoil
+from ..conftest import SEARCH, trefoil
 
 
 def grown(
@@ -93,9 +94,7 @@ def test_a_saved_and_loaded_archive_goes_on_as_if_unbroken(
 
 
 def test_another_seed_searches_elsewhere(searched: Archive, tmp_path: Path) -> None:
-    assert kept(grown(1, SearchConfig(max_nx=3, slots=8, pulls=8, seed=1)), tmp_path) != kept(
-        grown(1), tmp_path
-    )
+    assert kept(grown(1, replace(SEARCH, seed=2)), tmp_path) != kept(grown(1), tmp_path)
 
 
 def test_every_way_from_the_plain_loop_ends_in_its_state_bit_for_bit(
@@ -104,8 +103,8 @@ def test_every_way_from_the_plain_loop_ends_in_its_state_bit_for_bit(
     simulation = Simulation(1, rope)
     for elite in elites(searched):
         simulation.lay(rope.qpos(rope.loop())[None])
-        for bead, force in zip(elite.way.beads, elite.way.forces, strict=True):
-            _, held = pull(simulation, np.array([bead]), force[None])
+        for bead, force in zip(elite.sequence.beads, elite.sequence.forces, strict=True):
+            _, held = step_ropes(simulation, np.array([bead]), force[None])
             assert held.all()
         assert np.array_equal(simulation.states()[0], elite.state), elite.code.chiral
 
@@ -114,10 +113,10 @@ def test_every_elite_shows_its_code_walked_from_its_roll(searched: Archive, rope
     simulation = Simulation(1, rope)
     for elite in elites(searched):
         simulation.restore(elite.state[None])
-        assert elite.roll in rolls(rope.config)
-        walked = rolled(find_crossings(simulation.points[0]), elite.roll)
+        assert elite.base_shift in base_shifts(rope.config)
+        walked = shifted_base(find_crossings(simulation.points[0]), elite.base_shift)
         assert (walked.reversed() if elite.reverse else walked) == elite.code
-        assert elite.exact == (elite.roll == 0 and not elite.reverse) and (
+        assert elite.exact == (elite.base_shift == 0 and not elite.reverse) and (
             not elite.exact or label(simulation.points[0]) == elite.code
         )
 
@@ -126,9 +125,9 @@ def test_the_badness_of_an_elite_is_that_of_its_state(searched: Archive, rope: R
     simulation = Simulation(1, rope)
     for elite in elites(searched)[:40]:
         simulation.restore(elite.state[None])
-        points = np.roll(simulation.points[0], -elite.roll, axis=0)
-        assert elite.badness == pytest.approx(
-            Limits().badness(measure(points, quick=True), elite.code.nx), abs=1e-6
+        points = np.roll(simulation.points[0], -elite.base_shift, axis=0)
+        assert elite.objective == pytest.approx(
+            Limits().objective(measure(points, quick=True), elite.code.nx), abs=1e-6
         )
 
 
@@ -137,8 +136,8 @@ def test_base_spacing_is_taken_from_the_roll(searched: Archive, rope: Rope) -> N
     for elite in [one for one in elites(searched) if one.code.nx][:10]:
         simulation.restore(elite.state[None])
         points = simulation.points[0]
-        renumbered = np.roll(points, -elite.roll, axis=0)
-        assert base_spacing(points, find_crossings(points), elite.roll) == pytest.approx(
+        renumbered = np.roll(points, -elite.base_shift, axis=0)
+        assert base_spacing(points, find_crossings(points), elite.base_shift) == pytest.approx(
             measure(renumbered, quick=True).base_spacing, abs=1e-6
         )
 
@@ -159,22 +158,22 @@ def test_a_round_says_how_many_classes_are_new() -> None:
 
 
 def test_the_first_round_takes_every_pull_of_every_slot(searched: Archive) -> None:
-    assert searched.growth[0]["actions"] == SEARCH.slots * SEARCH.pulls
+    assert searched.growth[0]["actions"] == SEARCH.batch_size * SEARCH.steps
 
 
 def test_every_slot_counts_as_a_visit(searched: Archive) -> None:
-    assert sum(searched.visits.values()) == 3 * SEARCH.slots
+    assert sum(searched.visits.values()) == 3 * SEARCH.batch_size
 
 
 def test_no_way_is_longer_than_the_longest_allowed() -> None:
-    archive = grown(3, SearchConfig(max_nx=3, slots=8, pulls=8, longest=12))
-    assert 8 < max(len(one.way) for one in elites(archive)) <= 12
+    archive = grown(3, replace(SEARCH, seed=4, longest=12))
+    assert 8 < max(len(one.sequence) for one in elites(archive)) <= 12
 
 
 def test_settings_tell_the_whole_search(searched: Archive) -> None:
     assert (
-        searched.settings["seed"] == 0
-        and searched.settings["slots"] == 8
+        searched.settings["seed"] == SEARCH.seed
+        and searched.settings["batch_size"] == 8
         and searched.settings["start"] == "loop"
     )
 

@@ -19,10 +19,10 @@ from knotgym.datasets.image_table import points_of, read_rows, read_table
 from knotgym.datasets.near_duplicates import NEAR, apart, distances
 from knotgym.datasets.states import read_states
 from knotgym.generate.states.archive import Archive
-from knotgym.runs.shards import InvalidPart, Part
+from knotgym.runs.shards import InvalidShard, Shard
 
-from .small_job import knotgym, typed
-from .test_main_job import bytes_of, said
+from ..cli.test_generate_command import bytes_of, said
+from ..small_job import knotgym, typed
 
 with_arrow = pytest.mark.skipif(
     importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed"
@@ -41,11 +41,11 @@ def in_parts(of: int, out: Path, *words: object) -> list[Path]:
 
 @given(st.integers(1, 50), st.integers(0, 300))
 def test_shares_are_even_and_leave_nothing_out(of: int, count: int) -> None:
-    shares = [Part(number, of).share(count) for number in range(1, of + 1)]
+    shares = [Shard(number, of).share(count) for number in range(1, of + 1)]
     assert [k for share in shares for k in share] == list(range(count)) and len(
         {len(share) for share in shares}
     ) <= 2
-    assert [len(Part(number, of).dealt(range(count))) for number in range(1, of + 1)] == [
+    assert [len(Shard(number, of).dealt(range(count))) for number in range(1, of + 1)] == [
         len(share) for share in shares
     ]
 
@@ -65,9 +65,9 @@ def test_a_shard_that_is_none_is_one_line(
 
 
 def test_a_part_reads_as_it_is_written() -> None:
-    assert str(Part.parse("2/8")) == "2/8" and Part.parse("").whole
-    with pytest.raises(InvalidPart):
-        Part(3, 2)
+    assert str(Shard.parse("2/8")) == "2/8" and Shard.parse("").is_whole
+    with pytest.raises(InvalidShard):
+        Shard(3, 2)
 
 
 @pytest.mark.parametrize(
@@ -284,7 +284,7 @@ def test_merged_pictures_verify_without_a_leak_or_a_duplicate(
 
 
 def test_the_scripts_for_slurm_make_and_merge_a_run(tmp_path: Path) -> None:
-    scripts = Path(__file__).parents[1] / "examples" / "slurm"
+    scripts = Path(__file__).parents[2] / "examples" / "slurm"
     (tmp_path / "knotgym").write_text(f'#!/bin/sh\nexec {" ".join(typed())} "$@"\n')
     (tmp_path / "knotgym").chmod(0o755)
     for number in (1, 2):

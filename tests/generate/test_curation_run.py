@@ -1,4 +1,4 @@
-"""A job orders what is lacking, accepts what is asked for, and says so when it can't be had."""
+"""A job tasks what is lacking, accepts what is asked for, and says so when it can't be had."""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.control.macro_actions import Way, pull
+from knotgym.control.macro_actions import ActionSequence, step_ropes
 from knotgym.control.planner import PlannerConfig
-from knotgym.generate.states import job as jobs
+from knotgym.generate.states import curation_run as jobs
 from knotgym.generate.states.archive import Archive
-from knotgym.generate.states.candidates import Instance, Order, make
+from knotgym.generate.states.candidates import Candidate, CandidateTask, make_candidate
 from knotgym.generate.states.code_frequencies import frequencies
-from knotgym.generate.states.job import (
+from knotgym.generate.states.curation_run import (
     GenerateConfig,
     InvalidJob,
     Job,
@@ -33,13 +33,13 @@ from knotgym.runs.executors import InProcess
 from knotgym.simulation import Simulation
 from knotgym.topology.gauss import GaussCode
 
-from .conftest import curled, trefoil
-from .small_job import AIM, INSTANCE, WAVE, small
+from ..conftest import curled, trefoil
+from ..small_job import AIM, INSTANCE, WAVE, small
 
 
 def config(**changes: Any) -> GenerateConfig:
     return replace(
-        GenerateConfig(nx=(0, 1), count=4, wave=WAVE, instance=INSTANCE, planner=AIM), **changes
+        GenerateConfig(nx=(0, 1), count=4, wave=WAVE, candidate=INSTANCE, planner=AIM), **changes
     )
 
 
@@ -56,8 +56,8 @@ def finished() -> Job:
         return done(Job.begin(config(nx=(1,), count=2)))
 
 
-def accepted(job: Job) -> Iterator[tuple[int, Instance]]:
-    return ((nx, one) for nx, instances in job.accepted.items() for one in instances)
+def accepted(job: Job) -> Iterator[tuple[int, Candidate]]:
+    return ((nx, one) for nx, candidates in job.accepted.items() for one in candidates)
 
 
 def signature(job: Job) -> list[object]:
@@ -80,7 +80,7 @@ def signature(job: Job) -> list[object]:
         ({"attempts": 0}, "attempts must be at least 1, got 0"),
         ({"wave": 0}, "wave must be at least 1, got 0"),
         ({"every_code": -1}, "every_code must be at least 0, got -1"),
-        ({"balance": "odd"}, '"even" or "natural", got \'odd\''),
+        ({"balance": "odd"}, '"even" or "empirical", got \'odd\''),
         ({"split_by": "row"}, '"state" or "code", got \'row\''),
         ({"train_share": 1.5}, r"in \[0, 1\], got 1.5"),
         ({"train_share": float("nan")}, r"in \[0, 1\], got nan"),
@@ -99,8 +99,8 @@ def test_a_knot_has_no_diagram_with_too_few_crossings() -> None:
 
 
 def test_natural_balance_is_for_the_unknot() -> None:
-    with pytest.raises(InvalidJob, match="natural balance"):
-        Job.begin(config(knot="3_1", nx=(3,), balance="natural"))
+    with pytest.raises(InvalidJob, match="empirical balance"):
+        Job.begin(config(knot="3_1", nx=(3,), balance="empirical"))
 
 
 def test_a_curve_with_more_crossings_than_asked_for_begins_a_job_all_the_same(
@@ -154,7 +154,7 @@ def test_accepted_states_have_no_faults_and_the_crossings_asked_for(finished: Jo
 
 def test_every_instance_has_a_seed_of_its_own(finished: Job) -> None:
     seeds = [one.seed for _, one in accepted(finished)]
-    assert len(seeds) == len(set(seeds)) and all(seed[0] == finished.config.seed for seed in seeds)
+    assert len(seeds) == len(set(seeds)) and all(seed[1] == finished.config.seed for seed in seeds)
 
 
 def test_a_finished_job_can_be_run_again_and_does_nothing(finished: Job) -> None:
@@ -172,7 +172,7 @@ def test_a_copy_is_rejected_as_a_near_duplicate(finished: Job) -> None:
 def test_what_an_instance_brings_home_goes_into_the_archive(searched: Archive) -> None:
     job = Job.begin(config(nx=(1,), wave=8), deepcopy(searched))
     better = next(
-        one for one in map(make, (order for _, order in jobs._orders(job, {}))) if one.elites
+        one for one in map(make_candidate, (task for _, task in jobs._tasks(job, {}))) if one.elites
     )
     jobs._judge(job, 1, better)
     assert any(one is better.elites[0] for one in job.archive.leading_to(better.code))
@@ -195,23 +195,23 @@ def test_a_code_that_has_its_share_gets_no_more(finished: Job) -> None:
     job = Job.begin(config(nx=(1,), count=2))
     one = finished.accepted[1][0]
     elsewhere = replace(one, points=one.points * 1.2)
-    for instance in (one, elsewhere):
-        jobs._judge(job, 1, instance)
+    for candidate in (one, elsewhere):
+        jobs._judge(job, 1, candidate)
     [kept] = job.accepted[1]
     assert kept.points is one.points and not job.rejected[1]
 
 
 def test_orders_are_for_codes_that_lack_states(searched: Archive) -> None:
     job = Job.begin(config(nx=(1, 2), wave=20), searched)
-    orders: list[tuple[int, Order]] = jobs._orders(job, {})
-    assert len(orders) == 20 and Counter(nx for nx, _ in orders) == {1: 10, 2: 10}
-    assert all(order.code.nx == nx and order.elites for nx, order in orders)
-    assert len({order.seed for _, order in orders}) == 20
+    tasks: list[tuple[int, CandidateTask]] = jobs._tasks(job, {})
+    assert len(tasks) == 20 and Counter(nx for nx, _ in tasks) == {1: 10, 2: 10}
+    assert all(task.code.nx == nx and task.elites for nx, task in tasks)
+    assert len({task.seed for _, task in tasks}) == 20
 
 
 def test_codes_are_ordered_with_each_chirality_in_turn(searched: Archive) -> None:
     job = Job.begin(config(nx=(1,), wave=8), searched)
-    assert Counter(order.code.chiral for _, order in jobs._orders(job, {})) == {
+    assert Counter(task.code.chiral for _, task in jobs._tasks(job, {})) == {
         text: 2 for text in ("1+a,1-a", "1+c,1-c", "1-a,1+a", "1-c,1+c")
     }
 
@@ -222,7 +222,7 @@ def test_what_cannot_be_accepted_ends_with_a_line_that_says_so() -> None:
         count=1,
         attempts=4,
         wave=4,
-        instance=replace(INSTANCE, limits=Limits(crossing_angle=91.0)),
+        candidate=replace(INSTANCE, limits=Limits(crossing_angle=91.0)),
     )
     with pytest.raises(
         NotEnough,
@@ -235,7 +235,7 @@ def test_a_job_stops_after_its_cycles_with_what_there_is() -> None:
     job = done(Job.begin(config(nx=(1, 2), count=40, cycles=2)))
     assert job.cycle == len(job.growth) == 2 and 0 < len(job.accepted[1]) < 40
     assert job.growth[-1]["accepted"] == {
-        str(nx): len(instances) for nx, instances in job.accepted.items()
+        str(nx): len(candidates) for nx, candidates in job.accepted.items()
     }
     assert job.growth[-1]["known"] == {str(nx): len(job.archive.codes(nx)) for nx in (1, 2)}
     assert (
@@ -248,7 +248,7 @@ def test_a_job_stops_after_its_cycles_with_what_there_is() -> None:
 
 def test_cycles_that_accept_nothing_end_with_a_line_that_says_so() -> None:
     hopeless = config(
-        nx=(0,), count=1, cycles=1, instance=replace(INSTANCE, limits=Limits(crossing_angle=91.0))
+        nx=(0,), count=1, cycles=1, candidate=replace(INSTANCE, limits=Limits(crossing_angle=91.0))
     )
     with pytest.raises(
         NotEnough, match="no state accepted in 1 cycles; use --resume and more --cycles"
@@ -285,10 +285,10 @@ def test_a_code_that_only_a_long_way_leads_to_is_aimed_at_after_those_that_lack_
     job = Job.begin(config(nx=(2,), every_code=1))
     search, code = search_config(job.config), next(iter(job.shares[2]))
     elite = next(one for one in reach(jobs._targets(job, search)[0]).elites if one.exact)
-    rests = Way(
+    rests = ActionSequence(
         np.zeros(search.longest, dtype=np.int16), np.zeros((search.longest, 3), dtype=np.float32)
     )
-    job.archive.offer(replace(elite, way=elite.way + rests))
+    job.archive.offer(replace(elite, sequence=elite.sequence + rests))
     job.accepted[2].append(replace(finished.accepted[1][0], code=elite.code))
     assert any(map(job.archive.sure, job.archive.handed(code)))
     assert [one.goal for one in jobs._targets(job, search)][-1] == code
@@ -305,10 +305,10 @@ def test_a_code_whose_instances_all_fail_is_aimed_at_again_and_they_set_out_from
     assert code in [one.goal for one in jobs._targets(job, search)]
     assert code not in [one.goal for one in jobs._targets(job, search)]
     exact = next(one for one in shot.elites if one.exact)
-    fresh = replace(exact, badness=exact.badness + 1)
+    fresh = replace(exact, objective=exact.objective + 1)
     job.tried[2][code] = 0
-    orders = [order for _, order in jobs._orders(job, {code: fresh}) if order.code.plain == code]
-    assert orders and all(order.code == fresh.code and order.elites == (fresh,) for order in orders)
+    tasks = [task for _, task in jobs._tasks(job, {code: fresh}) if task.code.plain == code]
+    assert tasks and all(task.code == fresh.code and task.elites == (fresh,) for task in tasks)
 
 
 def test_an_aim_is_a_way_that_can_be_gone_again(rope: Rope) -> None:
@@ -316,12 +316,12 @@ def test_an_aim_is_a_way_that_can_be_gone_again(rope: Rope) -> None:
         Job.begin(config(nx=(2,), every_code=1)), search_config(config(nx=(2,)))
     )[0]
     shot, again = reach(target), reach(target)
-    assert shot.spent == again.spent > len(shot.elites[0].way) > 0
+    assert shot.spent == again.spent > len(shot.elites[0].sequence) > 0
     simulation = Simulation(1, rope)
     for elite in shot.elites:
         simulation.lay(rope.qpos(target.start)[None])
-        for bead, force in zip(elite.way.beads, elite.way.forces, strict=True):
-            pull(simulation, np.array([bead]), force[None])
+        for bead, force in zip(elite.sequence.beads, elite.sequence.forces, strict=True):
+            step_ropes(simulation, np.array([bead]), force[None])
         assert np.array_equal(simulation.states()[0], elite.state)
     assert next(one for one in shot.elites if one.exact).code.matches(target.goal)
 

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import pytest
 
-from .small_job import knotgym, typed
-from .test_main_job import SECONDS, WANTED, begun, bytes_of, held, said
+from ..cli.test_generate_command import SECONDS, WANTED, begun, bytes_of, held, said
+from ..small_job import knotgym, typed
 
 with_arrow = pytest.mark.skipif(
     importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed"
@@ -267,7 +267,7 @@ def test_spoilt_shards_of_a_collection_are_made_anew(
 def test_spoilt_walks_and_shards_of_pictures_are_made_anew(
     unbroken: dict[str, dict[str, str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from knotgym.generate.images import recipe as images
+    from knotgym.generate.images import image_recipe as images
 
     def killed(*_: object) -> None:
         raise KeyboardInterrupt

@@ -12,7 +12,7 @@ from knotgym.rope import InvalidCurve, Rope
 from knotgym.topology.crossings import label
 from knotgym.topology.knots import knot_type
 
-from .conftest import curled, trefoil
+from ..conftest import curled, trefoil
 
 
 @pytest.mark.parametrize("knot", list(KNOTS))

@@ -1,4 +1,4 @@
-"""Instances show the code that was ordered, can be made again bit for bit, and say why if they are
+"""Candidates show the code that was ordered, can be made again bit for bit, and say why if they are
 rejected.
 """
 
@@ -9,10 +9,16 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from knotgym.control.macro_actions import NO_WAY, pull
-from knotgym.generate.states import candidates as instances
+from knotgym.control.macro_actions import NO_ACTIONS, step_ropes
+from knotgym.generate.states import candidates as candidates
 from knotgym.generate.states.archive import Archive, Elite
-from knotgym.generate.states.candidates import REST, Instance, InstanceConfig, Order, make
+from knotgym.generate.states.candidates import (
+    REST,
+    Candidate,
+    CandidateConfig,
+    CandidateTask,
+    make_candidate,
+)
 from knotgym.quality import Limits, measure
 from knotgym.rope import Rope
 from knotgym.simulation import Simulation
@@ -21,26 +27,26 @@ from knotgym.topology.gauss import GaussCode
 from knotgym.topology.reference_labeller import pyknotid_code
 from knotgym.topology.symmetry import mirror_images
 
-from .conftest import curled
-from .small_job import INSTANCE
+from ..conftest import curled
+from ..small_job import INSTANCE
 
-Made = Sequence[tuple[Order, Instance]]
+Made = Sequence[tuple[CandidateTask, Candidate]]
 
 
-def orders(archive: Archive, config: InstanceConfig = INSTANCE) -> list[Order]:
+def tasks(archive: Archive, config: CandidateConfig = INSTANCE) -> list[CandidateTask]:
     """One order for every code with chirality that the archive knows, up to two crossings."""
     start = Rope().loop()
     codes = [
         code for nx in range(3) for plain in archive.codes(nx) for code in archive.handed(plain)
     ]
     return [
-        Order(config, code, tuple(archive.leading_to(code)), start, (0, 2, code.nx, k, 0))
+        CandidateTask(config, code, tuple(archive.leading_to(code)), start, (0, 2, code.nx, k, 0))
         for k, code in enumerate(codes)
     ]
 
 
-def same(one: Instance, other: Instance) -> bool:
-    """Whether two instances are the same in every bit."""
+def same(one: Candidate, other: Candidate) -> bool:
+    """Whether two candidates are the same in every bit."""
     arrays = all(
         np.array_equal(getattr(one, name), getattr(other, name))
         for name in ("start_qpos", "actions", "points", "qpos")
@@ -58,19 +64,19 @@ def same(one: Instance, other: Instance) -> bool:
 
 @pytest.fixture(scope="module")
 def made(searched: Archive) -> Made:
-    """Instances of every code known with up to two crossings, none of them dropped."""
-    return [(order, make(order)) for order in orders(searched)]
+    """Candidates of every code known with up to two crossings, none of them dropped."""
+    return [(task, make_candidate(task)) for task in tasks(searched)]
 
 
 @pytest.fixture(scope="module")
 def followed(made: Made) -> Made:
     """Those whose way led to the code."""
-    return [(order, one) for order, one in made if len(one.actions)]
+    return [(task, one) for task, one in made if len(one.actions)]
 
 
 @pytest.fixture(scope="module")
 def accepted(made: Made) -> Made:
-    return [(order, one) for order, one in made if not one.faults]
+    return [(task, one) for task, one in made if not one.faults]
 
 
 def test_most_ways_carry_over(made: Made, followed: Made, accepted: Made) -> None:
@@ -78,8 +84,8 @@ def test_most_ways_carry_over(made: Made, followed: Made, accepted: Made) -> Non
 
 
 def test_an_accepted_instance_shows_the_code_that_was_ordered(accepted: Made) -> None:
-    for order, one in accepted:
-        assert one.code == order.code == label(one.points[-1])
+    for task, one in accepted:
+        assert one.code == task.code == label(one.points[-1])
 
 
 def test_both_labellers_agree_on_an_accepted_instance(accepted: Made) -> None:
@@ -118,7 +124,7 @@ def test_it_starts_as_the_plain_loop(followed: Made) -> None:
 
 
 def test_the_order_seed_goes_with_the_instance(made: Made) -> None:
-    assert all(order.seed == one.seed for order, one in made)
+    assert all(task.seed == one.seed for task, one in made)
 
 
 def test_quality_is_that_of_the_last_state(followed: Made) -> None:
@@ -128,38 +134,40 @@ def test_quality_is_that_of_the_last_state(followed: Made) -> None:
 
 
 def test_an_instance_is_accepted_if_and_only_if_nothing_is_at_fault(followed: Made) -> None:
-    for order, one in followed:
-        right = order.config.limits.faults(one.quality, one.code.nx)
+    for task, one in followed:
+        right = task.config.limits.faults(one.quality, one.code.nx)
         assert [
             fault for fault in one.faults if fault in {field.name for field in fields(Limits)}
         ] == right
 
 
 def test_a_code_lost_on_the_way_to_rest_is_a_fault(followed: Made) -> None:
-    for order, one in followed:
-        assert ("code lost at rest" in one.faults) == (label(one.points[-1]) != order.code)
+    for task, one in followed:
+        assert ("code lost at rest" in one.faults) == (label(one.points[-1]) != task.code)
 
 
 def test_the_same_order_gives_the_same_bytes_whatever_was_made_before(made: Made) -> None:
-    for order, one in made[::-1][:6]:
-        assert same(make(pickle.loads(pickle.dumps(order))), one)
+    for task, one in made[::-1][:6]:
+        assert same(make_candidate(pickle.loads(pickle.dumps(task))), one)
 
 
 def test_another_seed_gives_another_instance(followed: Made) -> None:
-    order, one = followed[-1]
-    assert not same(make(order._replace(seed=(1, 2, 3, 4, 5))), one)
+    task, one = followed[-1]
+    assert not same(make_candidate(task._replace(seed=(1, 2, 3, 4, 5))), one)
 
 
 def test_a_way_that_misses_the_code_is_rejected_for_it(searched: Archive, rope: Rope) -> None:
-    nowhere = Elite(GaussCode.parse("1+a,1-a"), 0, False, NO_WAY, np.zeros(1), 0.0)
-    one = make(Order(INSTANCE, mirror_images(nowhere.code)[0], (nowhere,), rope.loop(), (0,)))
+    nowhere = Elite(GaussCode.parse("1+a,1-a"), 0, False, NO_ACTIONS, np.zeros(1), 0.0)
+    one = make_candidate(
+        CandidateTask(INSTANCE, mirror_images(nowhere.code)[0], (nowhere,), rope.loop(), (0,))
+    )
     assert one.faults == ("way missed the code",) and len(one.actions) == 0
 
 
 def test_limits_that_nothing_meets_reject_everything(searched: Archive) -> None:
     strict = replace(INSTANCE, limits=Limits(crossing_angle=91.0))
-    order = orders(searched, strict)[0]
-    assert make(order).faults == ("crossing_angle",)
+    task = tasks(searched, strict)[0]
+    assert make_candidate(task).faults == ("crossing_angle",)
 
 
 def test_variants_of_one_way_end_in_different_places(followed: Made) -> None:
@@ -174,7 +182,7 @@ def test_a_code_held_longer_before_the_end_is_told(rope: Rope) -> None:
         np.stack([loop] + [kink if shown == "x" else loop for shown in row])
         for row in ("..x.xx", "xx.x", "x.x", "xxx", "...")
     ]
-    assert [instances._shown_longest_last(points, code) for points in held] == [
+    assert [candidates._shown_longest_last(points, code) for points in held] == [
         True,
         False,
         False,
@@ -188,15 +196,15 @@ def test_what_goes_back_to_the_archive_is_reached_from_the_plain_loop_and_better
 ) -> None:
     simulation, better = (
         Simulation(1, rope),
-        [(order, one) for order, one in followed if one.elites],
+        [(task, one) for task, one in followed if one.elites],
     )
-    for order, one in better:
+    for task, one in better:
         elite = one.elites[0]
         assert elite.exact and mirror_images(elite.code) == mirror_images(one.code)
-        assert all(elite.badness < other.badness for other in order.elites if other.exact)
+        assert all(elite.objective < other.objective for other in task.elites if other.exact)
         simulation.lay(rope.qpos(rope.loop())[None])
-        for bead, force in zip(elite.way.beads, elite.way.forces, strict=True):
-            pull(simulation, np.array([bead]), force[None])
+        for bead, force in zip(elite.sequence.beads, elite.sequence.forces, strict=True):
+            step_ropes(simulation, np.array([bead]), force[None])
         assert (
             np.array_equal(simulation.states()[0], elite.state)
             and label(simulation.points[0]) == elite.code

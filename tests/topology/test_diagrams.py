@@ -20,7 +20,7 @@ from knotgym.topology.diagrams import (
 )
 from knotgym.topology.gauss import GaussCode, UnknownChirality
 
-CODES = Path(__file__).parent / "codes"
+CODES = Path(__file__).parents[1] / "codes"
 TREFOIL = GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c")
 
 planar = st.integers(0, 4).flatmap(lambda nx: st.sampled_from(list(planar_codes(nx))))

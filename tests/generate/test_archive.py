@@ -7,7 +7,7 @@ import h5py
 import numpy as np
 import pytest
 
-from knotgym.control.macro_actions import Way
+from knotgym.control.macro_actions import ActionSequence
 from knotgym.generate.states.archive import KEPT, Archive, Elite, InvalidArchive
 from knotgym.topology.diagrams import planar_codes
 from knotgym.topology.gauss import GaussCode
@@ -17,20 +17,24 @@ KINK = GaussCode.parse("1+a,1-a")
 
 
 def elite(
-    length: int, badness: float, roll: int = 0, code: GaussCode = KINK, reverse: bool = False
+    length: int,
+    objective: float,
+    base_shift: int = 0,
+    code: GaussCode = KINK,
+    reverse: bool = False,
 ) -> Elite:
     return Elite(
         code,
-        roll,
+        base_shift,
         reverse,
-        Way(np.zeros(length, dtype=np.int16), np.zeros((length, 3), dtype=np.float32)),
+        ActionSequence(np.zeros(length, dtype=np.int16), np.zeros((length, 3), dtype=np.float32)),
         np.zeros(5),
-        badness,
+        objective,
     )
 
 
 def kept(archive: Archive) -> list[tuple[int, float]]:
-    return [(len(one.way), one.badness) for one in archive.niches[mirror_images(KINK)[0]]]
+    return [(len(one.sequence), one.objective) for one in archive.niches[mirror_images(KINK)[0]]]
 
 
 @pytest.fixture
@@ -58,8 +62,8 @@ def test_the_shortest_ways_are_kept_and_the_best_looking_states() -> None:
 
 def test_the_order_of_offers_does_not_matter_to_what_is_kept() -> None:
     offers = [
-        elite(length, badness)
-        for length, badness in ((3, 5.0), (1, 9.0), (7, 0.5), (2, 8.0), (9, 0.1), (5, 5.0))
+        elite(length, objective)
+        for length, objective in ((3, 5.0), (1, 9.0), (7, 0.5), (2, 8.0), (9, 0.1), (5, 5.0))
     ]
     one, other = Archive(), Archive()
     for offer in offers:
@@ -79,10 +83,10 @@ def test_a_state_that_is_short_and_good_is_kept_once() -> None:
 def test_the_walk_along_the_beads_replaces_those_from_elsewhere_or_backwards() -> None:
     archive = Archive()
     for offer in (
-        elite(1, 0.1, roll=14),
+        elite(1, 0.1, base_shift=14),
         elite(2, 0.1, reverse=True),
         elite(9, 3.0),
-        elite(2, 0.1, roll=29),
+        elite(2, 0.1, base_shift=29),
     ):
         archive.offer(offer)
     assert kept(archive) == [(9, 3.0)]
@@ -122,20 +126,20 @@ def test_the_archive_comes_back_as_saved(searched: Archive, saved: Path) -> None
     )
     for ours, theirs in zip(searched.niches.values(), read.niches.values(), strict=True):
         for one, other in zip(ours, theirs, strict=True):
-            assert (one.code, one.roll, one.reverse, one.badness) == (
+            assert (one.code, one.base_shift, one.reverse, one.objective) == (
                 other.code,
-                other.roll,
+                other.base_shift,
                 other.reverse,
-                other.badness,
+                other.objective,
             )
             assert np.array_equal(one.state, other.state)
             assert (
-                np.array_equal(one.way.beads, other.way.beads)
-                and one.way.beads.dtype == other.way.beads.dtype
+                np.array_equal(one.sequence.beads, other.sequence.beads)
+                and one.sequence.beads.dtype == other.sequence.beads.dtype
             )
             assert (
-                np.array_equal(one.way.forces, other.way.forces)
-                and one.way.forces.dtype == other.way.forces.dtype
+                np.array_equal(one.sequence.forces, other.sequence.forces)
+                and one.sequence.forces.dtype == other.sequence.forces.dtype
             )
 
 
@@ -172,7 +176,7 @@ def test_another_format_version_is_refused(saved: Path) -> None:
     with h5py.File(saved, "a") as file:
         file.attrs["format_version"] = 99
     with pytest.raises(
-        InvalidArchive, match="isn't an archive of format 'knotgym-archive' version 2"
+        InvalidArchive, match="isn't an archive of format 'knotgym-archive' version 2 or 3"
     ):
         Archive.load(saved)
 
@@ -190,9 +194,9 @@ def test_a_truncated_archive_is_refused_in_one_line(saved: Path, share: float) -
     "name",
     [
         "code",
-        "roll",
+        "base_shift",
         "reverse",
-        "badness",
+        "objective",
         "length",
         "beads",
         "forces",

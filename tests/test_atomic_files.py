@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from knotgym.atomic_files import sha256, whole
+from knotgym.atomic_files import atomic_write, sha256
 
 
 class Interrupted(Exception):
@@ -16,19 +16,19 @@ class Interrupted(Exception):
 
 
 def test_a_file_appears_with_what_was_written(tmp_path: Path) -> None:
-    with whole(tmp_path / "made" / "on" / "the way" / "a.txt") as part:
-        part.write_text("whole")
+    with atomic_write(tmp_path / "made" / "on" / "the way" / "a.txt") as temporary:
+        temporary.write_text("whole")
     assert (tmp_path / "made" / "on" / "the way" / "a.txt").read_text() == "whole"
 
 
 def test_nothing_appears_before_the_end(tmp_path: Path) -> None:
-    with whole(tmp_path / "a.txt") as part:
-        part.write_text("half")
+    with atomic_write(tmp_path / "a.txt") as temporary:
+        temporary.write_text("half")
         assert not (tmp_path / "a.txt").exists()
 
 
 def test_an_error_leaves_nothing(tmp_path: Path) -> None:
-    with pytest.raises(Interrupted), whole(tmp_path / "a.txt") as part:
+    with pytest.raises(Interrupted), atomic_write(tmp_path / "a.txt") as part:
         part.write_text("half")
         raise Interrupted
     assert list(tmp_path.iterdir()) == []
@@ -36,7 +36,7 @@ def test_an_error_leaves_nothing(tmp_path: Path) -> None:
 
 def test_an_error_leaves_the_file_that_was_there(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("old")
-    with pytest.raises(Interrupted), whole(tmp_path / "a.txt") as part:
+    with pytest.raises(Interrupted), atomic_write(tmp_path / "a.txt") as part:
         part.write_text("half")
         raise Interrupted
     assert (tmp_path / "a.txt").read_text() == "old" and len(list(tmp_path.iterdir())) == 1
@@ -44,17 +44,17 @@ def test_an_error_leaves_the_file_that_was_there(tmp_path: Path) -> None:
 
 def test_a_file_is_replaced(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("old")
-    with whole(tmp_path / "a.txt") as part:
-        part.write_text("new")
+    with atomic_write(tmp_path / "a.txt") as temporary:
+        temporary.write_text("new")
     assert (tmp_path / "a.txt").read_text() == "new" and len(list(tmp_path.iterdir())) == 1
 
 
 def test_a_folder_is_replaced_whole(tmp_path: Path) -> None:
     (tmp_path / "set" / "sub").mkdir(parents=True)
     (tmp_path / "set" / "sub" / "old.txt").write_text("old")
-    with whole(tmp_path / "set") as part:
-        (part / "sub").mkdir(parents=True)
-        (part / "sub" / "new.txt").write_text("new")
+    with atomic_write(tmp_path / "set") as temporary:
+        (temporary / "sub").mkdir(parents=True)
+        (temporary / "sub" / "new.txt").write_text("new")
     assert [path.name for path in (tmp_path / "set" / "sub").iterdir()] == ["new.txt"]
     assert len(list(tmp_path.iterdir())) == 1
 
@@ -62,7 +62,7 @@ def test_a_folder_is_replaced_whole(tmp_path: Path) -> None:
 def test_a_folder_stays_when_nothing_was_written(tmp_path: Path) -> None:
     (tmp_path / "set").mkdir()
     (tmp_path / "set" / "old.txt").write_text("old")
-    with pytest.raises(FileNotFoundError), whole(tmp_path / "set"):
+    with pytest.raises(FileNotFoundError), atomic_write(tmp_path / "set"):
         pass
     assert (tmp_path / "set" / "old.txt").read_text() == "old"
 
@@ -71,17 +71,17 @@ def test_a_relative_path_is_written_where_it_points(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    with whole("a.txt") as part:
-        part.write_text("whole")
+    with atomic_write("a.txt") as temporary:
+        temporary.write_text("whole")
     assert (tmp_path / "a.txt").read_text() == "whole"
 
 
 def test_a_kill_leaves_nothing_under_the_final_name(tmp_path: Path) -> None:
     writer = f"""
 import time
-from knotgym.atomic_files import whole
-with whole({str(tmp_path / "a.txt")!r}) as part:
-    part.write_text("half")
+from knotgym.atomic_files import atomic_write
+with atomic_write({str(tmp_path / "a.txt")!r}) as temporary:
+    temporary.write_text("half")
     print("written", flush=True)
     time.sleep(60)
 """
@@ -94,7 +94,7 @@ with whole({str(tmp_path / "a.txt")!r}) as part:
 
 
 def test_two_writers_of_one_name_leave_one_of_the_two(tmp_path: Path) -> None:
-    with whole(tmp_path / "a.txt") as one, whole(tmp_path / "a.txt") as other:
+    with atomic_write(tmp_path / "a.txt") as one, atomic_write(tmp_path / "a.txt") as other:
         one.write_text("one")
         other.write_text("other")
     assert (tmp_path / "a.txt").read_text() in ("one", "other") and len(

@@ -16,7 +16,7 @@ from knotgym.rendering.picture import crossing_pixels, draw, shown_strands
 from knotgym.rope import Array, Rope
 from knotgym.topology.crossings import find_crossings, label
 
-from .conftest import curled
+from ..conftest import curled
 
 ALL = AppearanceConfig(vary=VARIED, sizes=(64, 128, 256))
 

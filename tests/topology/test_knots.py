@@ -15,7 +15,7 @@ from knotgym.topology.knots import UndecidedKnot, handedness, is_unknot, knot_ty
 from knotgym.topology.polynomials import alexander_polynomial, jones_polynomial, mirrored_jones
 from knotgym.topology.reidemeister import simplify, without_bigons
 
-CODES = Path(__file__).parent / "codes"
+CODES = Path(__file__).parents[1] / "codes"
 TREFOIL = GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c")
 
 # Dowker-Thistlethwaite notation of the prime knots in Rolfsen's table: visit 2 i - 1 meets visit

@@ -19,12 +19,12 @@ from rich.console import Console
 
 from knotgym.control.policies import PolicyConfig
 from knotgym.generate.episodes.collect import CollectConfig, collect
-from knotgym.generate.images.recipe import ImagesConfig, make
+from knotgym.generate.images.image_recipe import ImagesConfig, make
 from knotgym.runs.executors import AHEAD, InvalidEngine, engine, ordered, scheduler_of
 from knotgym.tasks import TaskConfig
 
-from .small_job import knotgym, typed
-from .test_main_job import SECONDS, WANTED, bytes_of, said
+from ..cli.test_generate_command import SECONDS, WANTED, bytes_of, said
+from ..small_job import knotgym, typed
 
 with_dask = pytest.mark.skipif(
     importlib.util.find_spec("distributed") is None, reason="Dask distributed isn't installed"
@@ -298,7 +298,7 @@ def test_pictures_come_out_the_same_on_a_cluster(tmp_path: Path) -> None:
         "quiet": True,
         "console": Console(),
     }
-    config = ImagesConfig(nx=(0, 1), count=12, pulls=4, stride=2, shard=5)
+    config = ImagesConfig(nx=(0, 1), count=12, steps=4, stride=2, rows_per_file=5)
     with cluster(tmp_path, 2) as (scheduler, _, _):
         make(config, tmp_path / "there", workers=0, scheduler=scheduler, **settings)
     make(config, tmp_path / "here", workers=1, **settings)

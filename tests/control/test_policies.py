@@ -12,7 +12,7 @@ from knotgym.control.policies import MIXED, InvalidPolicy, PolicyConfig, make_po
 from knotgym.episode_batch import Episodes
 from knotgym.tasks import TaskConfig
 
-QUICK = PlannerConfig(budget=16, slots=2)
+QUICK = PlannerConfig(budget=16, batch_size=2)
 
 
 def act_once(

@@ -29,10 +29,10 @@ from knotgym.atomic_files import sha256
 from knotgym.cli import main as cli
 from knotgym.datasets.state_verification import folder_faults
 from knotgym.datasets.states import States, read_states
-from knotgym.generate.states import recipe as main_job
+from knotgym.generate.states import state_recipe as main_job
 from knotgym.generate.states.archive import Archive
 from knotgym.generate.states.curation import is_near_duplicate
-from knotgym.generate.states.job import NotEnough
+from knotgym.generate.states.curation_run import NotEnough
 from knotgym.generate.states.search import new_archive
 from knotgym.rendering.picture import draw
 from knotgym.rope import Rope
@@ -42,9 +42,9 @@ from knotgym.topology.crossings import label
 from knotgym.topology.knots import knot_type
 from knotgym.topology.reference_labeller import pyknotid_code
 
-from .conftest import SEARCH, trefoil
-from .minari_list import check_minari
-from .small_job import knotgym, small, typed
+from ..conftest import SEARCH, trefoil
+from ..minari_list import check_minari
+from ..small_job import knotgym, small, typed
 
 WANTED = ("--nx", "0,1", "--count", 4)  # what conftest's `curated` folder was asked for
 INSTALLED = str(Path(sys.executable).with_name("knotgym-generate"))
@@ -203,7 +203,7 @@ def test_rows_name_their_own_trajectory(states: States) -> None:
 
 
 def test_every_measure_is_within_its_limit(states: States, manifest: dict[str, Any]) -> None:
-    limits = manifest["config"]["instance"]["limits"]
+    limits = manifest["config"]["candidate"]["limits"]
     for name, bound in limits.items():
         if name in ("excess_crossing_number", "total_curvature"):
             assert (
@@ -243,7 +243,8 @@ def test_the_environment_resets_from_the_states(curated: Path, states: States, s
 
 
 @pytest.mark.parametrize(
-    ("name", "nx"), [("knotgym/unknot-nx1/ways-v0", 0), ("knotgym/tie-nx1/ways-v0", 1)]
+    ("name", "nx"),
+    [("knotgym/unknot-nx1/demonstrations-v0", 0), ("knotgym/tie-nx1/demonstrations-v0", 1)],
 )
 def test_minari_loads_the_trajectories(
     curated: Path, states: States, monkeypatch: pytest.MonkeyPatch, name: str, nx: int
@@ -263,7 +264,9 @@ def test_minari_loads_the_trajectories(
         assert np.array_equal(episode.observations["pixels"][-1, :, :128], states.image[row])
 
 
-@pytest.mark.parametrize("name", ["knotgym/unknot-nx1/ways-v0", "knotgym/tie-nx1/ways-v0"])
+@pytest.mark.parametrize(
+    "name", ["knotgym/unknot-nx1/demonstrations-v0", "knotgym/tie-nx1/demonstrations-v0"]
+)
 def test_minari_does_with_the_trajectories_all_that_it_does(
     curated: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
@@ -274,7 +277,7 @@ def test_the_recovered_environment_resets_from_the_states_of_the_job(
     curated: Path, states: States, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(curated / "minari"))
-    env = minari.load_dataset("knotgym/tie-nx1/ways-v0").recover_environment()
+    env = minari.load_dataset("knotgym/tie-nx1/demonstrations-v0").recover_environment()
     for row in states.rows(1, "train"):
         _, info = env.reset(seed=0, options={"goal": int(row)})
         assert info["goal_gauss_code"] == states.gauss_code[row]
@@ -519,12 +522,12 @@ def mistaken(tmp_path: Path) -> Path:
         ("--colour red", "No such option: --colour"),
         ("leftover", "leftover"),
         ("--split-by row", 'split_by must be "state" or "code", got \'row\''),
-        ("--balance odd", 'balance must be "even" or "natural", got \'odd\''),
+        ("--balance odd", 'balance must be "even" or "empirical", got \'odd\''),
         ("--knot 9_42", "no knot '9_42'; there is 0_1, 3_1, 4_1, 5_1, or a file"),
         ("--knot 3_1 --nx 2", "no diagram of 3_1 has 2 crossings"),
         (
-            "--knot 3_1 --balance natural",
-            "natural balance is known for ropes that start as a plain loop",
+            "--knot 3_1 --balance empirical",
+            "empirical balance is known for ropes that start as a plain loop",
         ),
         ("--knot {}/three.txt", "a closed rope needs at least 4 different points, got 3"),
         ("--knot {}/open.txt", "the curve isn't closed"),
@@ -621,7 +624,7 @@ def test_the_command_as_installed_makes_a_folder(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_natural_balance_is_curated_too(tmp_path: Path) -> None:
+def test_empirical_balance_is_curated_too(tmp_path: Path) -> None:
     assert (
         knotgym(
             "generate",
@@ -630,7 +633,7 @@ def test_natural_balance_is_curated_too(tmp_path: Path) -> None:
             "--count",
             4,
             "--balance",
-            "natural",
+            "empirical",
             "--workers",
             1,
             "--out",

@@ -22,20 +22,20 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from knotgym.atomic_files import whole
+from knotgym.atomic_files import atomic_write
 from knotgym.datasets.image_folder import finish
-from knotgym.datasets.image_rows import Row, Shard, write_shard
+from knotgym.datasets.image_rows import Row, TableFile, write_table_file
 from knotgym.datasets.image_table import SPLITS, arrow, shard_name
 from knotgym.errors import KnotgymError
-from knotgym.generate.images.seed_states import Bases, bases
+from knotgym.generate.images.seed_states import SeedStates, seed_states
 from knotgym.generate.images.selection import Chooser
 from knotgym.generate.images.walks import WALKS, Frames, Unit, Walk, stir
 from knotgym.generate.states.curation import codes_of
-from knotgym.generate.states.job import MOST_NX, NotEnough
+from knotgym.generate.states.curation_run import MOST_NX, NotEnough
 from knotgym.rendering.appearance import AppearanceConfig
 from knotgym.runs.executors import Pool, engine
-from knotgym.runs.shards import Part
-from knotgym.runs.staging import Occupied, held
+from knotgym.runs.shards import Shard
+from knotgym.runs.staging import Occupied, staging
 from knotgym.streams import Stream, generator
 from knotgym.topology.gauss import GaussCode
 
@@ -60,11 +60,11 @@ class ImagesConfig:
         code_share: likewise of split "test-code", and share of the codes that only it shows; nx
             with fewer than 4 codes have none.
         seed: of everything.
-        pulls: that a walk makes at most; one for nx crossings makes a third of them at nx 3 and
+        steps: that a walk makes at most; one for nx crossings makes a third of them at nx 3 and
             above, two thirds below, all at 0, for the more crossings there are the sooner they are
             lost.
-        stride: pulls from one frame to the next.
-        shard: pictures in a file.
+        stride: steps from one frame to the next.
+        rows_per_file: pictures in a file of the table.
         appearance: what varies between pictures.
         part: of the run, which makes its share of each quota; splits and codes held out are those
             of the run.
@@ -76,11 +76,11 @@ class ImagesConfig:
     test_share: float = 0.15
     code_share: float = 0.15
     seed: int = 0
-    pulls: int = 12
+    steps: int = 12
     stride: int = 2
-    shard: int = 500
+    rows_per_file: int = 500
     appearance: AppearanceConfig = AppearanceConfig()
-    part: Part = Part()
+    shard: Shard = Shard()
 
     def __post_init__(self) -> None:
         if (
@@ -104,11 +104,11 @@ class ImagesConfig:
                 f"test-nx takes the largest of the nx asked for, {sorted(self.nx)}, and not all of"
                 f" them; got {sorted(self.held_nx)}"
             )
-        for name in ("count", "pulls", "stride", "shard"):
+        for name in ("count", "steps", "stride", "rows_per_file"):
             if getattr(self, name) < 1:
                 raise InvalidImagesJob(f"{name} must be at least 1, got {getattr(self, name)}")
-        if self.stride > self.pulls:
-            raise InvalidImagesJob(f"stride must be at most pulls, {self.pulls}, got {self.stride}")
+        if self.stride > self.steps:
+            raise InvalidImagesJob(f"stride must be at most steps, {self.steps}, got {self.stride}")
         if not (
             0 <= self.test_share and 0 <= self.code_share and self.test_share + self.code_share < 1
         ):
@@ -153,7 +153,7 @@ def make(
     it.
 
     Raises:
-        InvalidImagesJob, NoBases: can't be made as asked.
+        InvalidImagesJob, NoSeedStates: can't be made as asked.
         Occupied: something is in the way, or another run is at it.
         NotEnough: the states and their walks don't give so many different pictures.
     """
@@ -161,7 +161,7 @@ def make(
         raise InvalidImagesJob(f"workers must be at least 0, got {workers}")
     arrow()
     began = time.perf_counter()
-    start = bases(config.nx, archive, states)
+    start = seed_states(config.nx, archive, states)
     asked = json.loads(json.dumps({"config": asdict(config), "source": start.source}))
     if out.exists():
         if resume and _asked(out / "manifest.json") == asked:
@@ -169,14 +169,14 @@ def make(
                 console.print(f"{out} is finished already", soft_wrap=True)
             return
         raise Occupied(f"{out} is there already; choose another --out, or remove it")
-    with held(out, resume) as partial:
+    with staging(out, resume) as partial:
         if (partial / "job.json").is_file() and _asked(partial / "job.json") != asked:
             raise InvalidImagesJob(
                 f"{partial} holds another job than the one asked for; give the same options again,"
                 " or start without --resume"
             )
-        with whole(partial / "job.json") as part:
-            part.write_text(json.dumps(asked))
+        with atomic_write(partial / "job.json") as temporary:
+            temporary.write_text(json.dumps(asked))
         tell = _Teller(console, quiet)
         with engine(workers, scheduler) as pool:
             chooser, walks, dropped = _choose(config, start, partial, pool, tell)
@@ -221,7 +221,9 @@ def held_out(config: ImagesConfig, codes: dict[int, list[GaussCode]]) -> frozens
     return frozenset(out)
 
 
-def splits_of(config: ImagesConfig, start: Bases, wanted: set[tuple[str, int]]) -> NDArray[np.str_]:
+def splits_of(
+    config: ImagesConfig, start: SeedStates, wanted: set[tuple[str, int]]
+) -> NDArray[np.str_]:
     """The split of each base, str (n,): that of its family; "" for one without crossings, whose
     walks are families of their own.
     """
@@ -259,7 +261,7 @@ def splits_of(config: ImagesConfig, start: Bases, wanted: set[tuple[str, int]]) 
 
 
 def _choose(
-    config: ImagesConfig, start: Bases, partial: Path, pool: Pool, tell: _Teller
+    config: ImagesConfig, start: SeedStates, partial: Path, pool: Pool, tell: _Teller
 ) -> tuple[Chooser, list[Frames], Counter[str]]:
     """Make waves of walks and choose among their frames until every quota is full."""
     codes = {
@@ -273,17 +275,17 @@ def _choose(
         if not codes[nx]:
             raise InvalidImagesJob(f"no diagram of {' or '.join(start.knots)} has {nx} crossings")
     quota = quotas(config, {nx: len(codes[nx]) for nx in codes})
-    mine = {key: len(share) for key, count in quota.items() if (share := config.part.share(count))}
+    mine = {key: len(share) for key, count in quota.items() if (share := config.shard.share(count))}
     if not mine:
         raise InvalidImagesJob(
-            f"shard {config.part} has no picture to make: cut the run into fewer shards"
+            f"shard {config.shard} has no picture to make: cut the run into fewer shards"
         )
     chooser = Chooser(mine, held_out(config, codes), start.points.shape[1])
     split = splits_of(config, start, set(quota))
     done: list[Frames] = []
     dropped: Counter[str] = Counter()
     gave = dict.fromkeys(mine, _Stretch(0, 0))
-    first, wave, idle, frame = config.part.first, 0, 0, 0
+    first, wave, idle, frame = config.shard.first, 0, 0, 0
     while lacking := chooser.lacking():
         walks, aims = _wave(
             config,
@@ -295,14 +297,14 @@ def _choose(
             first + sum(len(one.numbers) for one in done),
         )
         units: list[_UnitFile] = []
-        for pulls, group in _by_pulls(config, walks, aims):
+        for steps, group in _by_steps(config, walks, aims):
             for begin in range(0, len(group), WALKS):
                 some = tuple(group[begin : begin + WALKS])
                 unit = Unit(
                     some,
                     start.states[[walk.base for walk in some]],
                     config.seed,
-                    pulls,
+                    steps,
                     config.stride,
                     max(config.nx),
                 )
@@ -340,21 +342,21 @@ def _choose(
     return chooser, done, dropped
 
 
-def _by_pulls(
+def _by_steps(
     config: ImagesConfig, walks: list[Walk], aims: dict[int, tuple[str, int]]
 ) -> list[tuple[int, list[Walk]]]:
-    """Walks by the pulls they make."""
+    """Walks by the steps they make."""
     groups: dict[int, list[Walk]] = {}
     for walk in walks:
         nx = aims[walk.number][1]
-        pulls = config.pulls * (3 if nx == 0 else 2 if nx < 3 else 1) // 3
-        groups.setdefault(max(config.stride, pulls), []).append(walk)
+        steps = config.steps * (3 if nx == 0 else 2 if nx < 3 else 1) // 3
+        groups.setdefault(max(config.stride, steps), []).append(walk)
     return sorted(groups.items())
 
 
 def _wave(
     config: ImagesConfig,
-    start: Bases,
+    start: SeedStates,
     split: NDArray[np.str_],
     lacking: dict[tuple[str, int], int],
     gave: dict[tuple[str, int], _Stretch],
@@ -400,7 +402,7 @@ def _wave(
 
 def _draw(
     config: ImagesConfig,
-    start: Bases,
+    start: SeedStates,
     chooser: Chooser,
     walks: list[Frames],
     folder: Path,
@@ -409,25 +411,26 @@ def _draw(
 ) -> list[Path]:
     """Write the shards: the rows of a split in random order."""
     walk = np.concatenate([one.walk for one in walks]).tolist()
-    pulls, rounds = (
+    steps, rounds = (
         np.concatenate([getattr(one, name) for one in walks]).tolist()
-        for name in ("pulls", "rounds")
+        for name in ("steps", "rounds")
     )
     base_of = {
         number: base
         for one in walks
         for number, base in zip(one.numbers.tolist(), one.bases.tolist(), strict=True)
     }
-    work: list[Shard] = []
-    number = config.part.first
+    work: list[TableFile] = []
+    number = config.shard.first
     for place, split in enumerate(SPLITS):
         mine = [choice for choice in chooser.chosen if choice.split == split]
         order = generator(Stream.IMAGE_ORDER, config.seed, place).permutation(len(mine))
-        count = -(-len(mine) // config.shard)
+        count = -(-len(mine) // config.rows_per_file)
         for index in range(count):
             rows = []
             for choice in (
-                mine[k] for k in order[index * config.shard : (index + 1) * config.shard]
+                mine[k]
+                for k in order[index * config.rows_per_file : (index + 1) * config.rows_per_file]
             ):
                 base = base_of[walk[choice.frame]]
                 family = (
@@ -436,12 +439,14 @@ def _draw(
                     else int(start.family.max()) + 1 + walk[choice.frame]
                 )
                 moved = {
-                    name: getattr(choice.symmetry, name)
-                    for name in ("reflect", "switch", "reverse", "roll")
+                    "reflect": choice.symmetry.reflect,
+                    "switch": choice.symmetry.switch,
+                    "reverse": choice.symmetry.reverse,
+                    "roll": choice.symmetry.base_shift,
                 }
                 own = {
                     "walk": walk[choice.frame],
-                    "pulls": pulls[choice.frame],
+                    "pulls": steps[choice.frame],
                     "rounds": rounds[choice.frame],
                 }
                 rows.append(
@@ -455,12 +460,12 @@ def _draw(
                 number += 1
             name = shard_name(split, index, count)
             work.append(
-                Shard(
+                TableFile(
                     folder / name, folder.with_name("seals") / name, tuple(rows), config.appearance
                 )
             )
     written: list[Path] = []
-    for path in pool.map(write_shard, work):
+    for path in pool.map(write_table_file, work):
         written.append(path)
         tell(f"{len(written)} of {len(work)} shards written")
     return written
@@ -477,7 +482,7 @@ def _stirred(work: _UnitFile) -> Path:
         _load(work.path)  # the file has checksums
     except (OSError, ValueError, KeyError, EOFError, BadZipFile):
         frames = stir(work.unit)
-        with whole(work.path) as part, open(part, "wb") as file:
+        with atomic_write(work.path) as temporary, open(temporary, "wb") as file:
             np.savez(file, **{**vars(frames), "dropped": np.array(json.dumps(frames.dropped))})
     return work.path
 

@@ -7,19 +7,19 @@ from knotgym.control.macro_actions import (
     ARRIVED,
     KINDS,
     LIFT,
-    NO_WAY,
-    Hand,
-    Manoeuvre,
-    Way,
+    NO_ACTIONS,
+    ActionSequence,
+    MacroAction,
+    WaypointController,
     pass_strand,
     propose,
-    pull,
+    step_ropes,
 )
 from knotgym.rope import Rope
 from knotgym.simulation import Simulation
 
 
-def drawn(rope: Rope, count: int = 300, seed: int = 0) -> list[Manoeuvre]:
+def drawn(rope: Rope, count: int = 300, seed: int = 0) -> list[MacroAction]:
     rng = np.random.default_rng(seed)
     return [propose(rope.loop(), rng) for _ in range(count)]
 
@@ -80,42 +80,42 @@ def test_proposing_leaves_the_rope_alone(rope: Rope) -> None:
 
 
 def test_a_new_hand_is_idle_and_pulls_at_nothing(rope: Rope) -> None:
-    hand, points = Hand(3), np.repeat(rope.loop()[None], 3, axis=0)
-    assert hand.idle(points).all() and not hand.forces(points).any()
+    controller, points = WaypointController(3), np.repeat(rope.loop()[None], 3, axis=0)
+    assert controller.idle.all() and not controller.forces(points).any()
 
 
 def test_a_hand_pulls_with_at_most_the_largest_force(rope: Rope) -> None:
     points = np.repeat(rope.loop()[None], 40, axis=0)
-    hand = Hand(40)
+    controller = WaypointController(40)
     for row, one in enumerate(drawn(rope, 40)):
-        hand.take(row, one)
-    assert np.linalg.norm(hand.forces(points), axis=1).max() <= 1 + 1e-12
+        controller.begin(row, one)
+    assert np.linalg.norm(controller.forces(points), axis=1).max() <= 1 + 1e-12
 
 
 def test_a_hand_pulls_towards_the_waypoint(rope: Rope) -> None:
-    hand, points = Hand(1), rope.loop()
-    hand.take(0, Manoeuvre("shift", 7, points[7] + [[0.1, 0, 0], [0.1, 0.1, 0], [0, 0, 0]]))
-    assert np.allclose(hand.forces(points[None]), [[1, 0, 0]])
+    controller, points = WaypointController(1), rope.loop()
+    controller.begin(
+        0, MacroAction("shift", 7, points[7] + [[0.1, 0, 0], [0.1, 0.1, 0], [0, 0, 0]])
+    )
+    assert np.allclose(controller.forces(points[None]), [[1, 0, 0]])
 
 
 def test_a_hand_leads_its_bead_to_the_last_waypoint(rope: Rope) -> None:
-    simulation, hand, points = Simulation(1, rope), Hand(1), rope.loop()
+    simulation, controller, points = Simulation(1, rope), WaypointController(1), rope.loop()
     waypoints = points[40] + np.array([[0.03, 0.0, 0.02], [0.08, 0.02, 0.02], [0.08, 0.02, 0.0]])
-    hand.take(0, Manoeuvre("shift", 40, waypoints))
+    controller.begin(0, MacroAction("shift", 40, waypoints))
     for _ in range(15):
-        if hand.idle(simulation.points)[0]:
+        controller.advance(simulation.points)
+        if controller.idle[0]:
             break
-        pull(simulation, hand.beads, hand.forces(simulation.points))
-    assert (
-        hand.idle(simulation.points)[0]
-        and np.linalg.norm(simulation.points[0, 40] - waypoints[2]) < ARRIVED
-    )
+        step_ropes(simulation, controller.beads, controller.forces(simulation.points))
+    assert controller.idle[0] and np.linalg.norm(simulation.points[0, 40] - waypoints[2]) < ARRIVED
 
 
 def test_a_pull_is_the_action_that_it_returns(rope: Rope) -> None:
     one, other, rng = Simulation(1, rope), Simulation(1, rope), np.random.default_rng(2)
     for _ in range(6):
-        actions, held = pull(one, rng.integers(100, size=1), rng.uniform(-1, 1, (1, 3)))
+        actions, held = step_ropes(one, rng.integers(100, size=1), rng.uniform(-1, 1, (1, 3)))
         assert held.all() and actions.dtype == np.float32 and other.act(actions).all()
     assert np.array_equal(one.states(), other.states())
 
@@ -124,15 +124,15 @@ def test_a_pull_holds_the_bead_that_was_meant(rope: Rope) -> None:
     simulation, rng = Simulation(1, rope), np.random.default_rng(3)
     for bead in rng.integers(100, size=20):
         before = simulation.points.copy()
-        actions, _ = pull(simulation, np.array([bead]), rng.uniform(-1, 1, (1, 3)))
+        actions, _ = step_ropes(simulation, np.array([bead]), rng.uniform(-1, 1, (1, 3)))
         near = np.linalg.norm(before[0] - rope.config.reach * actions[0, :3], axis=1)
         assert np.argmin(near) == bead
 
 
 def test_ways_are_put_together_in_order() -> None:
-    first = Way(np.array([1, 2], dtype=np.int16), np.ones((2, 3), dtype=np.float32))
-    second = Way(np.array([3], dtype=np.int16), np.zeros((1, 3), dtype=np.float32))
-    both = NO_WAY + first + second
+    first = ActionSequence(np.array([1, 2], dtype=np.int16), np.ones((2, 3), dtype=np.float32))
+    second = ActionSequence(np.array([3], dtype=np.int16), np.zeros((1, 3), dtype=np.float32))
+    both = NO_ACTIONS + first + second
     assert (
         len(both) == 3
         and both.beads.tolist() == [1, 2, 3]

@@ -12,13 +12,13 @@ from pathlib import Path
 
 from rich.console import Console
 
-from knotgym.atomic_files import whole
+from knotgym.atomic_files import atomic_write
 from knotgym.generate.states import state_folder as output
 from knotgym.generate.states.archive import Archive
-from knotgym.generate.states.job import GenerateConfig, InvalidJob, Job, run
+from knotgym.generate.states.curation_run import GenerateConfig, InvalidJob, Job, run
 from knotgym.runs.executors import engine
 from knotgym.runs.progress import Progress
-from knotgym.runs.staging import Occupied, held, locked, partial_of
+from knotgym.runs.staging import Occupied, lock_folder, staging, staging_folder
 
 
 def generate(
@@ -53,7 +53,7 @@ def generate(
     """
     if workers < 0:
         raise InvalidJob(f"workers must be at least 0, got {workers}")
-    partial = partial_of(out)
+    partial = staging_folder(out)
     if out.exists():
         if resume and _finished(out) == json.loads(json.dumps(asdict(config))):
             # left if it was killed right after the renaming
@@ -63,17 +63,17 @@ def generate(
             return
         raise Occupied(f"{out} is there already; choose another --out, or remove it")
     if partial.exists():
-        with locked(partial):
+        with lock_folder(partial):
             pass  # nobody is at it
     job = _resumed(partial / "job.pickle", config) if resume else None
     # before anything is written: it may be refused
     job = job or Job.begin(config, Archive.load(archive) if archive else None)
     job.config = replace(job.config, attempts=config.attempts, cycles=config.cycles)
-    with held(out, resume):
+    with staging(out, resume):
 
         def each_cycle(job: Job) -> None:
-            with whole(partial / "job.pickle") as part:
-                part.write_bytes(pickle.dumps(job))
+            with atomic_write(partial / "job.pickle") as temporary:
+                temporary.write_bytes(pickle.dumps(job))
             progress.cycle(job)
 
         with engine(workers, scheduler) as pool, Progress(console, quiet) as progress:
@@ -83,8 +83,8 @@ def generate(
         (partial / out.name).rename(out)
     shutil.rmtree(partial)
     if not quiet:
-        total = sum(len(instances) for instances in job.accepted.values())
-        codes = len({one.code.plain for instances in job.accepted.values() for one in instances})
+        total = sum(len(candidates) for candidates in job.accepted.values())
+        codes = len({one.code.plain for candidates in job.accepted.values() for one in candidates})
         console.print(
             f"{out}: {total} states of {codes} codes in {job.seconds:.0f} s",
             soft_wrap=True,

@@ -1,6 +1,6 @@
 """The main job: search, make, judge, choose, write.
 
-It goes in cycles: a round of the search, aims at what it doesn't meet, then a wave of instances of
+It goes in cycles: a round of the search, aims at what it doesn't meet, then a wave of candidates of
 the codes still wanted. Everything it does depends on the configuration and the seed alone. After
 each cycle its state can be saved, and a job resumed from there goes on as if nothing had happened.
 """
@@ -17,15 +17,20 @@ from typing import Any
 from knotgym.control.planner import PlannerConfig
 from knotgym.errors import KnotgymError
 from knotgym.generate.states.archive import Archive, Elite
-from knotgym.generate.states.candidates import Instance, InstanceConfig, Order, make
-from knotgym.generate.states.code_frequencies import natural_shares
+from knotgym.generate.states.candidates import (
+    Candidate,
+    CandidateConfig,
+    CandidateTask,
+    make_candidate,
+)
+from knotgym.generate.states.code_frequencies import empirical_shares
 from knotgym.generate.states.curation import codes_of, is_near_duplicate
 from knotgym.generate.states.curves import knot_curve
 from knotgym.generate.states.search import SearchConfig, advance, new_archive
 from knotgym.generate.states.targeted_search import Target, reach
 from knotgym.rope import Array, Rope
 from knotgym.runs.executors import Pool
-from knotgym.runs.shards import Part
+from knotgym.runs.shards import Shard
 from knotgym.streams import Stream, derived_seed, generator, key
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
@@ -34,7 +39,7 @@ from knotgym.topology.knots import knot_type
 MOST_NX = 6
 MORE_ROUNDS = 4  # of search in a cycle while none of what lacks is known
 AIMS = 8  # codes aimed at in a cycle whose search found fewer new classes than that
-# instances of a code, none of them accepted, after which it is aimed at again, to set out from
+# candidates of a code, none of them accepted, after which it is aimed at again, to set out from
 # elsewhere
 STUCK = 48
 
@@ -55,18 +60,18 @@ class GenerateConfig:
         nx: crossing numbers, each curated on its own.
         count: states for each of them, as many distinct codes among them as there are.
         every_code: instead of count, so many states of every code; 0 for count.
-        balance: "even" over codes and chirality, or "natural": codes as often as a random policy
+        balance: "even" over codes and chirality, or "empirical": codes as often as a random policy
             meets them.
         split_by: "state", or "code" for splits that share no code.
         train_share: of the states (or codes) that are for training.
         knot: type of the rope's knot; "0_1" starts from the plain loop, any other name or file as
             `curves.knot_curve`.
         seed: of everything.
-        attempts: instances tried, for each state wanted, before giving up.
-        cycles: of search and a wave of instances, after which what there is is enough; 0 to go on
+        attempts: candidates tried, for each state wanted, before giving up.
+        cycles: of search and a wave of candidates, after which what there is is enough; 0 to go on
             until all wanted is there.
-        wave: instances made in a cycle.
-        instance: how they are made and judged.
+        wave: candidates made in a cycle.
+        candidate: how they are made and judged.
         planner: what is spent on a code aimed at.
         part: of the run, which curates its share of the states and of the codes.
     """
@@ -82,9 +87,9 @@ class GenerateConfig:
     attempts: int = 100
     cycles: int = 0
     wave: int = 48
-    instance: InstanceConfig = InstanceConfig()
+    candidate: CandidateConfig = CandidateConfig()
     planner: PlannerConfig = PlannerConfig(budget=3000)
-    part: Part = Part()
+    shard: Shard = Shard()
 
     def __post_init__(self) -> None:
         if (
@@ -102,8 +107,8 @@ class GenerateConfig:
         for name in ("every_code", "cycles"):
             if getattr(self, name) < 0:
                 raise InvalidJob(f"{name} must be at least 0, got {getattr(self, name)}")
-        if self.balance not in ("even", "natural"):
-            raise InvalidJob(f'balance must be "even" or "natural", got {self.balance!r}')
+        if self.balance not in ("even", "empirical"):
+            raise InvalidJob(f'balance must be "even" or "empirical", got {self.balance!r}')
         if self.split_by not in ("state", "code"):
             raise InvalidJob(f'split_by must be "state" or "code", got {self.split_by!r}')
         if not 0 <= self.train_share <= 1:
@@ -122,13 +127,13 @@ class Job:
         knot: the certified type of the rope's knot.
         existing: nx -> how many codes, without chirality, there are.
         shares: nx -> code -> states wanted of it at most.
-        accepted: nx -> instances, in the order of acceptance.
+        accepted: nx -> candidates, in the order of acceptance.
         rejected: nx -> reason -> how many.
         tried: nx -> code -> orders given.
         aimed: code -> how often the planner was sent there.
         cycle: cycles done.
-        actions: environment steps made for aims and instances (the search's are in the archive).
-        growth: one row a cycle: steps of search, aims and instances together by then, and nx ->
+        actions: environment steps made for aims and candidates (the search's are in the archive).
+        growth: one row a cycle: steps of search, aims and candidates together by then, and nx ->
             codes known, states accepted.
         seconds: spent so far, over all sittings.
     """
@@ -138,7 +143,7 @@ class Job:
     knot: str = "0_1"
     existing: dict[int, int] = field(default_factory=dict)
     shares: dict[int, dict[GaussCode, int]] = field(default_factory=dict)
-    accepted: dict[int, list[Instance]] = field(default_factory=dict)
+    accepted: dict[int, list[Candidate]] = field(default_factory=dict)
     rejected: dict[int, Counter[str]] = field(default_factory=dict)
     tried: dict[int, Counter[GaussCode]] = field(default_factory=dict)
     aimed: Counter[GaussCode] = field(default_factory=Counter)
@@ -174,7 +179,7 @@ class Job:
             job.accepted[nx], job.rejected[nx], job.tried[nx] = [], Counter(), Counter()
         if not any(job.wanted(nx) for nx in config.nx):
             raise InvalidJob(
-                f"shard {config.part} has no state to make: cut the run into fewer shards"
+                f"shard {config.shard} has no state to make: cut the run into fewer shards"
             )
         return job
 
@@ -183,7 +188,7 @@ class Job:
         return (
             sum(self.shares[nx].values())
             if self.config.every_code
-            else len(self.config.part.share(self.config.count))
+            else len(self.config.shard.share(self.config.count))
         )
 
     def wanted_codes(self, nx: int) -> int:
@@ -197,7 +202,7 @@ class Job:
         )
 
     def steps(self) -> int:
-        """Environment steps made so far, by the search, for aims and for instances."""
+        """Environment steps made so far, by the search, for aims and for candidates."""
         return self.actions + (self.archive.growth[-1]["actions"] if self.archive.growth else 0)
 
     def done(self) -> bool:
@@ -228,12 +233,12 @@ def run(job: Job, pool: Pool, each_cycle: Callable[[Job], None]) -> None:
                     job.archive.offer(elite)
                     if elite.exact:
                         fresh[target.goal] = elite
-        orders = _orders(job, fresh)
-        for (nx, _), instance in zip(
-            orders, pool.map(make, [order for _, order in orders]), strict=True
+        tasks = _tasks(job, fresh)
+        for (nx, _), candidate in zip(
+            tasks, pool.map(make_candidate, [order for _, order in tasks]), strict=True
         ):
-            job.actions += instance.pulls
-            _judge(job, nx, instance)
+            job.actions += candidate.steps
+            _judge(job, nx, candidate)
         job.cycle += 1
         known = {str(nx): len(job.archive.codes(nx)) for nx in config.nx}
         job.growth.append(
@@ -273,14 +278,14 @@ def _rounds(job: Job) -> int:
 
 
 def _targets(job: Job, search: SearchConfig) -> list[Target]:
-    """Codes that no way short enough to go on with is sure to lead to, or whose instances are
+    """Codes that no way short enough to go on with is sure to lead to, or whose candidates are
     stuck.
 
     Those that lack states come first, then those aimed at least, then the unknown.
     """
     config, start, lacking = job.config, start_of(job.config), []
     for nx, shares in job.shares.items():
-        have = Counter(instance.code.plain for instance in job.accepted[nx])
+        have = Counter(candidate.code.plain for candidate in job.accepted[nx])
         stuck = {
             code
             for code in shares
@@ -318,11 +323,11 @@ def search_config(config: GenerateConfig) -> SearchConfig:
     """The search that a job runs; it also keeps what shows as many crossings as the start."""
     seed = (
         config.seed
-        if config.part.whole
-        else derived_seed(Stream.SHARD, config.seed, config.part.number)
+        if config.shard.is_whole
+        else derived_seed(Stream.SHARD, config.seed, config.shard.number)
     )
     return SearchConfig(
-        max_nx=max(*config.nx, label(start_of(config)).nx), seed=seed, rope=config.instance.rope
+        max_nx=max(*config.nx, label(start_of(config)).nx), seed=seed, rope=config.candidate.rope
     )
 
 
@@ -330,7 +335,7 @@ def start_of(config: GenerateConfig) -> Array:
     """The configuration (beads, 3) that all ways begin at: the plain loop, or a curve of the
     knot.
     """
-    rope = Rope(config.instance.rope)
+    rope = Rope(config.candidate.rope)
     return rope.loop() if config.knot == "0_1" else rope.from_curve(knot_curve(config.knot))
 
 
@@ -350,12 +355,12 @@ def _shares(config: GenerateConfig, knot: str, nx: int) -> dict[GaussCode, int]:
         raise InvalidJob(f"no diagram of {knot} has {nx} crossings")
     if config.every_code:
         return dict.fromkeys(known, config.every_code)
-    if config.balance == "natural":
+    if config.balance == "empirical":
         if knot != "0_1":
             raise InvalidJob(
-                f"natural balance is known for ropes that start as a plain loop, not as {knot}"
+                f"empirical balance is known for ropes that start as a plain loop, not as {knot}"
             )
-        return natural_shares(nx, config.count, config.seed, config.instance.rope)
+        return empirical_shares(nx, config.count, config.seed, config.candidate.rope)
     return dict.fromkeys(known, -(-config.count // len(known)))
 
 
@@ -363,25 +368,25 @@ def _dealt(config: GenerateConfig, nx: int, shares: dict[GaussCode, int]) -> dic
     """Of these shares what falls to this part of the run: whole codes while there are as many as
     parts.
     """
-    if config.part.whole:
+    if config.shard.is_whole:
         return shares
     order = generator(Stream.SHARD_CODES, config.seed, nx).permutation(len(shares))
     codes = [list(shares)[k] for k in order]
     wanted = [code for copy in range(max(shares.values())) for code in codes if shares[code] > copy]
-    mine = Counter(config.part.dealt(wanted))
+    mine = Counter(config.shard.dealt(wanted))
     return {code: mine[code] for code in shares if mine[code]}
 
 
-def _orders(job: Job, fresh: dict[GaussCode, Elite]) -> list[tuple[int, Order]]:
+def _tasks(job: Job, fresh: dict[GaussCode, Elite]) -> list[tuple[int, CandidateTask]]:
     """A wave: codes that lack states, those tried least first, in an order that the seed decides;
     those just aimed at set out from there.
     """
     config = job.config
     start = start_of(config)
-    out: list[tuple[int, Order]] = []
+    out: list[tuple[int, CandidateTask]] = []
     open_nx = [nx for nx in config.nx if len(job.accepted[nx]) < job.wanted(nx)]
     for nx in open_nx:
-        have = Counter(instance.code.plain for instance in job.accepted[nx])
+        have = Counter(candidate.code.plain for candidate in job.accepted[nx])
         share = list(job.shares[nx])
         ranked = [
             share[k] for k in generator(Stream.CODE_ORDER, config.seed, nx).permutation(len(share))
@@ -406,25 +411,25 @@ def _orders(job: Job, fresh: dict[GaussCode, Elite]) -> list[tuple[int, Order]]:
             first = int(generator(Stream.CHIRALITY, config.seed, nx, index).integers(2**nx))
             target = fresh[code].code if code in fresh else known[(number + first) % len(known)]
             elites = (fresh[code],) if code in fresh else tuple(job.archive.leading_to(target))
-            seed = key(Stream.CANDIDATE, config.seed, nx, index, config.part.first + number)
-            out.append((nx, Order(config.instance, target, elites, start, seed)))
+            seed = key(Stream.CANDIDATE, config.seed, nx, index, config.shard.first + number)
+            out.append((nx, CandidateTask(config.candidate, target, elites, start, seed)))
     return out
 
 
-def _judge(job: Job, nx: int, instance: Instance) -> None:
-    """Accept an instance, or count why not."""
-    reasons = list(instance.faults)
-    if not reasons and knot_type(instance.code) != job.knot:
+def _judge(job: Job, nx: int, candidate: Candidate) -> None:
+    """Accept a candidate, or count why not."""
+    reasons = list(candidate.faults)
+    if not reasons and knot_type(candidate.code) != job.knot:
         reasons = ["knot type changed"]
     if not reasons and is_near_duplicate(
-        instance.points[-1], [one.points[-1] for one in job.accepted[nx]]
+        candidate.points[-1], [one.points[-1] for one in job.accepted[nx]]
     ):
         reasons = ["near-duplicate"]
-    for elite in instance.elites:
+    for elite in candidate.elites:
         job.archive.offer(elite)
-    instance = replace(instance, elites=())
-    same = sum(one.code.plain == instance.code.plain for one in job.accepted[nx])
+    candidate = replace(candidate, elites=())
+    same = sum(one.code.plain == candidate.code.plain for one in job.accepted[nx])
     if reasons:
         job.rejected[nx].update(reasons)
-    elif same < job.shares[nx][instance.code.plain] and len(job.accepted[nx]) < job.wanted(nx):
-        job.accepted[nx].append(instance)
+    elif same < job.shares[nx][candidate.code.plain] and len(job.accepted[nx]) < job.wanted(nx):
+        job.accepted[nx].append(candidate)

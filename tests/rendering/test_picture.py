@@ -31,7 +31,7 @@ from knotgym.rendering.picture import (
 from knotgym.rendering.rasterizer import polygons
 from knotgym.topology.crossings import find_crossings
 
-from . import plain_polygons
+from .. import plain_polygons
 
 Points = NDArray[np.float64]
 

@@ -7,8 +7,14 @@ from hypothesis import strategies as st
 
 from knotgym.control.expert import BLIND, Expert
 from knotgym.control.planner import InvalidPlanner, PlannerConfig, plan, reason
-from knotgym.control.transition_counts import Grip, InvalidTransitions, Places, Transitions, spun
-from knotgym.control.transition_graph import DOUBT, Atlas, shipped_atlas
+from knotgym.control.transition_counts import (
+    InvalidTransitions,
+    MacroTemplate,
+    Places,
+    TransitionCounts,
+    transformed,
+)
+from knotgym.control.transition_graph import DOUBT, TransitionGraph, shipped_transition_graph
 from knotgym.episode_batch import Episodes
 from knotgym.generate.states.curation import codes_of
 from knotgym.rope import Rope
@@ -21,16 +27,16 @@ KINK = GaussCode.parse("1+a,1-a")
 FLAT = GaussCode.parse("")
 
 
-def kinks() -> Transitions:
-    """A made-up table: half of the manoeuvres kink a loop, a quarter undo it."""
-    table = Transitions()
+def kinks() -> TransitionCounts:
+    """A made-up table: half of the macro-actions kink a loop, a quarter undo it."""
+    table = TransitionCounts()
     for k in range(8):
         table.set_out(FLAT)
         table.set_out(KINK)
         if k % 2:
-            table.change(FLAT, KINK, Grip("curl", 1, 0.25, 0.5))
+            table.change(FLAT, KINK, MacroTemplate("curl", 1, 0.25, 0.5))
         if k % 4 == 0:
-            table.change(KINK, FLAT, Grip("spread", 0, 1.5, -1.0))
+            table.change(KINK, FLAT, MacroTemplate("spread", 0, 1.5, -1.0))
     return table
 
 
@@ -38,60 +44,62 @@ def kinks() -> Transitions:
     st.sampled_from([code for nx in range(4) for code in codes_of("0_1", nx)]),
     st.tuples(*[st.booleans()] * 3),
 )
-def test_a_spin_undoes_itself(code: GaussCode, spin: tuple[bool, bool, bool]) -> None:
-    assert spun(spun(code, spin), spin) == code
+def test_a_spin_undoes_itself(code: GaussCode, element: tuple[bool, bool, bool]) -> None:
+    assert transformed(transformed(code, element), element) == code
 
 
 def test_changes_are_counted_alike_for_a_rope_and_its_mirror() -> None:
     table = kinks()
     table.set_out(FLAT)
-    table.change(FLAT, KINK.mirrored(), Grip("curl", -1, 0.25, 0.5))
+    table.change(FLAT, KINK.mirrored(), MacroTemplate("curl", -1, 0.25, 0.5))
     assert sorted(table.seen.values()) == [2, 5]
 
 
 def test_the_distance_is_one_over_the_doubted_chance() -> None:
-    atlas = Atlas(kinks())
-    distances = atlas.distances(GaussCode.parse("1+,1-"))
+    graph = TransitionGraph(kinks())
+    distances = graph.distances(GaussCode.parse("1+,1-"))
     assert distances(FLAT) == pytest.approx((8 + DOUBT) / 4)
     assert distances(KINK) == 0
     assert distances(GaussCode.parse("1+a,1-a,2+c,2-c")) > distances(FLAT)
 
 
 def test_every_member_of_a_class_is_as_far_as_the_goal_turned_with_it() -> None:
-    atlas = Atlas(kinks())
-    assert atlas.distances(GaussCode.parse("1-,1+"))(FLAT) == atlas.distances(
+    graph = TransitionGraph(kinks())
+    assert graph.distances(GaussCode.parse("1-,1+"))(FLAT) == graph.distances(
         GaussCode.parse("1+,1-")
     )(FLAT)
 
 
 def test_steps_come_with_grips_turned_for_the_rope_at_hand() -> None:
-    atlas = Atlas(kinks())
-    steps = atlas.steps(FLAT, atlas.distances(GaussCode.parse("1-,1+")))
+    graph = TransitionGraph(kinks())
+    steps = graph.steps(FLAT, graph.distances(GaussCode.parse("1-,1+")))
     assert {str(step.after) for step in steps} == {"1-,1+"}
-    held = {(grip.side, round(grip.bead, 2)) for step in steps for grip in step.grips}
+    held = {
+        (template.side, round(template.bead, 2)) for step in steps for template in step.templates
+    }
     assert held == {(-1, 0.25), (1, 0.75)}  # below on the way, or above seen from the other end
 
 
 def test_transitions_come_back_from_their_file(tmp_path: Path) -> None:
     table = kinks()
     table.save(tmp_path / "t.h5")
-    back = Transitions.load(tmp_path / "t.h5")
-    assert (back.tried, back.seen, back.grips) == (table.tried, table.seen, table.grips)
+    back = TransitionCounts.load(tmp_path / "t.h5")
+    assert (back.tried, back.seen, back.templates) == (table.tried, table.seen, table.templates)
 
 
 def test_a_foreign_file_holds_no_transitions(tmp_path: Path) -> None:
     (tmp_path / "t.h5").write_text("no")
     with pytest.raises(InvalidTransitions):
-        Transitions.load(tmp_path / "t.h5")
+        TransitionCounts.load(tmp_path / "t.h5")
     with pytest.raises(FileNotFoundError):
-        Transitions.load(tmp_path / "absent.h5")
+        TransitionCounts.load(tmp_path / "absent.h5")
 
 
-@pytest.mark.parametrize("roll", [0, 14, 86])
-def test_a_bead_is_found_again_by_its_arc(roll: int, rope: Rope, states_path: str) -> None:
+@pytest.mark.parametrize("base_shift", [0, 14, 86])
+def test_a_bead_is_found_again_by_its_arc(base_shift: int, rope: Rope, states_path: str) -> None:
     episodes = Episodes(TaskConfig(task="unknot", nx=3, states=states_path))
     episodes.begin(0, np.random.default_rng(0))
-    places = Places(find_crossings(episodes.simulation.points[0]), 100, roll)
+    places = Places(find_crossings(episodes.simulation.points[0]), 100, base_shift)
     assert [places.bead(places.arc(bead)) for bead in range(100)] == list(range(100))
     assert int(max(places.arc(bead) for bead in range(100))) == 6
 
@@ -113,13 +121,13 @@ def test_the_reason_names_the_move(before: str, after: str, said: str) -> None:
 
 
 def test_the_atlas_that_ships_knows_a_way_to_every_code_of_up_to_four_crossings() -> None:
-    atlas = shipped_atlas()
+    graph = shipped_transition_graph()
     some = {1: 1, 2: 1, 3: 8, 4: 90}  # every so many: a goal takes a tenth of a second
     lost = [
         str(code)
         for nx, step in some.items()
         for code in codes_of("0_1", nx)[::step]
-        if FLAT not in atlas.distances(code).far
+        if FLAT not in graph.distances(code).far
     ]
     assert lost == []
 
@@ -129,11 +137,17 @@ def test_a_plan_that_is_solved_ends_in_the_goal_when_acted_out(states_path: str)
         TaskConfig(task="unknot", nx=1, states=states_path, split="test", observation="state")
     )
     episodes.begin(0, np.random.default_rng(3))
-    config = PlannerConfig(budget=2000, slots=4)
+    config = PlannerConfig(budget=2000, batch_size=4)
     start = episodes.simulation.states([0])[0]
     goal = GaussCode(())
     found = plan(
-        Simulation(4), start, goal, shipped_atlas(), config, np.random.default_rng(0), steps=50
+        Simulation(4),
+        start,
+        goal,
+        shipped_transition_graph(),
+        config,
+        np.random.default_rng(0),
+        steps=50,
     )
     assert found.solved and len(found.actions) == len(found.moves) <= 50
     for action in found.actions:
@@ -143,7 +157,7 @@ def test_a_plan_that_is_solved_ends_in_the_goal_when_acted_out(states_path: str)
 
 def test_a_plan_holds_the_goal_as_long_as_asked(states_path: str) -> None:
     task = TaskConfig(task="tie", nx=1, states=states_path, hold=3, observation="state")
-    episodes, expert = Episodes(task), Expert(PlannerConfig(budget=3000, slots=4))
+    episodes, expert = Episodes(task), Expert(PlannerConfig(budget=3000, batch_size=4))
     episodes.begin(0, np.random.default_rng(0))
     expert.begin(episodes, 0, np.random.default_rng(1))
     ended = False
@@ -162,8 +176,8 @@ def test_without_counts_the_crossings_guide() -> None:
         simulation,
         start,
         KINK.plain,
-        Atlas(Transitions()),
-        PlannerConfig(budget=2000, slots=4),
+        TransitionGraph(TransitionCounts()),
+        PlannerConfig(budget=2000, batch_size=4),
         np.random.default_rng(0),
         steps=50,
     )
@@ -177,8 +191,8 @@ def test_planning_keeps_its_budget_and_says_what_it_spent() -> None:
         simulation,
         simulation.states([0])[0],
         goal,
-        shipped_atlas(),
-        PlannerConfig(budget=30, slots=4),
+        shipped_transition_graph(),
+        PlannerConfig(budget=30, batch_size=4),
         np.random.default_rng(0),
         steps=50,
     )
@@ -201,7 +215,7 @@ def test_with_its_budget_gone_the_expert_goes_on_without_looking_ahead(states_pa
     "settings",
     [
         {"budget": -1},
-        {"slots": 0},
+        {"batch_size": 0},
         {"guided": 2.0},
         {"greed": -1.0},
         {"patience": 0.0},

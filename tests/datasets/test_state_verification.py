@@ -17,9 +17,9 @@ from knotgym.atomic_files import sha256
 from knotgym.datasets.state_verification import folder_faults, state_faults
 from knotgym.datasets.states import read_states, shipped
 
-from .small_job import knotgym
+from ..small_job import knotgym
 
-WAYS = "minari/knotgym/tie-nx1/ways-v0/data/main_data.hdf5"
+WAYS = "minari/knotgym/tie-nx1/demonstrations-v0/data/main_data.hdf5"
 
 
 @pytest.fixture
