@@ -1,4 +1,4 @@
-"""The one base class of the errors this package raises on purpose."""
+"""The base class of all errors this package raises on purpose, and those that rooms share."""
 
 from typing import Any
 
@@ -13,3 +13,7 @@ class KnotgymError(Exception):
         asked again.
         """
         return type(self).__new__, (type(self), *self.args), self.__dict__
+
+
+class MissingFile(KnotgymError, FileNotFoundError):
+    """There is no file or folder where one should be."""

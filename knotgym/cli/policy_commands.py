@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 
-from knotgym.cli.options import EngineOption, SchedulerOption, ShardOption
-from knotgym.control.planner import PlannerConfig
-from knotgym.control.policies import PolicyConfig
-from knotgym.runs.executors import scheduler_of
-from knotgym.runs.shards import Shard
-from knotgym.tasks import TaskConfig
+from knotgym.cli.options import (
+    EngineOption,
+    ResumeOption,
+    SchedulerOption,
+    SettingsOption,
+    ShardOption,
+    numbers,
+    run_options,
+    with_settings,
+)
+
+if TYPE_CHECKING:
+    from knotgym.control.policies import PolicyConfig
 
 _POLICIES = (
     "random, scripted, expert, noisy-expert, mixed, module:function, or a .zip (SB3), .onnx or .pt"
@@ -82,15 +89,17 @@ def collect(
     workers: Workers = 0,
     engine: EngineOption = "local",
     scheduler: SchedulerOption = "",
+    settings: SettingsOption = None,
     shard: ShardOption = "",
-    resume: Annotated[bool, typer.Option("--resume", help="Finish an interrupted run.")] = False,
+    resume: ResumeOption = False,
     quiet: Quiet = False,
 ) -> None:
     """Play a policy's episodes and write them as a Minari dataset."""
     from knotgym.generate.episodes.collect import CollectConfig
     from knotgym.generate.episodes.collect import collect as run
+    from knotgym.tasks import TaskConfig
 
-    cluster, part = scheduler_of(engine, scheduler, workers), Shard.parse(shard)
+    options = run_options(engine, scheduler, workers, shard, resume, quiet)
     config = CollectConfig(
         task=TaskConfig(
             task=task,
@@ -113,16 +122,7 @@ def collect(
         author_email=tuple(author_email or ()),
         code_permalink=code_permalink,
     )
-    run(
-        config,
-        out,
-        workers=workers,
-        resume=resume,
-        quiet=quiet,
-        console=Console(),
-        scheduler=cluster,
-        shard=part,
-    )
+    run(with_settings(config, settings), out, options)
 
 
 def evaluate(
@@ -160,9 +160,9 @@ def evaluate(
     """Measure success rates with 95 % intervals: policies by tasks, splits and numbers of
     crossings.
     """
-    from knotgym.cli.main import numbers
     from knotgym.generate.episodes.evaluate import EvaluateConfig
     from knotgym.generate.episodes.evaluate import run as run_evaluation
+    from knotgym.tasks import TaskConfig
 
     base = TaskConfig(
         task="tie",
@@ -188,6 +188,9 @@ def evaluate(
 
 def policy_config(policy: str, noise: float, budget: int, shares: str) -> PolicyConfig:
     """What the options of a policy say."""
+    from knotgym.control.planner import PlannerConfig
+    from knotgym.control.policies import PolicyConfig
+
     try:
         parts = tuple(float(word) for word in shares.split(","))
     except ValueError:

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from knotgym.atomic_files import atomic_write
 from knotgym.control.macro_actions import KINDS, MacroAction
-from knotgym.errors import KnotgymError
+from knotgym.errors import KnotgymError, MissingFile
 from knotgym.topology.crossings import Crossings
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import canonical_form, shifted_base, variants
@@ -200,7 +200,7 @@ class TransitionCounts:
             InvalidTransitions: foreign, truncated, or of an unknown format.
         """
         if not Path(path).is_file():
-            raise FileNotFoundError(f"no transitions at {path}")
+            raise MissingFile(f"no transitions at {path}")
         try:
             with h5py.File(path, "r") as file:
                 said = file.attrs.get("format"), file.attrs.get("format_version")

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.datasets.trajectory import INFOS, Episode, InvalidEpisode
-from knotgym.errors import KnotgymError
+from knotgym.errors import KnotgymError, MissingFile
 from knotgym.tasks import TaskConfig
 
 FORMAT = "knotgym-episodes"
@@ -236,9 +236,7 @@ def episode_file(source: Any) -> Path:
         for inside in (path, path / "main_data.hdf5", path / "data" / "main_data.hdf5"):
             if inside.is_file():
                 return inside
-    raise FileNotFoundError(
-        f"no episodes at {tried[0]}, nor a dataset of this id under {minari_root()}"
-    )
+    raise MissingFile(f"no episodes at {tried[0]}, nor a dataset of this id under {minari_root()}")
 
 
 def minari_root() -> Path:

@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import cv2
 import h5py
 import mujoco
 import numpy as np
@@ -32,7 +31,7 @@ WALKS_VERSION = 1
 def finish(
     folder: Path,
     shards: Sequence[Path],
-    asked: Mapping[str, Any],
+    request: Mapping[str, Any],
     report: Mapping[str, Any],
     start: SeedStates,
     walks: Sequence[Frames],
@@ -44,27 +43,21 @@ def finish(
         np.concatenate([np.asarray(_sources(path), dtype=np.int64) for path in shards]).tolist()
     )
     write_walks(folder / "walks.h5", start, walks, used)
-    close(folder, shards, asked, report)
+    close(folder, shards, request, report)
 
 
 def close(
-    folder: Path, shards: Sequence[Path], asked: Mapping[str, Any], report: Mapping[str, Any]
+    folder: Path, shards: Sequence[Path], request: Mapping[str, Any], report: Mapping[str, Any]
 ) -> None:
     """Write card and manifest into a folder that has everything else."""
     facts = summary(folder)
-    text = card(facts, asked["config"], report, sum(path.stat().st_size for path in shards))
+    text = card(facts, request["config"], report, sum(path.stat().st_size for path in shards))
     with atomic_write(folder / "README.md") as temporary:
         temporary.write_text(text, encoding="utf-8")
     manifest = {
         "format": "knotgym-images-manifest",
-        "format_version": 1,
-        **asked,
-        "versions": {
-            "knotgym": knotgym.__version__,
-            "mujoco": mujoco.__version__,
-            "opencv": cv2.__version__,
-        },
-        "rope": RopeConfig().fingerprint,
+        "format_version": 2,
+        **request,
         "report": report,
         "summary": facts,
         "files": {

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.atomic_files import atomic_write
-from knotgym.errors import KnotgymError
+from knotgym.errors import KnotgymError, MissingFile
 
 FORMAT = "knotgym-images"
 FORMAT_VERSION = 1
@@ -195,7 +195,7 @@ def shards(path: str | os.PathLike[str], split: str | None = None) -> list[Path]
     """
     given = Path(path)
     if not given.exists():
-        raise FileNotFoundError(f"no perception table at {path}")
+        raise MissingFile(f"no perception table at {path}")
     if split is not None and split not in SPLITS:
         raise InvalidImages(f"no split {split!r}; there are {', '.join(SPLITS)}")
     inside = given / "data" if (given / "data").is_dir() else given

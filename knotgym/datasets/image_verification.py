@@ -34,7 +34,7 @@ from knotgym.generate.images.walks import CLEARANCE, VISITS, WALKS, retrace
 from knotgym.relaxation import relaxed
 from knotgym.rendering.appearance import Appearance, render
 from knotgym.rope import Array, Rope, RopeConfig
-from knotgym.runs.executors import engine
+from knotgym.runs.executors import executor
 from knotgym.topology.crossings import find_crossings, visit_spacing
 from knotgym.topology.reference_labeller import pyknotid_code
 from knotgym.topology.symmetry import Symmetry
@@ -80,7 +80,7 @@ def image_faults(path: str | Path, workers: int = 0) -> Iterator[str]:
                 for one in shards(folder)
                 if f"data/{one.name}" not in listed
             )
-    with engine(workers) as pool:
+    with executor(workers) as pool:
         whole = True
         for found in pool.map(shard_faults, shards(path)):
             yield from found

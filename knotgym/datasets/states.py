@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.atomic_files import atomic_write, new_hdf5
-from knotgym.errors import KnotgymError
+from knotgym.errors import KnotgymError, MissingFile
 
 FORMAT = "knotgym-states"
 FORMAT_VERSION = 1
@@ -133,7 +133,7 @@ def read_states(path: str | os.PathLike[str], *, images: bool = True) -> States:
         InvalidStates: foreign, truncated, or of a format this version doesn't know.
     """
     if not Path(path).is_file():
-        raise FileNotFoundError(f"no state file at {path}")
+        raise MissingFile(f"no state file at {path}")
     try:
         with h5py.File(path, "r") as file:
             found = file.attrs.get("format", "none"), file.attrs.get("format_version", "none")

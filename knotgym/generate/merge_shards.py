@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from knotgym.atomic_files import sha256
-from knotgym.control.planner import PlannerConfig
+from knotgym.configuration import updated
 from knotgym.control.policies import PolicyConfig
 from knotgym.datasets import image_folder
 from knotgym.datasets.episode_reader import Chosen
@@ -39,13 +39,18 @@ from knotgym.generate.episodes.collect import REPORT, CollectConfig, Tally, writ
 from knotgym.generate.states import state_folder as output
 from knotgym.generate.states.archive import Archive
 from knotgym.generate.states.curation import split
+from knotgym.runs.engine import LISTED
 from knotgym.runs.shards import Shard
 from knotgym.runs.staging import Occupied, staging
 from knotgym.streams import Stream, generator
 from knotgym.tasks import TaskConfig
 from knotgym.topology.gauss import GaussCode
 
-_FORMATS = {"knotgym-manifest": "states", "knotgym-images-manifest": "images"}
+_FORMATS = {
+    "knotgym-manifest": "states",
+    "knotgym-collection": "episodes",
+    "knotgym-images-manifest": "images",
+}
 
 
 class InvalidMerge(KnotgymError, ValueError):
@@ -59,14 +64,14 @@ class ShardFolder:
     Attributes:
         kind: "states", "episodes" or "images".
         shard: which.
-        asked: the rest of the run's settings; shards of one run have the same.
+        request: of the run that made it, without the shard; shards of one run have the same.
         said: its manifest or report.
     """
 
     folder: Path
     kind: str
     shard: Shard
-    asked: dict[str, Any]
+    request: dict[str, Any]
     said: dict[str, Any]
 
 
@@ -76,18 +81,12 @@ def shard_folder_of(source: str) -> ShardFolder | None:
     for name in ("manifest.json", REPORT):
         try:
             said = json.loads((folder / name).read_text(encoding="utf-8"))
-            config = dict(said["config"])
-            shard = Shard(**config.pop("shard"))
+            request = {key: said[key] for key in LISTED}
+            shard = Shard(**request.pop("shard"))
+            kind = _FORMATS[said["format"]]
         except (OSError, ValueError, KeyError, TypeError):
             continue
-        asked = {"config": config, "source": said.get("source"), "version": said.get("version")}
-        return (
-            None
-            if shard.is_whole
-            else ShardFolder(
-                folder, _FORMATS.get(said.get("format"), "episodes"), shard, asked, said
-            )
-        )
+        return None if shard.is_whole else ShardFolder(folder, kind, shard, request, said)
     return None
 
 
@@ -108,7 +107,11 @@ def merge_shards(found: Sequence[ShardFolder], out: Path) -> Path:
     ordered = sorted(found, key=lambda one: one.shard.number)
     first = ordered[0]
     for other in ordered[1:]:
-        if (other.kind, other.shard.of, other.asked) != (first.kind, first.shard.of, first.asked):
+        if (other.kind, other.shard.of, other.request) != (
+            first.kind,
+            first.shard.of,
+            first.request,
+        ):
             raise InvalidMerge(
                 f"{first.folder} and {other.folder} are not shards of one run: they were asked for"
                 " different things"
@@ -129,7 +132,7 @@ def merge_shards(found: Sequence[ShardFolder], out: Path) -> Path:
                 raise InvalidMerge(
                     f"{path} is missing or spoilt (SHA-256 differs); make shard {shard.shard} again"
                 )
-    folder = out / first.asked["config"]["dataset_id"] if first.kind == "episodes" else out
+    folder = out / first.request["config"]["dataset_id"] if first.kind == "episodes" else out
     if folder.exists():
         raise Occupied(f"{folder} is there already; choose another --out, or remove it")
     with staging(folder, resume=False) as partial:
@@ -143,7 +146,8 @@ def merge_shards(found: Sequence[ShardFolder], out: Path) -> Path:
 
 def _states(ordered: Sequence[ShardFolder], folder: Path) -> Path:
     read = [read_states(shard.folder / "states.h5") for shard in ordered]
-    config = {**ordered[0].asked["config"], "shard": asdict(Shard())}
+    request = _whole(ordered[0])
+    config = request["config"]
     merged = merge_states(read)
     order = np.argsort(np.concatenate([states.nx for states in read]), kind="stable")
     number = np.repeat(np.arange(len(read)), [len(states) for states in read])[order]
@@ -193,7 +197,7 @@ def _states(ordered: Sequence[ShardFolder], folder: Path) -> Path:
         folder / "archive.h5"
     )
     report = _report_of_states([shard.said["report"] for shard in ordered], len(order) - len(kept))
-    output.finish(folder, merged, report, config)
+    output.finish(folder, merged, report, request)
     return folder
 
 
@@ -253,35 +257,17 @@ def _report_of_states(reports: Sequence[dict[str, Any]], near: int) -> dict[str,
 
 
 def _episodes(ordered: Sequence[ShardFolder], folder: Path) -> Path:
-    asked = ordered[0].asked["config"]
-    policy = PolicyConfig(
-        **{
-            **_tuples(asked["policy"]),
-            "planner": PlannerConfig(**_tuples(asked["policy"]["planner"])),
-        }
-    )
-    config = CollectConfig(
-        **{**_tuples(asked), "task": TaskConfig(**asked["task"]), "policy": policy}
-    )
-    if json.loads(json.dumps(asdict(config))) != asked:
-        raise InvalidMerge(
-            f"{ordered[0].folder} was collected by another version of knotgym, with other settings"
-        )
+    request = _whole(ordered[0])
+    task = TaskConfig(**request["config"]["task"])
+    config = updated(CollectConfig(task=task, policy=PolicyConfig()), request["config"])
     tally = sum((Tally(**shard.said["tally"]) for shard in ordered), Tally())
-    return write_whole(
-        config,
-        [shard.folder / "main_data.hdf5" for shard in ordered],
-        tally,
-        folder,
-        concatenate=True,
-    )
+    sources = [shard.folder / "main_data.hdf5" for shard in ordered]
+    return write_whole(config, sources, tally, folder, request, concatenate=True)
 
 
-def _tuples(settings: dict[str, Any]) -> dict[str, Any]:
-    """Settings as JSON has them, lists as the tuples they were."""
-    return {
-        name: tuple(value) if isinstance(value, list) else value for name, value in settings.items()
-    }
+def _whole(shard: ShardFolder) -> dict[str, Any]:
+    """The request of the whole run that a folder is a shard of."""
+    return {**shard.request, "shard": asdict(Shard())}
 
 
 def _images(ordered: Sequence[ShardFolder], folder: Path) -> Path:
@@ -296,7 +282,8 @@ def _images(ordered: Sequence[ShardFolder], folder: Path) -> Path:
         )
     )
     near = sum(int((~rows).sum()) for rows in kept.values())
-    config = {**ordered[0].asked["config"], "shard": asdict(Shard())}
+    request = _whole(ordered[0])
+    config = request["config"]
     written: list[Path] = []
     for name in SPLITS:
         mine = [
@@ -321,9 +308,7 @@ def _images(ordered: Sequence[ShardFolder], folder: Path) -> Path:
         },
         "near_duplicates_between_shards": near,
     }
-    image_folder.close(
-        folder, written, {"config": config, "source": ordered[0].asked["source"]}, report
-    )
+    image_folder.close(folder, written, request, report)
     return folder
 
 

@@ -112,7 +112,7 @@ def scheduler_of(engine: str, scheduler: str, workers: int) -> str:
 
 
 @contextmanager
-def engine(workers: int, scheduler: str = "") -> Iterator[Pool]:
+def executor(workers: int, scheduler: str = "") -> Iterator[Pool]:
     """A pool of `workers` processes, 0 for one a core; 1 works in this process. With a scheduler's
     address, its cluster.
 

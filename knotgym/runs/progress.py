@@ -1,30 +1,43 @@
-"""What a person sees while a job runs: a live table on a terminal, plain lines elsewhere, nothing
-when asked to be quiet.
-"""
+"""What a person sees while a run goes on: a live table on a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
 import time
-from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
 
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 
-from knotgym.generate.states.curation_run import Job
+_LIVE_EVERY, _LINE_EVERY = 0.5, 10.0  # seconds between two looks
 
-_EVERY = 10.0  # seconds between plain lines
+
+@dataclass(frozen=True)
+class Status:
+    """Where a run stands.
+
+    Attributes:
+        done, total: of what is counted, such as states or episodes.
+        counted: its name in the plural.
+        facts: name -> value of whatever else is worth knowing.
+    """
+
+    done: int
+    total: int
+    counted: str
+    facts: dict[str, str] = field(default_factory=dict)
 
 
 class Progress:
-    """Shows a job after each of its cycles; a context manager."""
+    """Shows where a run stands, now and then; a context manager that clears up behind it."""
 
     def __init__(self, console: Console, quiet: bool) -> None:
         self._console, self._quiet = console, quiet
-        self._live = (
-            Live(console=console, transient=True) if console.is_terminal and not quiet else None
-        )
-        self._began, self._told = time.perf_counter(), 0.0
+        live = console.is_terminal and not quiet
+        self._live = Live(console=console, transient=True) if live else None
+        self._began = self._told = time.perf_counter()
+        self._done_before: int | None = None
 
     def __enter__(self) -> Progress:
         if self._live:
@@ -35,47 +48,27 @@ class Progress:
         if self._live:
             self._live.stop()
 
-    def cycle(self, job: Job) -> None:
-        """Show where the job stands."""
-        if self._quiet:
+    def show(self, status_of: Callable[[], Status]) -> None:
+        """Show the status, which is only asked for when it is time for another look."""
+        now = time.perf_counter()
+        if self._done_before is None:  # what an earlier sitting did says nothing of the speed
+            self._done_before = status_of().done
+        if self._quiet or now - self._told < (_LIVE_EVERY if self._live else _LINE_EVERY):
             return
-        accepted = sum(len(candidates) for candidates in job.accepted.values())
-        wanted = sum(job.wanted(nx) for nx in job.config.nx)
-        actions = job.steps()
-        seconds = time.perf_counter() - self._began
-        codes = len(
-            {
-                candidate.code.plain
-                for candidates in job.accepted.values()
-                for candidate in candidates
-            }
-        )
-        rejected: Counter[str] = sum(job.rejected.values(), Counter())
-        left = seconds * (wanted - accepted) / accepted if accepted else float("nan")
+        self._told = now
+        status, seconds = status_of(), now - self._began
+        done = status.done - self._done_before
+        left = f"{seconds * (status.total - status.done) / done:.0f} s" if done else "?"
         facts = {
-            "states accepted": f"{accepted} of {wanted}",
-            "distinct codes": f"{codes}",
-            "codes the search knows": ", ".join(
-                f"nx {nx}: {len(job.archive.codes(nx))} of {job.existing[nx]}"
-                for nx in job.config.nx
-            ),
-            "rejected": (
-                ", ".join(f"{reason} {count}" for reason, count in rejected.most_common(4))
-                or "none"
-            ),
-            "steps per second": f"{actions / max(job.seconds, 1e-9):.0f}",
-            "time left, about": "?" if left != left else f"{left:.0f} s",
+            status.counted: f"{status.done} of {status.total}",
+            **status.facts,
+            "time left, about": left,
         }
         if self._live:
             table = Table.grid(padding=(0, 2))
             for name, value in facts.items():
                 table.add_row(f"[bold]{name}", value)
             self._live.update(table)
-        elif seconds - self._told > _EVERY or accepted >= wanted:
-            self._told = seconds
-            self._console.print(
-                f"{seconds:5.0f} s  "
-                + "; ".join(f"{name} {value}" for name, value in facts.items()),
-                soft_wrap=True,
-                highlight=False,
-            )
+        else:
+            line = "; ".join(f"{name} {value}" for name, value in facts.items())
+            self._console.print(f"{seconds:5.0f} s  {line}", soft_wrap=True, highlight=False)

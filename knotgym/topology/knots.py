@@ -16,7 +16,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 from knotgym.errors import KnotgymError
-from knotgym.topology.diagrams import drawn, summands
+from knotgym.topology.diagrams import drawn, planar_codes, summands
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.polynomials import alexander_polynomial, jones_polynomial
 from knotgym.topology.reidemeister import simplify, without_bigons
@@ -120,6 +120,17 @@ def handedness(code: GaussCode) -> int:
     jones = jones_polynomial(without_bigons(drawn(code)))
     lean = jones[0][0] + jones[-1][0]
     return (lean > 0) - (lean < 0)
+
+
+@lru_cache(maxsize=32)
+def codes_of(knot: str, nx: int) -> tuple[GaussCode, ...]:
+    """Every code with nx crossings that a rope of this knot type can show, in order, chirality
+    left out; exact.
+    """
+    certified = is_unknot if knot == "0_1" else lambda code: knot_type(code) == knot
+    return tuple(
+        sorted((code for code in planar_codes(nx) if certified(code)), key=lambda code: code.visits)
+    )
 
 
 def _is_trivial(summand: GaussCode) -> bool:

@@ -10,17 +10,15 @@ outlive a kill.
 from __future__ import annotations
 
 import json
-import shutil
-import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from rich.console import Console
 
-import knotgym
 from knotgym.atomic_files import atomic_write, sha256
+from knotgym.configuration import as_json
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import rollout
 from knotgym.datasets.episode_reader import minari_root
@@ -29,14 +27,12 @@ from knotgym.datasets.minari_dataset import MinariMetadata, publish
 from knotgym.datasets.states import states_file
 from knotgym.errors import KnotgymError
 from knotgym.rope import RopeConfig
-from knotgym.runs.executors import engine
-from knotgym.runs.shards import Shard
-from knotgym.runs.staging import Occupied, staging, staging_folder
+from knotgym.runs.engine import Batch, run
+from knotgym.runs.options import RunOptions
+from knotgym.runs.progress import Status
 from knotgym.tasks import TaskConfig
 
-SHARD = 4  # episodes; part of the format of a run under way, not of a dataset
 REPORT = "collection.json"
-_WHOLE = Shard()
 _REFERENCES = Path(__file__).parent / "data" / "references.json"
 
 
@@ -54,6 +50,7 @@ class CollectConfig:
         episodes: played.
         seed: of the run; episode i is that of `rollouts.episode_seed(seed, i)`.
         keep_failed: keep episodes that didn't reach the goal.
+        episodes_per_file: of a run under way; doesn't show in the dataset.
         dataset_id: of Minari; "" for knotgym/tie-nx3/expert-v0 and the like.
         author, author_email, code_permalink: for Minari's metadata.
     """
@@ -63,14 +60,16 @@ class CollectConfig:
     episodes: int = 200
     seed: int = 0
     keep_failed: bool = True
+    episodes_per_file: int = 4
     dataset_id: str = ""
     author: tuple[str, ...] = ()
     author_email: tuple[str, ...] = ()
     code_permalink: str | None = None
 
     def __post_init__(self) -> None:
-        if self.episodes < 1:
-            raise InvalidCollection(f"episodes must be at least 1, got {self.episodes}")
+        for name in ("episodes", "episodes_per_file"):
+            if getattr(self, name) < 1:
+                raise InvalidCollection(f"{name} must be at least 1, got {getattr(self, name)}")
         if self.seed < 0:
             raise InvalidCollection(f"seed must be at least 0, got {self.seed}")
         if not self.dataset_id:
@@ -130,96 +129,102 @@ class Tally:
 def collect(
     config: CollectConfig,
     out: Path | None,
+    options: RunOptions,
     *,
-    workers: int,
-    resume: bool,
-    quiet: bool,
-    console: Console,
-    scheduler: str = "",
-    shard: Shard = _WHOLE,
+    console: Console | None = None,
 ) -> Path:
     """Make the dataset and return its folder.
 
     Args:
         config: what is collected.
         out: the root under which Minari would find the id; None for Minari's own.
-        workers: processes, 0 for one a core.
-        resume: go on with the shards that are there; with a finished dataset of the same settings
-            there is nothing to do.
-        quiet: show nothing.
+        options: how it is done. The episodes of a shard go to a folder NAME-shard-2-of-8 with
+            main_data.hdf5 and collection.json; Minari doesn't list it.
         console: to show progress on.
-        scheduler: address of a Dask cluster's, to work there.
-        part: of the run, whose episodes go to a folder NAME-shard-2-of-8 with main_data.hdf5 and
-            collection.json; Minari doesn't list it.
 
     Raises:
-        Occupied: there is something in the way, or another run is at it.
-        InvalidCollection: what is resumed was another collection, or no episode is left to keep.
+        Occupied, InvalidRun: as of `runs.engine.run`.
+        InvalidCollection: no episode is left to keep.
     """
-    if workers < 0:
-        raise InvalidCollection(f"workers must be at least 0, got {workers}")
-    make_policy(config.policy)  # refuses what isn't there before any work is done
-    _metadata(config, Tally())  # refuses a bad id
     root = Path(out) if out is not None else minari_root()
-    folder = shard.folder(root / config.dataset_id)
-    settings = json.loads(json.dumps({**asdict(config), "shard": asdict(shard)}))
-    numbers = shard.share(config.episodes)
-    if not numbers:
-        raise InvalidCollection(
-            f"shard {shard} of {config.episodes} episodes has none: cut the run into fewer shards"
-        )
-    if folder.exists():
-        if resume and settings_of(folder) == settings:
-            # killed between its last two steps
-            shutil.rmtree(staging_folder(folder), ignore_errors=True)
-            if not quiet:
-                console.print(f"{folder} is finished already", soft_wrap=True)
-            return folder
-        raise Occupied(f"{folder} is there already; choose another --out or --id, or remove it")
-    began = time.perf_counter()
-    with staging(folder, resume) as partial:
-        if settings_of(partial) not in (None, settings):
+    folder = options.shard.folder(root / config.dataset_id)
+    return run(EpisodeRecipe(config, options), folder, options, console)
+
+
+class EpisodeRecipe:
+    """A policy's episodes, see `runs.engine.Recipe`; every file of a few episodes is a unit, and
+    those that are finished and unspoilt are all that is saved.
+    """
+
+    flexible: tuple[str, ...] = ()
+
+    def __init__(self, config: CollectConfig, options: RunOptions) -> None:
+        make_policy(config.policy)  # refuses what isn't there before any work is done
+        _metadata(config, Tally())  # refuses a bad id
+        self.config, self.shard, self.tally = config, options.shard, Tally()
+        self.numbers = options.shard.share(config.episodes)
+        self.files: list[_EpisodeFile] = []
+        if not self.numbers:
             raise InvalidCollection(
-                f"{partial} holds another collection than the one asked for; give the same options"
-                " again, or start without --resume"
+                f"shard {options.shard} of {config.episodes} episodes has none: cut the run into"
+                " fewer shards"
             )
-        with atomic_write(partial / REPORT) as file:
-            file.write_text(json.dumps({"config": settings}))
-        shards = [
+
+    def request(self) -> dict[str, Any]:
+        carried = self.config.task.states
+        source = {"states": sha256(states_file(carried)) if carried is not None else None}
+        return {"config": as_json(self.config), "source": source}
+
+    def begin(self) -> None:
+        pass
+
+    def load(self, folder: Path) -> bool:
+        return False
+
+    def save(self, folder: Path) -> None:
+        pass
+
+    def batches(self, folder: Path) -> Iterator[Batch]:
+        size = self.config.episodes_per_file
+        self.files = [
             _EpisodeFile(
-                config, numbers[first : first + SHARD], partial / f"shard-{first // SHARD:06d}.h5"
+                self.config,
+                self.numbers[first : first + size],
+                folder / f"episodes-{first // size:06d}.h5",
             )
-            for first in range(0, len(numbers), SHARD)
+            for first in range(0, len(self.numbers), size)
         ]
-        tally = _play_all(shards, workers, scheduler, quiet, console)
-        staged = partial / "whole"
-        shutil.rmtree(staged, ignore_errors=True)
-        made = (
-            write_whole(config, [shard.path for shard in shards], tally, staged)
-            if shard.is_whole
-            else staged
-        )
-        if not shard.is_whole:
-            made.mkdir()
-            merge([shard.path for shard in shards], made / "main_data.hdf5")
-            _report(
-                made / REPORT, settings, tally, {"main_data.hdf5": sha256(made / "main_data.hdf5")}
-            )
-        made.rename(folder)
-        shutil.rmtree(partial)
-    if not quiet:
-        seconds = time.perf_counter() - began
-        lost = tally.played - tally.succeeded
-        console.print(
-            f"{folder}: {tally.kept} episodes, {tally.steps} steps; {tally.succeeded} of"
-            f" {tally.played} reached the goal, {lost} failed"
-            f" ({'kept' if config.keep_failed else 'dropped'}); planning"
+        finished = {file.path: _finished(file.path) for file in self.files}
+        self.tally = sum((tally for tally in finished.values() if tally is not None), Tally())
+
+        def absorb(file: _EpisodeFile, tally: Tally) -> None:
+            self.tally += tally
+
+        yield Batch(play, [file for file in self.files if finished[file.path] is None], absorb)
+
+    def status(self) -> Status:
+        facts = {"reached the goal": f"{self.tally.succeeded}"}
+        return Status(self.tally.played, len(self.numbers), "episodes", facts)
+
+    def finish(self, folder: Path, request: dict[str, Any]) -> Path:
+        paths = [file.path for file in self.files]
+        if self.shard.is_whole:
+            return write_whole(self.config, paths, self.tally, folder, request)
+        folder.mkdir()
+        merge(paths, folder / "main_data.hdf5")
+        files = {"main_data.hdf5": sha256(folder / "main_data.hdf5")}
+        _report(folder / REPORT, request, self.tally, files)
+        return folder
+
+    def summary(self) -> str:
+        tally = self.tally
+        return (
+            f"{tally.kept} episodes, {tally.steps} steps; {tally.succeeded} of {tally.played}"
+            f" reached the goal, {tally.played - tally.succeeded} failed"
+            f" ({'kept' if self.config.keep_failed else 'dropped'}); planning"
             f" {tally.planned_actions / tally.played:.0f} simulated actions and"
-            f" {tally.planning_seconds / tally.played:.1f} s an episode; {seconds:.0f} s",
-            soft_wrap=True,
-            highlight=False,
+            f" {tally.planning_seconds / tally.played:.1f} s an episode"
         )
-    return folder
 
 
 def write_whole(
@@ -227,6 +232,7 @@ def write_whole(
     sources: Sequence[Path],
     tally: Tally,
     root: Path,
+    request: dict[str, Any],
     *,
     concatenate: bool = False,
 ) -> Path:
@@ -243,58 +249,32 @@ def write_whole(
         )
     carried = None if config.task.states is None else states_file(config.task.states)
     made = publish(sources, _metadata(config, tally), root, concatenate=concatenate, states=carried)
-    _report(
-        made / "data" / REPORT,
-        json.loads(json.dumps({**asdict(config), "shard": asdict(_WHOLE)})),
-        tally,
-    )
+    _report(made / "data" / REPORT, request, tally)
     return made
 
 
-def _report(path: Path, settings: Any, tally: Tally, files: dict[str, str] | None = None) -> None:
+def _report(
+    path: Path, request: dict[str, Any], tally: Tally, files: dict[str, str] | None = None
+) -> None:
     counted = {**asdict(tally), "planning_seconds": round(tally.planning_seconds, 1)}
     said = {
-        "config": settings,
-        "version": knotgym.__version__,
+        "format": "knotgym-collection",
+        "format_version": 1,
+        **request,
         "tally": counted,
         **({"files": files} if files else {}),
     }
     path.write_text(json.dumps(said, indent=1, sort_keys=True), encoding="utf-8")
 
 
-def _play_all(
-    shards: Sequence[_EpisodeFile], workers: int, scheduler: str, quiet: bool, console: Console
-) -> Tally:
-    """Play the shards that aren't finished; the tally of all."""
-    done = {shard.path: _finished(shard.path) for shard in shards}
-    total = sum((one for one in done.values() if one is not None), Tally())
-    todo = [shard for shard in shards if done[shard.path] is None]
-    told, began = 0.0, time.perf_counter()
-    with engine(workers, scheduler) as pool:
-        for number, tally in enumerate(pool.map(play, todo), 1):
-            total += tally
-            seconds = time.perf_counter() - began
-            if not quiet and (seconds - told > 10 or number == len(todo)):
-                told = seconds
-                left = seconds * (len(todo) - number) / number
-                all_episodes = sum(len(shard.numbers) for shard in shards)
-                console.print(
-                    f"{seconds:5.0f} s  {total.played} of {all_episodes} episodes,"
-                    f" {total.succeeded} reached the goal; about {left:.0f} s left",
-                    soft_wrap=True,
-                    highlight=False,
-                )
-    return total
-
-
-def play(shard: _EpisodeFile) -> Tally:
-    """Play a shard and write it, then its tally beside it; a shard without a tally isn't
+def play(file: _EpisodeFile) -> Tally:
+    """Play a file and write it, then its tally beside it; a shard without a tally isn't
     finished.
     """
-    config = shard.config
-    rollouts = rollout(config.task, make_policy(config.policy), shard.numbers, config.seed)
+    config = file.config
+    rollouts = rollout(config.task, make_policy(config.policy), file.numbers, config.seed)
     kept = [one for one in rollouts if one.success or config.keep_failed]
-    with EpisodeWriter(shard.path, config.stored_task) as writer:
+    with EpisodeWriter(file.path, config.stored_task) as writer:
         for one in kept:
             writer.add(one.episode, one.number)
     tally = Tally(
@@ -307,9 +287,9 @@ def play(shard: _EpisodeFile) -> Tally:
         planning_seconds=sum(one.effort.seconds for one in rollouts),
         simulation_failures=sum(bool(one.episode.simulation_failed[-1]) for one in rollouts),
     )
-    with atomic_write(shard.path.with_suffix(".json")) as temporary:
+    with atomic_write(file.path.with_suffix(".json")) as temporary:
         temporary.write_text(
-            json.dumps({"sha256": sha256(shard.path), "tally": asdict(tally)}), encoding="utf-8"
+            json.dumps({"sha256": sha256(file.path), "tally": asdict(tally)}), encoding="utf-8"
         )
     return tally
 
@@ -321,18 +301,6 @@ def _finished(path: Path) -> Tally | None:
         return Tally(**said["tally"]) if said["sha256"] == sha256(path) else None
     except (OSError, ValueError, KeyError, TypeError):
         return None
-
-
-def settings_of(folder: Path) -> Any:
-    """What was asked for of the dataset or shard that is or will be in a folder; None if it doesn't
-    say.
-    """
-    for path in (folder / "data" / REPORT, folder / REPORT):
-        try:
-            return json.loads(path.read_text(encoding="utf-8"))["config"]
-        except (OSError, ValueError, KeyError):
-            continue
-    return None
 
 
 def _metadata(config: CollectConfig, tally: Tally) -> MinariMetadata:

@@ -25,7 +25,7 @@ from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import Rollout, rollout
 from knotgym.datasets.trajectory import Episode
 from knotgym.errors import KnotgymError
-from knotgym.runs.executors import Pool, engine
+from knotgym.runs.executors import Pool, executor
 from knotgym.tasks import TaskConfig
 
 SIDE_BY_SIDE = 8  # episodes of one piece of work
@@ -257,7 +257,7 @@ def run(
         config = config if config.filmed else replace(config, filmed=2)
     for policy in config.policies:
         make_policy(policy)  # refuses what isn't there before any work is done
-    with engine(workers) as pool:
+    with executor(workers) as pool:
         results, films = evaluate(config, pool)
     if not quiet:
         show(results, console)

@@ -1,21 +1,19 @@
-"""`knotgym images`: perception tables, from states to a folder of Parquet shards.
+"""The recipe of labelled pictures: from states to a folder of Parquet files.
 
-Walks set out from archived or curated states and meet frames (`stir`), in waves until every quota
-is full; frames are chosen one by one (`balance`); chosen configurations are measured and drawn
-shard by shard (`image_shards`). Walks and shards are functions of the configuration, the states and
-their numbers alone and are files of their own, so any workers give the same bytes and a run that
-was killed goes on from the files there are.
+Walks set out from archived or curated states and meet frames (`walks`), in waves until every quota
+is full; frames are chosen one by one (`selection`); chosen configurations are measured and drawn,
+a file of the table at a time (`datasets.image_rows`). Walks and files are functions of the
+configuration, the states and their numbers alone, and files of their own in the staging folder, so
+a run that was killed goes on from the files there are.
 """
 
 from __future__ import annotations
 
 import json
-import shutil
-import time
 from collections import Counter
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from zipfile import BadZipFile
 
 import numpy as np
@@ -23,111 +21,206 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from knotgym.atomic_files import atomic_write
+from knotgym.configuration import as_json
 from knotgym.datasets.image_folder import finish
 from knotgym.datasets.image_rows import Row, TableFile, write_table_file
 from knotgym.datasets.image_table import SPLITS, arrow, shard_name
-from knotgym.errors import KnotgymError
+from knotgym.generate.images.images_config import ImagesConfig, InvalidImages, held_out, quotas
 from knotgym.generate.images.seed_states import SeedStates, seed_states
-from knotgym.generate.images.selection import Chooser
+from knotgym.generate.images.selection import Choice, Chooser
 from knotgym.generate.images.walks import WALKS, Frames, Unit, Walk, stir
-from knotgym.generate.states.curation import codes_of
-from knotgym.generate.states.curation_run import MOST_NX, NotEnough
-from knotgym.rendering.appearance import AppearanceConfig
-from knotgym.runs.executors import Pool, engine
-from knotgym.runs.shards import Shard
-from knotgym.runs.staging import Occupied, staging
+from knotgym.runs.engine import Batch, run
+from knotgym.runs.options import NotEnough, RunOptions
+from knotgym.runs.progress import Status
 from knotgym.streams import Stream, generator
 from knotgym.topology.gauss import GaussCode
-
-WAVE = 32  # units in a wave at most
-IDLE = 6  # waves without one more picture after which nothing more is expected
+from knotgym.topology.knots import codes_of
 
 
-class InvalidImagesJob(KnotgymError, ValueError):
-    """Pictures that can't be made as asked."""
+def make_images(
+    config: ImagesConfig,
+    out: Path,
+    options: RunOptions,
+    *,
+    archive: Path | None = None,
+    states: Path | None = None,
+    console: Console | None = None,
+) -> Path:
+    """Make labelled pictures in the new folder `out`, or in that of the shard, and return it.
 
+    Args:
+        config: what is wanted.
+        out: the folder of the whole run.
+        options: how it is done.
+        archive: to set out from, or
+        states: to set out from; without either, from the states that ship.
+        console: to show progress on.
 
-@dataclass(frozen=True, kw_only=True)
-class ImagesConfig:
-    """What pictures are wanted.
-
-    Attributes:
-        nx: crossing numbers, as many pictures of each.
-        count: pictures in all.
-        test_nx: those of nx that only split "test-nx" shows, larger than all others; None for the
-            largest if there are several.
-        test_share: of the other pictures, share of split "test".
-        code_share: likewise of split "test-code", and share of the codes that only it shows; nx
-            with fewer than 4 codes have none.
-        seed: of everything.
-        steps: that a walk makes at most; one for nx crossings makes a third of them at nx 3 and
-            above, two thirds below, all at 0, for the more crossings there are the sooner they are
-            lost.
-        stride: steps from one frame to the next.
-        rows_per_file: pictures in a file of the table.
-        appearance: what varies between pictures.
-        part: of the run, which makes its share of each quota; splits and codes held out are those
-            of the run.
+    Raises:
+        Occupied, InvalidRun: as of `runs.engine.run`.
+        InvalidImages, NoSeedStates: can't be made as asked.
+        NotEnough: the states and their walks don't give so many different pictures.
     """
+    arrow()
+    recipe = ImageRecipe(config, options, seed_states(config.nx, archive, states))
+    return run(recipe, options.shard.folder(out), options, console)
 
-    nx: tuple[int, ...] = (0, 1, 2, 3, 4)
-    count: int = 20_000
-    test_nx: tuple[int, ...] | None = None
-    test_share: float = 0.15
-    code_share: float = 0.15
-    seed: int = 0
-    steps: int = 12
-    stride: int = 2
-    rows_per_file: int = 500
-    appearance: AppearanceConfig = AppearanceConfig()
-    shard: Shard = Shard()
 
-    def __post_init__(self) -> None:
-        if (
-            not self.nx
-            or any(not 0 <= nx <= MOST_NX for nx in self.nx)
-            or len(set(self.nx)) != len(self.nx)
-        ):
-            raise InvalidImagesJob(
-                f"nx takes different numbers of crossings from 0 to {MOST_NX}, got"
-                f" {', '.join(map(str, self.nx)) or 'none'}"
+class ImageRecipe:
+    """Labelled pictures, see `runs.engine.Recipe`."""
+
+    flexible: tuple[str, ...] = ()
+
+    def __init__(self, config: ImagesConfig, options: RunOptions, start: SeedStates) -> None:
+        self.config, self.shard, self.start = config, options.shard, start
+        codes = {
+            nx: sorted({code for knot in start.knots for code in codes_of(knot, nx)}, key=_visits)
+            for nx in config.nx
+        }
+        for nx in config.nx:
+            if not codes[nx]:
+                raise InvalidImages(f"no diagram of {' or '.join(start.knots)} has {nx} crossings")
+        quota = quotas(config, {nx: len(codes[nx]) for nx in codes})
+        shares = {key: self.shard.share(count) for key, count in quota.items()}
+        self.wanted = {key: len(share) for key, share in shares.items() if share}
+        if not self.wanted:
+            raise InvalidImages(
+                f"shard {self.shard} has no picture to make: cut the run into fewer shards"
             )
-        if self.test_nx is None:
-            object.__setattr__(self, "test_nx", (max(self.nx),) if len(self.nx) > 1 else ())
-        rest = self.trained
-        if (
-            not set(self.held_nx) <= set(self.nx)
-            or not rest
-            or min(self.held_nx, default=MOST_NX + 1) <= max(rest)
-        ):
-            raise InvalidImagesJob(
-                f"test-nx takes the largest of the nx asked for, {sorted(self.nx)}, and not all of"
-                f" them; got {sorted(self.held_nx)}"
-            )
-        for name in ("count", "steps", "stride", "rows_per_file"):
-            if getattr(self, name) < 1:
-                raise InvalidImagesJob(f"{name} must be at least 1, got {getattr(self, name)}")
-        if self.stride > self.steps:
-            raise InvalidImagesJob(f"stride must be at most steps, {self.steps}, got {self.stride}")
-        if not (
-            0 <= self.test_share and 0 <= self.code_share and self.test_share + self.code_share < 1
-        ):
-            raise InvalidImagesJob(
-                "test and code shares must be at least 0 and below 1 together, got"
-                f" {self.test_share} and {self.code_share}"
-            )
-        if self.seed < 0:
-            raise InvalidImagesJob(f"seed must be at least 0, got {self.seed}")
+        self.split = splits_of(config, start, set(quota))
+        self.chooser = Chooser(self.wanted, held_out(config, codes), start.points.shape[1])
+        self.walked: list[Frames] = []
+        self.frames = 0
+        self.table = Path()
+        self.written: list[Path] = []
 
-    @property
-    def held_nx(self) -> tuple[int, ...]:
-        """The crossing numbers of split "test-nx"."""
-        return self.test_nx or ()
+    def request(self) -> dict[str, Any]:
+        return {"config": as_json(self.config), "source": self.start.source}
 
-    @property
-    def trained(self) -> tuple[int, ...]:
-        """The others."""
-        return tuple(nx for nx in self.nx if nx not in self.held_nx)
+    def begin(self) -> None:
+        pass
+
+    def load(self, folder: Path) -> bool:
+        return False  # walks and files of the table are found where they are
+
+    def save(self, folder: Path) -> None:
+        pass
+
+    def batches(self, folder: Path) -> Iterator[Batch]:
+        yield from self._choose(folder / "units")
+        self.table = folder / "table"
+        files = self._table_files()
+
+        def absorb(file: TableFile, path: Path) -> None:
+            self.written.append(path)
+
+        yield Batch(write_table_file, files, absorb)
+
+    def _choose(self, folder: Path) -> Iterator[Batch]:
+        """Make waves of walks and choose among their frames until every quota is full."""
+        gave = dict.fromkeys(self.wanted, _Stretch(0, 0))
+        wave, idle, first = self.shard.first, 0, self.shard.first
+        while lacking := self.chooser.lacking():
+            number = first + sum(len(frames.numbers) for frames in self.walked)
+            walks, aims = _wave(self.config, self.start, self.split, lacking, gave, wave, number)
+            chosen = len(self.chooser.chosen)
+
+            def absorb(
+                unit: _UnitFile, path: Path, aims: dict[int, tuple[str, int]] = aims
+            ) -> None:
+                self._consider(_load(path), aims, gave)
+
+            yield Batch(_walked, self._units(walks, aims, folder), absorb)
+            idle = 0 if len(self.chooser.chosen) > chosen else idle + 1
+            wave += 1
+            if idle == self.config.idle:
+                lacks = ", ".join(
+                    f"{count} of {key[0]} with nx {key[1]}"
+                    for key, count in sorted(self.chooser.lacking().items())
+                )
+                raise NotEnough(
+                    f"{chosen} of {sum(self.wanted.values())} pictures found, then no more in"
+                    f" {idle} waves of walks; lacking {lacks}"
+                )
+
+    def _units(
+        self, walks: list[Walk], aims: dict[int, tuple[str, int]], folder: Path
+    ) -> list[_UnitFile]:
+        units: list[_UnitFile] = []
+        for steps, group in _by_steps(self.config, walks, aims):
+            for begin in range(0, len(group), WALKS):
+                some = tuple(group[begin : begin + WALKS])
+                unit = Unit(
+                    some,
+                    self.start.states[[walk.base for walk in some]],
+                    self.config.seed,
+                    steps,
+                    self.config.stride,
+                    max(self.config.nx),
+                )
+                path = folder / f"{len(self.walked) + len(units):06d}.npz"
+                units.append(_UnitFile(path, unit))
+        return units
+
+    def _consider(
+        self,
+        frames: Frames,
+        aims: dict[int, tuple[str, int]],
+        gave: dict[tuple[str, int], _Stretch],
+    ) -> None:
+        """Offer the frames of a unit to the chooser, one by one."""
+        self.walked.append(frames)
+        for points, number, ease in zip(
+            frames.points, frames.walk.tolist(), frames.ease.tolist(), strict=True
+        ):
+            aim = aims[number]
+            rng = generator(Stream.IMAGE_CHOICE, self.config.seed, self.shard.first + self.frames)
+            if self.chooser.consider(points, aim[0], ease, self.frames, rng):
+                gave[aim] = gave[aim]._replace(chosen=gave[aim].chosen + 1)
+            self.frames += 1
+
+    def _table_files(self) -> list[TableFile]:
+        """The files of the table: the rows of a split in random order, so many a file."""
+        config, rows = self.config, _Provenance(self.start, self.walked, self.config.seed)
+        files: list[TableFile] = []
+        number = self.shard.first
+        for place, split in enumerate(SPLITS):
+            chosen = [choice for choice in self.chooser.chosen if choice.split == split]
+            order = generator(Stream.IMAGE_ORDER, config.seed, place).permutation(len(chosen))
+            count = -(-len(chosen) // config.rows_per_file)
+            for index in range(count):
+                picked = order[index * config.rows_per_file : (index + 1) * config.rows_per_file]
+                here = tuple(rows.row(chosen[k], number + at) for at, k in enumerate(picked))
+                number += len(here)
+                name = shard_name(split, index, count)
+                seal = self.table.with_name("seals") / name
+                files.append(TableFile(self.table / name, seal, here, config.appearance))
+        return files
+
+    def status(self) -> Status:
+        facts = {
+            "frames met": f"{self.frames}",
+            "units of walks": f"{len(self.walked)}",
+            "files written": f"{len(self.written)}",
+        }
+        total = sum(self.wanted.values())
+        return Status(len(self.chooser.chosen), total, "configurations chosen", facts)
+
+    def finish(self, folder: Path, request: dict[str, Any]) -> Path:
+        dropped: Counter[str] = Counter()
+        for frames in self.walked:
+            dropped.update(frames.dropped)
+        report = {
+            "walks": sum(len(frames.numbers) for frames in self.walked),
+            "frames": sum(len(frames.walk) for frames in self.walked),
+            "dropped": dict(sorted(dropped.items())),
+            "refused": dict(sorted(self.chooser.refused.items())),
+        }
+        finish(self.table, self.written, request, report, self.start, self.walked)
+        return self.table
+
+    def summary(self) -> str:
+        return f"{len(self.chooser.chosen)} pictures"
 
 
 class _Stretch(NamedTuple):
@@ -137,95 +230,46 @@ class _Stretch(NamedTuple):
     chosen: int
 
 
-def make(
-    config: ImagesConfig,
-    out: Path,
-    *,
-    archive: Path | None,
-    states: Path | None,
-    workers: int,
-    resume: bool,
-    quiet: bool,
-    console: Console,
-    scheduler: str = "",
-) -> None:
-    """Make the new folder `out`; until it is finished everything stands in `.NAME.partial` beside
-    it.
+class _Provenance:
+    """Where chosen frames come from: rows of the table, with their `source`."""
 
-    Raises:
-        InvalidImagesJob, NoSeedStates: can't be made as asked.
-        Occupied: something is in the way, or another run is at it.
-        NotEnough: the states and their walks don't give so many different pictures.
-    """
-    if workers < 0:
-        raise InvalidImagesJob(f"workers must be at least 0, got {workers}")
-    arrow()
-    began = time.perf_counter()
-    start = seed_states(config.nx, archive, states)
-    asked = json.loads(json.dumps({"config": asdict(config), "source": start.source}))
-    if out.exists():
-        if resume and _asked(out / "manifest.json") == asked:
-            if not quiet:
-                console.print(f"{out} is finished already", soft_wrap=True)
-            return
-        raise Occupied(f"{out} is there already; choose another --out, or remove it")
-    with staging(out, resume) as partial:
-        if (partial / "job.json").is_file() and _asked(partial / "job.json") != asked:
-            raise InvalidImagesJob(
-                f"{partial} holds another job than the one asked for; give the same options again,"
-                " or start without --resume"
-            )
-        with atomic_write(partial / "job.json") as temporary:
-            temporary.write_text(json.dumps(asked))
-        tell = _Teller(console, quiet)
-        with engine(workers, scheduler) as pool:
-            chooser, walks, dropped = _choose(config, start, partial, pool, tell)
-            written = _draw(config, start, chooser, walks, partial / out.name, pool, tell)
-        report = {
-            "walks": sum(len(one.numbers) for one in walks),
-            "frames": sum(len(one.walk) for one in walks),
+    def __init__(self, start: SeedStates, walked: list[Frames], seed: int) -> None:
+        self._start, self._seed = start, seed
+        self._walk = np.concatenate([frames.walk for frames in walked]).tolist()
+        self._steps = np.concatenate([frames.steps for frames in walked]).tolist()
+        self._rounds = np.concatenate([frames.rounds for frames in walked]).tolist()
+        self._base_of = {
+            number: base
+            for frames in walked
+            for number, base in zip(frames.numbers.tolist(), frames.bases.tolist(), strict=True)
         }
-        counts = {
-            "dropped": dict(sorted(dropped.items())),
-            "refused": dict(sorted(chooser.refused.items())),
+
+    def row(self, choice: Choice, number: int) -> Row:
+        """Row `number` of the table; a walk from a plain loop is a family of its own."""
+        start, walk = self._start, self._walk[choice.frame]
+        base = self._base_of[walk]
+        alone = int(start.family.max()) + 1 + walk
+        source = {
+            "walk": walk,
+            "pulls": self._steps[choice.frame],
+            "rounds": self._rounds[choice.frame],
+            "reflect": choice.symmetry.reflect,
+            "switch": choice.symmetry.switch,
+            "reverse": choice.symmetry.reverse,
+            "roll": choice.symmetry.base_shift,
+            "family": int(start.family[base]) if start.nx[base] else alone,
+            "seed": self._seed,
+            "row": number,
         }
-        finish(partial / out.name, written, asked, {**report, **counts}, start, walks)
-        (partial / out.name).rename(out)
-        shutil.rmtree(partial)
-    tell(f"{out}: {len(chooser.chosen)} pictures in {time.perf_counter() - began:.0f} s", now=True)
-
-
-def quotas(config: ImagesConfig, codes: dict[int, int]) -> dict[tuple[str, int], int]:
-    """(split, nx) -> pictures; `codes` says how many codes each nx has."""
-    out: dict[tuple[str, int], int] = {}
-    for place, nx in enumerate(config.nx):
-        here = config.count // len(config.nx) + (place < config.count % len(config.nx))
-        if nx in config.held_nx:
-            out["test-nx", nx] = here
-            continue
-        new = round(config.code_share * here) if codes[nx] >= 4 else 0
-        test = round(config.test_share * here)
-        out.update({("train", nx): here - test - new, ("test", nx): test, ("test-code", nx): new})
-    return {key: wanted for key, wanted in out.items() if wanted}
-
-
-def held_out(config: ImagesConfig, codes: dict[int, list[GaussCode]]) -> frozenset[GaussCode]:
-    """The codes, without chirality, that only split "test-code" shows."""
-    out: list[GaussCode] = []
-    for nx in config.trained:
-        if len(codes[nx]) >= 4 and config.code_share > 0:
-            order = generator(Stream.IMAGE_CODES, config.seed, nx).permutation(len(codes[nx]))
-            out += [
-                codes[nx][k] for k in order[: max(1, round(config.code_share * len(codes[nx])))]
-            ]
-    return frozenset(out)
+        return Row(choice.points, choice.code, choice.split, source)
 
 
 def splits_of(
     config: ImagesConfig, start: SeedStates, wanted: set[tuple[str, int]]
 ) -> NDArray[np.str_]:
-    """The split of each base, str (n,): that of its family; "" for one without crossings, whose
-    walks are families of their own.
+    """The split of each seed state, str (n,): that of its family.
+
+    "" for one without crossings, whose walks are families of their own.
     """
     out = np.full(len(start), "", dtype="<U9")
     largest = {
@@ -238,108 +282,18 @@ def splits_of(
             for k in generator(Stream.IMAGE_FAMILIES, config.seed, nx).permutation(len(same))
         ]
         for place, family in enumerate(same):
+            # one family in so many to each of the two, by turns, and the first of all to training
+            test = round(config.test_share * len(same)) or int(config.test_share > 0)
+            new = round(config.code_share * len(same)) or 1 if ("test-code", nx) in wanted else 0
             if nx > max(config.trained):
                 split = "test-nx"
-            # one family in so many to each of the two, by turns, and the first of all to training
+            elif 0 < place <= test:
+                split = "test"
             else:
-                test = round(config.test_share * len(same)) or int(config.test_share > 0)
-                new = (
-                    (round(config.code_share * len(same)) or 1)
-                    if ("test-code", nx) in wanted
-                    else 0
-                )
-                split = (
-                    "test"
-                    if 0 < place <= test
-                    else "test-code"
-                    if test < place <= test + new
-                    else "train"
-                )
+                split = "test-code" if test < place <= test + new else "train"
             out[start.family == family] = split
     out[start.nx == 0] = ""
     return out
-
-
-def _choose(
-    config: ImagesConfig, start: SeedStates, partial: Path, pool: Pool, tell: _Teller
-) -> tuple[Chooser, list[Frames], Counter[str]]:
-    """Make waves of walks and choose among their frames until every quota is full."""
-    codes = {
-        nx: sorted(
-            {code for knot in start.knots for code in codes_of(knot, nx)},
-            key=lambda code: code.visits,
-        )
-        for nx in config.nx
-    }
-    for nx in config.nx:
-        if not codes[nx]:
-            raise InvalidImagesJob(f"no diagram of {' or '.join(start.knots)} has {nx} crossings")
-    quota = quotas(config, {nx: len(codes[nx]) for nx in codes})
-    mine = {key: len(share) for key, count in quota.items() if (share := config.shard.share(count))}
-    if not mine:
-        raise InvalidImagesJob(
-            f"shard {config.shard} has no picture to make: cut the run into fewer shards"
-        )
-    chooser = Chooser(mine, held_out(config, codes), start.points.shape[1])
-    split = splits_of(config, start, set(quota))
-    done: list[Frames] = []
-    dropped: Counter[str] = Counter()
-    gave = dict.fromkeys(mine, _Stretch(0, 0))
-    first, wave, idle, frame = config.shard.first, 0, 0, 0
-    while lacking := chooser.lacking():
-        walks, aims = _wave(
-            config,
-            start,
-            split,
-            lacking,
-            gave,
-            first + wave,
-            first + sum(len(one.numbers) for one in done),
-        )
-        units: list[_UnitFile] = []
-        for steps, group in _by_steps(config, walks, aims):
-            for begin in range(0, len(group), WALKS):
-                some = tuple(group[begin : begin + WALKS])
-                unit = Unit(
-                    some,
-                    start.states[[walk.base for walk in some]],
-                    config.seed,
-                    steps,
-                    config.stride,
-                    max(config.nx),
-                )
-                units.append(
-                    _UnitFile(partial / "units" / f"{len(done) + len(units):06d}.npz", unit)
-                )
-        chosen = len(chooser.chosen)
-        for path in pool.map(_stirred, units):
-            frames = _load(path)
-            done.append(frames)
-            dropped.update(frames.dropped)
-            for points, number, ease in zip(
-                frames.points, frames.walk.tolist(), frames.ease.tolist(), strict=True
-            ):
-                aim = aims[number]
-                rng = generator(Stream.IMAGE_CHOICE, config.seed, first + frame)
-                if chooser.consider(points, aim[0], ease, frame, rng):
-                    gave[aim] = gave[aim]._replace(chosen=gave[aim].chosen + 1)
-                frame += 1
-            tell(
-                f"{len(chooser.chosen)} of {sum(mine.values())} configurations chosen from {frame}"
-                f" frames, {len(done)} units of walks"
-            )
-        idle = 0 if len(chooser.chosen) > chosen else idle + 1
-        wave += 1
-        if idle == IDLE:
-            lacks = ", ".join(
-                f"{count} of {key[0]} with nx {key[1]}"
-                for key, count in sorted(chooser.lacking().items())
-            )
-            raise NotEnough(
-                f"{len(chooser.chosen)} of {sum(mine.values())} pictures found, then no more in"
-                f" {IDLE} waves of walks; lacking {lacks}"
-            )
-    return chooser, done, dropped
 
 
 def _by_steps(
@@ -373,7 +327,7 @@ def _wave(
         key: int(np.ceil(1.1 * count * (gave[key].walks + 1) / (gave[key].chosen + 4)))
         for key, count in lacking.items()
     }
-    most = WAVE * WALKS
+    most = config.wave * WALKS
     if sum(wanted.values()) > most:
         total = sum(wanted.values())
         wanted = {key: max(1, count * most // total) for key, count in wanted.items()}
@@ -400,83 +354,12 @@ def _wave(
     return walks, aims
 
 
-def _draw(
-    config: ImagesConfig,
-    start: SeedStates,
-    chooser: Chooser,
-    walks: list[Frames],
-    folder: Path,
-    pool: Pool,
-    tell: _Teller,
-) -> list[Path]:
-    """Write the shards: the rows of a split in random order."""
-    walk = np.concatenate([one.walk for one in walks]).tolist()
-    steps, rounds = (
-        np.concatenate([getattr(one, name) for one in walks]).tolist()
-        for name in ("steps", "rounds")
-    )
-    base_of = {
-        number: base
-        for one in walks
-        for number, base in zip(one.numbers.tolist(), one.bases.tolist(), strict=True)
-    }
-    work: list[TableFile] = []
-    number = config.shard.first
-    for place, split in enumerate(SPLITS):
-        mine = [choice for choice in chooser.chosen if choice.split == split]
-        order = generator(Stream.IMAGE_ORDER, config.seed, place).permutation(len(mine))
-        count = -(-len(mine) // config.rows_per_file)
-        for index in range(count):
-            rows = []
-            for choice in (
-                mine[k]
-                for k in order[index * config.rows_per_file : (index + 1) * config.rows_per_file]
-            ):
-                base = base_of[walk[choice.frame]]
-                family = (
-                    int(start.family[base])
-                    if start.nx[base]
-                    else int(start.family.max()) + 1 + walk[choice.frame]
-                )
-                moved = {
-                    "reflect": choice.symmetry.reflect,
-                    "switch": choice.symmetry.switch,
-                    "reverse": choice.symmetry.reverse,
-                    "roll": choice.symmetry.base_shift,
-                }
-                own = {
-                    "walk": walk[choice.frame],
-                    "pulls": steps[choice.frame],
-                    "rounds": rounds[choice.frame],
-                }
-                rows.append(
-                    Row(
-                        choice.points,
-                        choice.code,
-                        split,
-                        {**own, **moved, "family": family, "seed": config.seed, "row": number},
-                    )
-                )
-                number += 1
-            name = shard_name(split, index, count)
-            work.append(
-                TableFile(
-                    folder / name, folder.with_name("seals") / name, tuple(rows), config.appearance
-                )
-            )
-    written: list[Path] = []
-    for path in pool.map(write_table_file, work):
-        written.append(path)
-        tell(f"{len(written)} of {len(work)} shards written")
-    return written
-
-
 class _UnitFile(NamedTuple):
     path: Path
     unit: Unit
 
 
-def _stirred(work: _UnitFile) -> Path:
+def _walked(work: _UnitFile) -> Path:
     """Make a unit's walks and keep them in a file, unless it is there, unspoilt."""
     try:
         _load(work.path)  # the file has checksums
@@ -497,27 +380,5 @@ def _load(path: Path) -> Frames:
         )
 
 
-def _asked(path: Path) -> object:
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-        return {name: found[name] for name in ("config", "source")}
-    except (OSError, ValueError, KeyError):
-        return None
-
-
-class _Teller:
-    """Prints where a run stands, now and then."""
-
-    def __init__(self, console: Console, quiet: bool, every: float = 10.0) -> None:
-        self._console, self._quiet, self._every = console, quiet, every
-        self._began = self._told = time.perf_counter()
-
-    def __call__(self, text: str, now: bool = False) -> None:
-        seconds = time.perf_counter()
-        if not self._quiet and (now or seconds - self._told > self._every):
-            self._told = seconds
-            self._console.print(
-                text if now else f"{seconds - self._began:5.0f} s  {text}",
-                soft_wrap=True,
-                highlight=False,
-            )
+def _visits(code: GaussCode) -> tuple[int, ...]:
+    return code.visits

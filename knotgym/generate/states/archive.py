@@ -22,7 +22,7 @@ import numpy as np
 from knotgym.atomic_files import atomic_write, new_hdf5
 from knotgym.control.macro_actions import ActionSequence
 from knotgym.control.transition_counts import TransitionCounts
-from knotgym.errors import KnotgymError
+from knotgym.errors import KnotgymError, MissingFile
 from knotgym.rope import Array
 from knotgym.topology.diagrams import chiralities
 from knotgym.topology.gauss import GaussCode
@@ -33,6 +33,9 @@ FORMAT_VERSION = 3
 _OLD = {"base_shift": "roll", "objective": "badness"}  # what version 2, read too, calls them
 FAIR = 50  # actions that 1 of objective is worth
 KEPT = 2  # elites kept for their short way, and as many for their looks
+
+
+_SQUEEZED = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 
 
 class InvalidArchive(KnotgymError, ValueError):
@@ -134,7 +137,7 @@ class Archive:
         """Elites whose mirror images show `code`, which has its chirality."""
         return list(self.niches.get(mirror_images(code)[0], []))
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: str | os.PathLike[str], compress: bool = True) -> None:
         """Write the archive; it appears whole or not at all."""
         elites = list(self._elites())
         with atomic_write(path) as temporary, new_hdf5(temporary) as file:
@@ -145,7 +148,7 @@ class Archive:
             file["visits"] = json.dumps(
                 {niche.chiral: count for niche, count in self.visits.items()}
             )
-            squeezed = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+            squeezed = dict(_SQUEEZED) if compress else {}
             file.create_dataset(
                 "code",
                 data=[elite.code.chiral for elite in elites],
@@ -177,7 +180,7 @@ class Archive:
             InvalidArchive: the file is foreign, truncated, or of an unknown format.
         """
         if not Path(path).is_file():
-            raise FileNotFoundError(f"no archive at {path}")
+            raise MissingFile(f"no archive at {path}")
         try:
             with h5py.File(path, "r") as file:
                 said = file.attrs.get("format"), file.attrs.get("format_version")

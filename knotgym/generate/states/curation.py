@@ -1,5 +1,4 @@
-"""Curation: which codes there are to curate, which accepted states make a set, and which of them
-are for training.
+"""Curation: which accepted states make a set, and which of them are for training.
 
 A set holds no two near-duplicates (`datasets.near`), so none straddle its splits.
 """
@@ -7,27 +6,13 @@ A set holds no two near-duplicates (`datasets.near`), so none straddle its split
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.datasets.near_duplicates import NEAR, distances
 from knotgym.rope import Array
-from knotgym.topology.diagrams import planar_codes
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import is_unknot, knot_type
-
-
-@lru_cache(maxsize=32)
-def codes_of(knot: str, nx: int) -> tuple[GaussCode, ...]:
-    """Every code, without chirality and in order, that a rope of this knot type can show with nx
-    crossings; exact.
-    """
-    certified = is_unknot if knot == "0_1" else lambda code: knot_type(code) == knot
-    return tuple(
-        sorted((code for code in planar_codes(nx) if certified(code)), key=lambda code: code.visits)
-    )
 
 
 def is_near_duplicate(points: Array, accepted: Sequence[Array]) -> bool:

@@ -8,6 +8,7 @@ round, the seed, the round and the slot alone: rounds come out the same on any w
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from typing import NamedTuple
 
@@ -25,6 +26,7 @@ from knotgym.control.transition_counts import TransitionCounts, TransitionRecord
 from knotgym.generate.states.archive import Archive, Elite
 from knotgym.quality import Limits, base_spacing, measure
 from knotgym.rope import Array, Rope, RopeConfig, base_shifts
+from knotgym.runs.engine import Batch
 from knotgym.runs.executors import Pool
 from knotgym.simulation import Simulation
 from knotgym.streams import Stream, generator
@@ -94,6 +96,15 @@ class Discovery(NamedTuple):
     state: Array
 
 
+Played = tuple[
+    list[Discovery],
+    NDArray[np.int16],
+    NDArray[np.float32],
+    NDArray[np.int64],
+    TransitionCounts,
+]
+
+
 def new_archive(config: SearchConfig, start: Array | None = None) -> Archive:
     """An archive that begins at the plain loop, or at another configuration (beads, 3)."""
     rope = Rope(config.rope)
@@ -111,22 +122,27 @@ def new_archive(config: SearchConfig, start: Array | None = None) -> Archive:
     return archive
 
 
-def advance(archive: Archive, config: SearchConfig, pool: Pool, chunk: int = 16) -> int:
-    """Play one round and grow the archive by it.
+def advance(archive: Archive, config: SearchConfig, pool: Pool) -> int:
+    """Play one round on a pool and grow the archive by it; how many classes are new."""
+    known = len(archive.niches)
+    for batch in search_round(archive, config):
+        for _ in batch.follow(pool):
+            pass
+    return len(archive.niches) - known
 
-    Ways to codes that are known only with the walk starting at another sub-chain, or running the
-    other way, are tried anew with the rope so renumbered, and the round proper follows.
+
+def search_round(archive: Archive, config: SearchConfig, chunk: int = 16) -> Iterator[Batch]:
+    """One round, which grows the archive as its work is absorbed.
+
+    Action sequences to codes that are known only with the walk starting at another sub-chain, or
+    running the other way, are replayed on the rope so renumbered; the round proper follows.
 
     Args:
         archive: changed in place.
         config: the same for every round of an archive.
-        pool: plays the units.
-        chunk: slots in a unit; does not change the result.
-
-    Returns:
-        How many classes are new.
+        chunk: ropes in a unit; does not change the result.
     """
-    number, known = len(archive.growth), len(archive.niches)
+    number = len(archive.growth)
     actions = archive.growth[-1]["actions"] if archive.growth else 0
     renumbered = _unconfirmed(archive, config, number)
     replays = [
@@ -143,22 +159,29 @@ def advance(archive: Archive, config: SearchConfig, pool: Pool, chunk: int = 16)
         )
         for first in range(0, config.batch_size, chunk)
     ]
-    for replay, discoveries in zip(replays, pool.map(confirm, replays), strict=True):
+
+    def absorb_replay(replay: Replay, discoveries: list[Discovery]) -> None:
+        nonlocal actions
         actions += sum(len(sequence) for sequence in replay.sequences)
         for find in discoveries:
             archive.offer(find.reading.elite(replay.sequences[find.batch_index], find.state))
-    for discoveries, beads, forces, taken, transitions in pool.map(play, units):
+
+    def absorb_unit(unit: SearchUnit, played: Played) -> None:
+        nonlocal actions
+        discoveries, beads, forces, taken, transitions = played
         archive.transitions.add(transitions)
         actions += int(taken.sum())
         for find in discoveries:
-            row = find.batch_index % chunk
+            row = find.batch_index - unit.indices.start
             sequence = parents[find.batch_index].sequence + ActionSequence(
                 beads[row, : find.steps], forces[row, : find.steps]
             )
             if len(sequence) <= config.longest:
                 archive.offer(find.reading.elite(sequence, find.state))
+
+    yield Batch(confirm, replays, absorb_replay)
+    yield Batch(play, units, absorb_unit)
     archive.growth.append({"round": number, "actions": actions, "classes": len(archive.niches)})
-    return len(archive.niches) - known
 
 
 def confirm(replay: Replay) -> list[Discovery]:
@@ -200,11 +223,7 @@ def confirm(replay: Replay) -> list[Discovery]:
     return out
 
 
-def play(
-    unit: SearchUnit,
-) -> tuple[
-    list[Discovery], NDArray[np.int16], NDArray[np.float32], NDArray[np.int64], TransitionCounts
-]:
+def play(unit: SearchUnit) -> Played:
     """Lead the ropes of a unit through macro_actions.
 
     Returns:

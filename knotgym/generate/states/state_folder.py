@@ -1,4 +1,4 @@
-"""What a finished job leaves behind: states.h5, trajectories, gallery, card and manifest, in a
+"""What a finished run leaves behind: states.h5, trajectories, gallery, card and manifest, in a
 folder that appears whole.
 """
 
@@ -24,7 +24,7 @@ from knotgym.datasets.states import States, write_states
 from knotgym.datasets.trajectory import Episode
 from knotgym.generate.states.candidates import Candidate
 from knotgym.generate.states.curation import split
-from knotgym.generate.states.curation_run import Job
+from knotgym.generate.states.curation_run import CurationRun
 from knotgym.quality import UNITS, Quality
 from knotgym.rendering.picture import draw_many
 from knotgym.rope import RopeConfig
@@ -38,16 +38,16 @@ HORIZON = 200  # actions, longer than any way
 POLICY = "demonstrations"
 
 
-def states_of(job: Job) -> States:
+def states_of(run: CurationRun) -> States:
     """The accepted candidates as rows, by nx and then in the order of acceptance."""
-    config = job.config
-    candidates = [(nx, one) for nx in config.nx for one in job.accepted[nx]]
+    config = run.config
+    candidates = [(nx, one) for nx in config.nx for one in run.accepted[nx]]
     longest = max(len(one.actions) for _, one in candidates)
     splits: list[str] = []
     for nx in config.nx:
         rng = generator(Stream.SPLIT, config.seed, nx)
         splits += split(
-            [one.code for one in job.accepted[nx]], config.split_by, config.train_share, rng
+            [one.code for one in run.accepted[nx]], config.split_by, config.train_share, rng
         ).tolist()
     points = np.stack([one.points[-1] for _, one in candidates])
     return States(
@@ -71,7 +71,7 @@ def states_of(job: Job) -> States:
             "seed": np.array([one.seed for _, one in candidates], dtype=np.int64),
             "policy": np.array([POLICY] * len(candidates)),
             "trajectory": np.array(
-                [k for nx in config.nx for k in range(len(job.accepted[nx]))], dtype=np.int64
+                [k for nx in config.nx for k in range(len(run.accepted[nx]))], dtype=np.int64
             ),
             "step": np.array([len(one.actions) for _, one in candidates], dtype=np.int64),
         },
@@ -84,47 +84,41 @@ def states_of(job: Job) -> States:
     )
 
 
-def report_of(job: Job) -> dict[str, Any]:
-    """What the job did, JSON-able and the same for the same configuration."""
-    attempts: Counter[int] = Counter({nx: sum(tried.values()) for nx, tried in job.tried.items()})
+def report_of(run: CurationRun) -> dict[str, Any]:
+    """What the run did, JSON-able and the same for the same configuration."""
+    attempts: Counter[int] = Counter({nx: sum(tried.values()) for nx, tried in run.tried.items()})
     return {
         "version": knotgym.__version__,
         "mujoco": mujoco.__version__,
-        "knot": job.knot,
-        "existing_codes": {str(nx): count for nx, count in job.existing.items()},
+        "knot": run.knot,
+        "existing_codes": {str(nx): count for nx, count in run.existing.items()},
         "attempts": attempts.total(),
-        "actions": job.steps(),
+        "actions": run.steps(),
         "rejected": {
-            str(nx): dict(sorted(reasons.items())) for nx, reasons in job.rejected.items()
+            str(nx): dict(sorted(reasons.items())) for nx, reasons in run.rejected.items()
         },
-        "growth": job.growth,
+        "growth": run.growth,
     }
 
 
-def write(job: Job, folder: Path) -> dict[str, Any]:
-    """Write everything the contract lists into a new folder, the manifest last; return the
-    manifest.
-    """
+def write(run: CurationRun, folder: Path, request: dict[str, Any]) -> None:
+    """Write everything the contract lists into a new folder, the manifest last."""
     folder.mkdir(parents=True)
-    states = states_of(job)
+    states = states_of(run)
     write_states(folder / "states.h5", states)
-    write_trajectories(job, folder / "minari", folder / "states.h5")
-    job.archive.save(folder / "archive.h5")
-    return finish(folder, states, report_of(job), asdict(job.config))
+    write_trajectories(run, folder / "minari", folder / "states.h5")
+    run.archive.save(folder / "archive.h5")
+    finish(folder, states, report_of(run), request)
 
 
-def finish(
-    folder: Path, states: States, report: dict[str, Any], config: dict[str, Any]
-) -> dict[str, Any]:
-    """Write gallery, card and manifest into a folder that has the states and the trajectories;
-    return the manifest.
-    """
+def finish(folder: Path, states: States, report: dict[str, Any], request: dict[str, Any]) -> None:
+    """Write gallery, card and manifest into a folder that has the states and the trajectories."""
     write_gallery(folder / "gallery.png", states)
-    (folder / "README.md").write_text(card(states, report, config), encoding="utf-8")
+    (folder / "README.md").write_text(card(states, report, request["config"]), encoding="utf-8")
     manifest = {
         "format": "knotgym-manifest",
-        "format_version": 1,
-        "config": config,
+        "format_version": 2,
+        **request,
         "report": report,
         "summary": summary(states),
         "splits": states.split.tolist(),
@@ -137,19 +131,18 @@ def finish(
     (folder / "manifest.json").write_text(
         json.dumps(manifest, indent=1, sort_keys=True), encoding="utf-8"
     )
-    return manifest
 
 
-def write_trajectories(job: Job, folder: Path, states: Path) -> None:
+def write_trajectories(run: CurationRun, folder: Path, states: Path) -> None:
     """One Minari dataset for each nx, knotgym/tie-nx3/demonstrations-v0 below `folder`, pixels and
     states; an episode a state, in their order.
     """
-    for nx in [nx for nx in job.config.nx if job.accepted[nx]]:
+    for nx in [nx for nx in run.config.nx if run.accepted[nx]]:
         shard = folder / f"nx{nx}.h5"
         with EpisodeWriter(shard, demonstration_task(nx)) as writer:
-            for candidate in job.accepted[nx]:
+            for candidate in run.accepted[nx]:
                 writer.add(episode_of(candidate))
-        publish_demonstrations(nx, [shard], len(job.accepted[nx]), folder, states)
+        publish_demonstrations(nx, [shard], len(run.accepted[nx]), folder, states)
         shard.unlink()
 
 

@@ -1,120 +1,221 @@
-"""`knotgym generate` from end to end: one run to a folder, saved after every cycle, resumed after
-any kill.
+"""The recipe of curated states: a run of `CurationRun`, saved after every cycle.
+
+In the staging folder stand, until it is finished,
+
+    run.json                counters, and the names of the files below; written last
+    archive-{cycle}.h5      the search's archive after that cycle
+    accepted/{nx}-{k}.npz   an accepted candidate each, written once
 """
 
 from __future__ import annotations
 
 import json
-import pickle
-import shutil
-from dataclasses import asdict, replace
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
 
+import numpy as np
 from rich.console import Console
 
-from knotgym.atomic_files import atomic_write
-from knotgym.generate.states import state_folder as output
+from knotgym.atomic_files import atomic_write, sha256
+from knotgym.configuration import as_json
+from knotgym.errors import KnotgymError
+from knotgym.generate.states import state_folder
 from knotgym.generate.states.archive import Archive
-from knotgym.generate.states.curation_run import GenerateConfig, InvalidJob, Job, run
-from knotgym.runs.executors import engine
-from knotgym.runs.progress import Progress
-from knotgym.runs.staging import Occupied, lock_folder, staging, staging_folder
+from knotgym.generate.states.candidates import Candidate
+from knotgym.generate.states.curation_run import CurationRun
+from knotgym.generate.states.generate_config import GenerateConfig
+from knotgym.quality import Quality
+from knotgym.runs.engine import Batch, run
+from knotgym.runs.options import RunOptions
+from knotgym.runs.progress import Status
+from knotgym.topology.gauss import GaussCode
+
+_RUN = "run.json"
+
+
+class SpoiltCheckpoint(KnotgymError, ValueError):
+    """What a run left to be resumed from is damaged."""
+
+    def __init__(self, folder: Path, reason: object) -> None:
+        said = " ".join(str(reason).split())
+        super().__init__(
+            f"{folder} can't be resumed, it is damaged ({said}); start without --resume"
+        )
 
 
 def generate(
     config: GenerateConfig,
     out: Path,
+    options: RunOptions,
     *,
-    archive: Path | None,
-    workers: int,
-    resume: bool,
-    quiet: bool,
-    console: Console,
-    scheduler: str = "",
-) -> None:
-    """Make curated states in the new folder `out`.
-
-    While it runs, everything stands in the hidden folder `.NAME.partial` beside `out`; only a
-    finished run takes the name.
+    archive: Path | None = None,
+    console: Console | None = None,
+) -> Path:
+    """Make curated states in the new folder `out`, or in that of the shard, and return it.
 
     Args:
         config: what is wanted.
-        out: the folder; with `resume` it may be there already, finished.
+        out: the folder of the whole run.
+        options: how it is done.
         archive: of another run, to go on from.
-        workers: processes, 0 for one a core.
-        resume: go on from the last cycle that was saved.
-        quiet: show nothing.
         console: to show progress on.
-        scheduler: address of a Dask cluster's, to work there.
 
     Raises:
-        Occupied: there is something in the way, or another run is at it.
-        InvalidJob: nothing of the kind can be made, or what is resumed was another job.
+        Occupied, InvalidRun: as of `runs.engine.run`.
+        InvalidStates: nothing of the kind can be made.
+        NotEnough: the attempts allowed were spent.
     """
-    if workers < 0:
-        raise InvalidJob(f"workers must be at least 0, got {workers}")
-    partial = staging_folder(out)
-    if out.exists():
-        if resume and _finished(out) == json.loads(json.dumps(asdict(config))):
-            # left if it was killed right after the renaming
-            shutil.rmtree(partial, ignore_errors=True)
-            if not quiet:
-                console.print(f"{out} is finished already", soft_wrap=True)
-            return
-        raise Occupied(f"{out} is there already; choose another --out, or remove it")
-    if partial.exists():
-        with lock_folder(partial):
-            pass  # nobody is at it
-    job = _resumed(partial / "job.pickle", config) if resume else None
-    # before anything is written: it may be refused
-    job = job or Job.begin(config, Archive.load(archive) if archive else None)
-    job.config = replace(job.config, attempts=config.attempts, cycles=config.cycles)
-    with staging(out, resume):
+    recipe = StateRecipe(config, options, archive)
+    return run(recipe, options.shard.folder(out), options, console)
 
-        def each_cycle(job: Job) -> None:
-            with atomic_write(partial / "job.pickle") as temporary:
-                temporary.write_bytes(pickle.dumps(job))
-            progress.cycle(job)
 
-        with engine(workers, scheduler) as pool, Progress(console, quiet) as progress:
-            run(job, pool, each_cycle)
-        shutil.rmtree(partial / out.name, ignore_errors=True)
-        output.write(job, partial / out.name)
-        (partial / out.name).rename(out)
-    shutil.rmtree(partial)
-    if not quiet:
-        total = sum(len(candidates) for candidates in job.accepted.values())
-        codes = len({one.code.plain for candidates in job.accepted.values() for one in candidates})
-        console.print(
-            f"{out}: {total} states of {codes} codes in {job.seconds:.0f} s",
-            soft_wrap=True,
-            highlight=False,
+class StateRecipe:
+    """Curated states, see `runs.engine.Recipe`."""
+
+    flexible: tuple[str, ...] = ("attempts", "cycles")
+
+    def __init__(self, config: GenerateConfig, options: RunOptions, archive: Path | None) -> None:
+        self.config, self.shard, self.archive = config, options.shard, archive
+        self.run: CurationRun
+
+    def request(self) -> dict[str, Any]:
+        curve = Path(self.config.knot)
+        source = {
+            "archive": sha256(self.archive) if self.archive else None,
+            "knot": sha256(curve) if curve.is_file() else None,
+        }
+        return {"config": as_json(self.config), "source": source}
+
+    def begin(self) -> None:
+        archive = Archive.load(self.archive) if self.archive else None
+        self.run = CurationRun.begin(self.config, self.shard, archive)
+
+    def batches(self, folder: Path) -> Iterator[Batch]:
+        return self.run.batches()
+
+    def save(self, folder: Path) -> None:
+        state = self.run
+        accepted = [
+            f"{nx}-{index:06d}.npz"
+            for nx, candidates in state.accepted.items()
+            for index in range(len(candidates))
+        ]
+        for name in accepted:
+            if not (folder / "accepted" / name).is_file():
+                nx, index = map(int, name.removesuffix(".npz").split("-"))
+                _save_candidate(folder / "accepted" / name, state.accepted[nx][index])
+        archive = folder / f"archive-{state.cycle:06d}.h5"
+        state.archive.save(archive, compress=False)
+        counters = {
+            "cycle": state.cycle,
+            "knot": state.knot,
+            "actions": state.actions,
+            "growth": state.growth,
+            "rejected": {str(nx): dict(reasons) for nx, reasons in state.rejected.items()},
+            "tried": {
+                str(nx): [[str(code), count] for code, count in tried.items()]
+                for nx, tried in state.tried.items()
+            },
+            "aimed": [[str(code), count] for code, count in state.aimed.items()],
+            "archive": archive.name,
+            "accepted": {name: sha256(folder / "accepted" / name) for name in accepted},
+            "sha256": sha256(archive),
+        }
+        with atomic_write(folder / _RUN) as temporary:
+            temporary.write_text(json.dumps(counters), encoding="utf-8")
+        for old in folder.glob("archive-*.h5"):
+            if old != archive:
+                old.unlink()
+
+    def load(self, folder: Path) -> bool:
+        if not (folder / _RUN).is_file():
+            return False
+        try:
+            said = json.loads((folder / _RUN).read_text(encoding="utf-8"))
+            for name, digest in {
+                said["archive"]: said["sha256"],
+                **{f"accepted/{name}": digest for name, digest in said["accepted"].items()},
+            }.items():
+                if sha256(folder / name) != digest:
+                    raise SpoiltCheckpoint(folder, f"SHA-256 of {name} differs")
+            state = CurationRun.begin(
+                self.config, self.shard, Archive.load(folder / said["archive"])
+            )
+            state.cycle, state.actions = int(said["cycle"]), int(said["actions"])
+            state.growth = said["growth"]
+            for nx in self.config.nx:
+                state.rejected[nx] = Counter(said["rejected"][str(nx)])
+                state.tried[nx] = _counted(said["tried"][str(nx)])
+            state.aimed = _counted(said["aimed"])
+            for name in said["accepted"]:
+                nx = int(name.split("-")[0])
+                state.accepted[nx].append(_load_candidate(folder / "accepted" / name))
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, BadZipFile) as error:
+            if isinstance(error, SpoiltCheckpoint):
+                raise
+            raise SpoiltCheckpoint(folder, error) from error
+        self.run = state
+        return True
+
+    def status(self) -> Status:
+        state, config = self.run, self.config
+        accepted = [one for candidates in state.accepted.values() for one in candidates]
+        rejected: Counter[str] = sum(state.rejected.values(), Counter())
+        known = ", ".join(
+            f"nx {nx}: {len(state.archive.codes(nx))} of {state.existing[nx]}" for nx in config.nx
+        )
+        common = ", ".join(f"{reason} {count}" for reason, count in rejected.most_common(4))
+        facts = {
+            "distinct codes": f"{len({one.code.plain for one in accepted})}",
+            "codes the search knows": known,
+            "rejected": common or "none",
+            "environment steps": f"{state.steps()}",
+        }
+        total = sum(state.wanted(nx) for nx in config.nx)
+        return Status(len(accepted), total, "states accepted", facts)
+
+    def finish(self, folder: Path, request: dict[str, Any]) -> Path:
+        state_folder.write(self.run, folder, request)
+        return folder
+
+    def summary(self) -> str:
+        status = self.status()
+        return f"{status.done} states of {status.facts['distinct codes']} codes"
+
+
+def _counted(pairs: list[list[Any]]) -> Counter[GaussCode]:
+    return Counter({GaussCode.parse(code).plain: int(count) for code, count in pairs})
+
+
+def _save_candidate(path: Path, candidate: Candidate) -> None:
+    with atomic_write(path) as temporary, open(temporary, "wb") as file:
+        np.savez(
+            file,
+            code=np.array(candidate.code.chiral),
+            seed=np.array(candidate.seed, dtype=np.int64),
+            start_qpos=candidate.start_qpos,
+            actions=candidate.actions,
+            points=candidate.points,
+            qpos=candidate.qpos,
+            steps=np.array(candidate.steps),
+            quality=np.array(json.dumps(asdict(candidate.quality))),
         )
 
 
-def _finished(out: Path) -> object:
-    try:
-        return json.loads((out / "manifest.json").read_text())["config"]
-    except (OSError, ValueError, KeyError):
-        return None
-
-
-def _resumed(path: Path, config: GenerateConfig) -> Job | None:
-    """The job saved at `path`, None if nothing is; only ever a file that this program wrote."""
-    if not path.is_file():
-        return None
-    try:
-        job = pickle.loads(path.read_bytes())
-    except Exception as error:  # whatever pickle says to bytes that aren't its own
-        raise InvalidJob(
-            f"{path} can't be read, the disk has spoilt it; start without --resume"
-        ) from error
-    if (
-        not isinstance(job, Job)
-        or replace(job.config, attempts=config.attempts, cycles=config.cycles) != config
-    ):
-        raise InvalidJob(
-            f"{path.parent} holds another job than the one asked for; give the same options again,"
-            " or start without --resume"
+def _load_candidate(path: Path) -> Candidate:
+    with np.load(path, allow_pickle=False) as file:
+        return Candidate(
+            code=GaussCode.parse(str(file["code"])),
+            faults=(),
+            seed=tuple(file["seed"].tolist()),
+            start_qpos=file["start_qpos"],
+            actions=file["actions"],
+            points=file["points"],
+            qpos=file["qpos"],
+            quality=Quality(**json.loads(str(file["quality"]))),
+            steps=int(file["steps"]),
         )
-    return job

@@ -1,0 +1,164 @@
+"""The commands `knotgym generate` and `knotgym images`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from knotgym.cli.options import (
+    EngineOption,
+    NxOption,
+    QuietOption,
+    ResumeOption,
+    SchedulerOption,
+    SeedOption,
+    SettingsOption,
+    ShardOption,
+    WorkersOption,
+    numbers,
+    run_options,
+    with_settings,
+)
+
+
+def generate(
+    nx: NxOption = "3",
+    count: Annotated[
+        int,
+        typer.Option(
+            help="States for each number of crossings, of as many different codes as there are."
+        ),
+    ] = 40,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to make; knotgym-data/nx3 for --nx 3.")
+    ] = None,
+    every_code: Annotated[
+        int, typer.Option(help="Instead of --count: so many states of every code there is.")
+    ] = 0,
+    balance: Annotated[
+        str,
+        typer.Option(
+            help='"even" over codes, or "empirical": as often as a random policy meets them.'
+        ),
+    ] = "even",
+    split_by: Annotated[
+        str, typer.Option(help='"state", or "code": train and test share no code.')
+    ] = "state",
+    knot: Annotated[
+        str,
+        typer.Option(
+            help="0_1, 3_1, 4_1, 5_1, or a file with a closed curve, three numbers a line or .npy."
+        ),
+    ] = "0_1",
+    archive: Annotated[
+        Path | None, typer.Option(help="Go on from the archive of another run (its archive.h5).")
+    ] = None,
+    attempts: Annotated[
+        int, typer.Option(help="Candidates tried, for each state wanted, before giving up.")
+    ] = 100,
+    cycles: Annotated[
+        int,
+        typer.Option(
+            help=(
+                "Stop after so many rounds of searching and choosing, with what there is; 0: when"
+                " all is there."
+            )
+        ),
+    ] = 0,
+    settings: SettingsOption = None,
+    seed: SeedOption = 0,
+    workers: WorkersOption = 0,
+    engine: EngineOption = "local",
+    scheduler: SchedulerOption = "",
+    shard: ShardOption = "",
+    resume: ResumeOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Make curated states, split into train and test, with the trajectories that reach them."""
+    from knotgym.generate.states.generate_config import GenerateConfig
+    from knotgym.generate.states.state_recipe import generate as run
+
+    options = run_options(engine, scheduler, workers, shard, resume, quiet)
+    config = GenerateConfig(
+        nx=numbers(nx),
+        count=count,
+        every_code=every_code,
+        balance=balance,
+        split_by=split_by,
+        knot=knot,
+        seed=seed,
+        attempts=attempts,
+        cycles=cycles,
+    )
+    folder = out or Path("knotgym-data") / f"nx{nx.replace(' ', '')}"
+    run(with_settings(config, settings), folder, options, archive=archive)
+
+
+def images(
+    nx: NxOption = "0-4",
+    count: Annotated[
+        int, typer.Option(help="Pictures in all, evenly over the numbers of crossings.")
+    ] = 20_000,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to make; knotgym-data/images-nx0-4 for --nx 0-4.")
+    ] = None,
+    archive: Annotated[
+        Path | None, typer.Option(help="Set out from the archive of a run (its archive.h5).")
+    ] = None,
+    states: Annotated[
+        Path | None,
+        typer.Option(help="Set out from a states.h5; without either, from the states that ship."),
+    ] = None,
+    test_nx: Annotated[
+        str, typer.Option(help="Crossings that only split test-nx shows; the largest, or none.")
+    ] = "largest",
+    test_share: Annotated[float, typer.Option(help="Share of split test.")] = 0.15,
+    code_share: Annotated[
+        float, typer.Option(help="Share of split test-code, and of codes that only it shows.")
+    ] = 0.15,
+    vary: Annotated[
+        str, typer.Option(help="Of colours,width,background,turn,zoom,noise,blur; all, or none.")
+    ] = "none",
+    size: Annotated[
+        str,
+        typer.Option(help="Pixels of a side, 64 to 512; several, such as 64,128, are drawn from."),
+    ] = "128",
+    settings: SettingsOption = None,
+    seed: SeedOption = 0,
+    workers: WorkersOption = 0,
+    engine: EngineOption = "local",
+    scheduler: SchedulerOption = "",
+    shard: ShardOption = "",
+    resume: ResumeOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Make a perception dataset: pictures with Gauss code, crossings, coordinates and
+    difficulty.
+    """
+    from knotgym.generate.images.image_recipe import make_images
+    from knotgym.generate.images.images_config import ImagesConfig
+    from knotgym.rendering.appearance import VARIED, AppearanceConfig
+
+    options = run_options(engine, scheduler, workers, shard, resume, quiet)
+    sizes = size.split(",")
+    if not all(pixels.strip().isdecimal() for pixels in sizes):
+        raise typer.BadParameter(f"--size takes pixels such as 128 or 64,128, got {size!r}")
+    varied: tuple[str, ...] = VARIED if vary == "all" else ()
+    if vary not in ("all", "none"):
+        varied = tuple(word.strip() for word in vary.split(","))
+    held_nx: tuple[int, ...] | None = None if test_nx == "largest" else ()
+    if test_nx not in ("largest", "none"):
+        held_nx = numbers(test_nx)
+    config = ImagesConfig(
+        nx=numbers(nx),
+        count=count,
+        test_nx=held_nx,
+        test_share=test_share,
+        code_share=code_share,
+        seed=seed,
+        appearance=AppearanceConfig(vary=varied, sizes=tuple(map(int, sizes))),
+    )
+    folder = out or Path("knotgym-data") / f"images-nx{nx.replace(' ', '')}"
+    make_images(with_settings(config, settings), folder, options, archive=archive, states=states)

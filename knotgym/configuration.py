@@ -1,0 +1,100 @@
+"""Configurations as JSON: written into what they made, read back, compared, changed field by field.
+
+A configuration is a frozen dataclass of numbers, strings, tuples and further configurations.
+"""
+
+from __future__ import annotations
+
+import json
+import types
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, fields, is_dataclass, replace
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from knotgym.errors import KnotgymError
+
+Config = TypeVar("Config")
+
+
+class InvalidConfiguration(KnotgymError, ValueError):
+    """A field that a configuration does not have, or a value of the wrong type."""
+
+
+def as_json(config: Any) -> dict[str, Any]:
+    """A configuration as JSON has it: nested dicts, lists for tuples."""
+    found: dict[str, Any] = json.loads(json.dumps(asdict(config)))
+    return found
+
+
+def updated(config: Config, changes: Mapping[str, Any], where: str = "") -> Config:
+    """A configuration with the fields that `changes` names replaced, nested ones field by field.
+
+    Args:
+        config: left as it was.
+        changes: JSON, as of `as_json`; what it does not name stays.
+        where: what to call the configuration in an error.
+
+    Raises:
+        InvalidConfiguration: an unknown field, or a value of another type than the field's.
+        KnotgymError: the configuration refuses the value.
+
+    >>> from knotgym.tasks import TaskConfig
+    >>> updated(TaskConfig(task="tie"), {"nx": 3}).nx
+    3
+    """
+    if not isinstance(changes, Mapping):
+        raise InvalidConfiguration(f"{where or 'settings'} must be an object, got {changes!r}")
+    assert is_dataclass(config) and not isinstance(config, type)
+    hints = get_type_hints(type(config))
+    known = [field.name for field in fields(config)]
+    unknown = [name for name in changes if name not in known]
+    if unknown:
+        raise InvalidConfiguration(
+            f"{where or 'settings'}: no field {', '.join(map(repr, unknown))}; there is"
+            f" {', '.join(known)}"
+        )
+    values: dict[str, Any] = {}
+    for name, value in changes.items():
+        here, path = getattr(config, name), f"{where}.{name}" if where else name
+        if is_dataclass(here):
+            values[name] = updated(here, value, path)
+        else:
+            values[name] = _typed(value, hints[name], path)
+    return replace(config, **values)
+
+
+def differences(there: Any, asked: Any, where: str = "") -> Iterator[str]:
+    """Where two JSON values differ, a sentence each.
+
+    >>> list(differences({"seed": 1, "rope": {"beads": 100}}, {"seed": 2, "rope": {"beads": 100}}))
+    ['seed is 1 there and 2 here']
+    """
+    if isinstance(there, dict) and isinstance(asked, dict):
+        for name in dict.fromkeys([*there, *asked]):
+            path = f"{where}.{name}" if where else str(name)
+            yield from differences(there.get(name), asked.get(name), path)
+    elif there != asked:
+        yield f"{where} is {json.dumps(there)} there and {json.dumps(asked)} here"
+
+
+def _typed(value: Any, hint: Any, where: str) -> Any:
+    """A JSON value as the type that a field has; a list becomes a tuple."""
+    options = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
+    for option in options:
+        origin = get_origin(option) or option
+        if option is type(None):
+            if value is None:
+                return None
+        elif origin is tuple:
+            if isinstance(value, (list, tuple)):
+                kinds = get_args(option)
+                many = kinds[:1] * len(value) if kinds[-1:] == (Ellipsis,) else kinds
+                if len(many) == len(value):
+                    return tuple(_typed(*each, where) for each in zip(value, many, strict=True))
+        elif origin is float:
+            if isinstance(value, (int, float)) and not isinstance(value, bool):
+                return float(value)
+        elif isinstance(value, origin) and (origin is bool or not isinstance(value, bool)):
+            return value
+    names = " or ".join(getattr(option, "__name__", str(option)) for option in options)
+    raise InvalidConfiguration(f"{where} must be {names}, got {value!r}")

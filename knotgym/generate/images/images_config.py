@@ -1,0 +1,125 @@
+"""What pictures are wanted: the configuration of `knotgym images`, quotas and held-out codes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from knotgym.errors import KnotgymError
+from knotgym.rendering.appearance import AppearanceConfig
+from knotgym.streams import Stream, generator
+from knotgym.tasks import MAX_NX
+from knotgym.topology.gauss import GaussCode
+
+
+class InvalidImages(KnotgymError, ValueError):
+    """Pictures that can't be made as asked."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImagesConfig:
+    """What pictures are wanted.
+
+    Attributes:
+        nx: crossing numbers, as many pictures of each.
+        count: pictures in all.
+        test_nx: those of nx that only split "test-nx" shows, larger than all others; None for the
+            largest if there are several.
+        test_share: of the other pictures, share of split "test".
+        code_share: likewise of split "test-code", and share of the codes that only it shows; nx
+            with fewer than 4 codes have none.
+        seed: of everything.
+        steps: that a walk makes at most; one for nx crossings makes a third of them at nx 3 and
+            above, two thirds below, all at 0, for the more crossings there are the sooner they are
+            lost.
+        stride: steps from one frame to the next.
+        rows_per_file: pictures in a file of the table.
+        appearance: what varies between pictures.
+        wave: units of walks in a wave, at most.
+        idle: waves without one more picture after which nothing more is expected.
+    """
+
+    nx: tuple[int, ...] = (0, 1, 2, 3, 4)
+    count: int = 20_000
+    test_nx: tuple[int, ...] | None = None
+    test_share: float = 0.15
+    code_share: float = 0.15
+    seed: int = 0
+    steps: int = 12
+    stride: int = 2
+    rows_per_file: int = 500
+    appearance: AppearanceConfig = AppearanceConfig()
+    wave: int = 32
+    idle: int = 6
+
+    def __post_init__(self) -> None:
+        if (
+            not self.nx
+            or any(not 0 <= nx <= MAX_NX for nx in self.nx)
+            or len(set(self.nx)) != len(self.nx)
+        ):
+            raise InvalidImages(
+                f"nx takes different numbers of crossings from 0 to {MAX_NX}, got"
+                f" {', '.join(map(str, self.nx)) or 'none'}"
+            )
+        if self.test_nx is None:
+            object.__setattr__(self, "test_nx", (max(self.nx),) if len(self.nx) > 1 else ())
+        rest = self.trained
+        if (
+            not set(self.held_nx) <= set(self.nx)
+            or not rest
+            or min(self.held_nx, default=MAX_NX + 1) <= max(rest)
+        ):
+            raise InvalidImages(
+                f"test-nx takes the largest of the nx asked for, {sorted(self.nx)}, and not all of"
+                f" them; got {sorted(self.held_nx)}"
+            )
+        for name in ("count", "steps", "stride", "rows_per_file", "wave", "idle"):
+            if getattr(self, name) < 1:
+                raise InvalidImages(f"{name} must be at least 1, got {getattr(self, name)}")
+        if self.stride > self.steps:
+            raise InvalidImages(f"stride must be at most steps, {self.steps}, got {self.stride}")
+        if not (
+            0 <= self.test_share and 0 <= self.code_share and self.test_share + self.code_share < 1
+        ):
+            raise InvalidImages(
+                "test and code shares must be at least 0 and below 1 together, got"
+                f" {self.test_share} and {self.code_share}"
+            )
+        if self.seed < 0:
+            raise InvalidImages(f"seed must be at least 0, got {self.seed}")
+
+    @property
+    def held_nx(self) -> tuple[int, ...]:
+        """The crossing numbers of split "test-nx"."""
+        return self.test_nx or ()
+
+    @property
+    def trained(self) -> tuple[int, ...]:
+        """The others."""
+        return tuple(nx for nx in self.nx if nx not in self.held_nx)
+
+
+def quotas(config: ImagesConfig, codes: dict[int, int]) -> dict[tuple[str, int], int]:
+    """(split, nx) -> pictures; `codes` says how many codes each nx has."""
+    out: dict[tuple[str, int], int] = {}
+    for place, nx in enumerate(config.nx):
+        here = config.count // len(config.nx) + (place < config.count % len(config.nx))
+        if nx in config.held_nx:
+            out["test-nx", nx] = here
+            continue
+        new = round(config.code_share * here) if codes[nx] >= 4 else 0
+        test = round(config.test_share * here)
+        out.update({("train", nx): here - test - new, ("test", nx): test, ("test-code", nx): new})
+    return {key: wanted for key, wanted in out.items() if wanted}
+
+
+def held_out(config: ImagesConfig, codes: dict[int, list[GaussCode]]) -> frozenset[GaussCode]:
+    """The codes, without chirality, that only split "test-code" shows."""
+    out: list[GaussCode] = []
+    for nx in config.trained:
+        if len(codes[nx]) >= 4 and config.code_share > 0:
+            order = generator(Stream.IMAGE_CODES, config.seed, nx).permutation(len(codes[nx]))
+            out += [
+                codes[nx][k] for k in order[: max(1, round(config.code_share * len(codes[nx])))]
+            ]
+    return frozenset(out)

@@ -1,0 +1,181 @@
+"""The one engine of long runs: states, episodes and pictures are recipes that it follows.
+
+A run works in a hidden folder beside what it makes (`staging`), and only a finished folder takes
+the final name. The folder holds the *request*: all that decides the bytes made, versions and
+configuration included. A run that was killed is resumed from what its recipe saved there, if it is
+asked for the very same; what differs is refused by name.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import cv2
+import mujoco
+import numpy as np
+from rich.console import Console
+
+import knotgym
+from knotgym.atomic_files import atomic_write
+from knotgym.configuration import differences
+from knotgym.rope import RopeConfig
+from knotgym.runs.executors import Pool, executor
+from knotgym.runs.options import InvalidRun, RunOptions
+from knotgym.runs.progress import Progress, Status
+from knotgym.runs.staging import Occupied, lock_folder, staging, staging_folder
+
+REQUEST = "request.json"
+LISTED = ("config", "source", "shard", "versions", "rope")  # of a request, and of a manifest
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Units of work that do not depend on each other's results.
+
+    Attributes:
+        work: a function of a unit alone, at the top level of a module, so that it can be pickled.
+        units: what to do; iterated once.
+        absorb: takes each unit with its result, in the order of the units.
+    """
+
+    work: Callable[[Any], Any]
+    units: Sequence[Any]
+    absorb: Callable[[Any, Any], None]
+
+    def follow(self, pool: Pool) -> Iterator[None]:
+        """Do the work; yields after every unit absorbed."""
+        for unit, result in zip(self.units, pool.map(self.work, self.units), strict=True):
+            self.absorb(unit, result)
+            yield
+
+
+CHECKPOINT = Batch(work=id, units=(), absorb=max)  # no work: here a recipe can be saved
+
+
+class Recipe(Protocol):
+    """One kind of run. It may draw and decide, but only `Batch.work` runs elsewhere.
+
+    `flexible` names the fields of the configuration that a resumed run may change.
+    """
+
+    flexible: tuple[str, ...]
+
+    def request(self) -> dict[str, Any]:
+        """The configuration and source, JSON-able: `{"config": {...}, "source": ...}`."""
+
+    def begin(self) -> None:
+        """Prepare from the start, before anything is written; refuse what can't be done."""
+
+    def load(self, folder: Path) -> bool:
+        """Take up what `save` left in the staging folder; False if there is nothing."""
+
+    def batches(self, folder: Path) -> Iterator[Batch]:
+        """What is left to do, decided as results come in; `folder` is the staging folder."""
+
+    def save(self, folder: Path) -> None:
+        """Leave in the staging folder what `load` takes up."""
+
+    def status(self) -> Status:
+        """Where the run stands."""
+
+    def finish(self, folder: Path, request: dict[str, Any]) -> Path:
+        """Write all that was asked for below the new folder; return the folder to be renamed."""
+
+    def summary(self) -> str:
+        """What was made, in a line."""
+
+
+def run(recipe: Recipe, out: Path, options: RunOptions, console: Console | None = None) -> Path:
+    """Follow a recipe until the new folder `out` is there, and return it.
+
+    Raises:
+        Occupied: there is something in the way, or another run is at it.
+        InvalidRun: what is resumed was asked for differently.
+        KnotgymError: the recipe refuses, or what was allowed is spent.
+    """
+    console, began = console or Console(), time.perf_counter()
+    request = {
+        **recipe.request(),
+        "shard": {"number": options.shard.number, "of": options.shard.of},
+        "versions": versions(),
+        "rope": RopeConfig().fingerprint,
+    }
+    request = json.loads(json.dumps(request))
+    if out.exists():
+        made_by = request_of(out)
+        if not options.resume or made_by is None:
+            raise Occupied(f"{out} is there already; choose another --out, or remove it")
+        _require_same(made_by, request, recipe.flexible, out)
+        shutil.rmtree(staging_folder(out), ignore_errors=True)  # killed between its last two steps
+        _say(console, options, f"{out} is finished already")
+        return out
+    if staging_folder(out).exists():
+        with lock_folder(staging_folder(out)):  # nobody is at it
+            left = request_of(staging_folder(out)) if options.resume else None
+            if left is not None:
+                _require_same(left, request, recipe.flexible, staging_folder(out))
+    if not (options.resume and recipe.load(staging_folder(out))):
+        recipe.begin()
+    with staging(out, options.resume) as folder:
+        with atomic_write(folder / REQUEST) as temporary:
+            temporary.write_text(json.dumps(request, indent=1, sort_keys=True), encoding="utf-8")
+        with executor(options.workers, options.scheduler) as pool:
+            with Progress(console, options.quiet) as progress:
+                for batch in recipe.batches(folder):
+                    for _ in batch.follow(pool):
+                        progress.show(recipe.status)
+                    if batch is CHECKPOINT:
+                        recipe.save(folder)
+        shutil.rmtree(folder / "made", ignore_errors=True)
+        recipe.finish(folder / "made", request).rename(out)
+    shutil.rmtree(staging_folder(out))
+    seconds = time.perf_counter() - began
+    _say(console, options, f"{out}: {recipe.summary()}; {seconds:.0f} s")
+    return out
+
+
+def versions() -> dict[str, str]:
+    """Versions of all whose change could change a byte."""
+    return {
+        "knotgym": knotgym.__version__,
+        "mujoco": mujoco.__version__,
+        "numpy": np.__version__,
+        "opencv": cv2.__version__,
+    }
+
+
+def request_of(folder: Path) -> dict[str, Any] | None:
+    """What was asked of the run that made a folder, or is making it; None if it doesn't say."""
+    for name in (REQUEST, "manifest.json", "data/collection.json", "collection.json"):
+        try:
+            said = json.loads((folder / name).read_text(encoding="utf-8"))
+            return {key: said[key] for key in LISTED}
+        except (OSError, ValueError, KeyError, TypeError):
+            continue
+    return None
+
+
+def _require_same(
+    there: dict[str, Any], asked: dict[str, Any], flexible: tuple[str, ...], folder: Path
+) -> None:
+    found = [
+        difference
+        for difference in differences(there, asked)
+        if not difference.startswith(tuple(f"config.{name} is " for name in flexible))
+    ]
+    if found:
+        raise InvalidRun(
+            f"{folder} is of another run than the one asked for: {'; '.join(found[:3])}; give the"
+            " same again, or start without --resume"
+        )
+
+
+def _say(console: Console, options: RunOptions, text: str) -> None:
+    if not options.quiet:
+        console.print(text, soft_wrap=True, highlight=False, markup=False)

@@ -1,0 +1,42 @@
+"""How a run is done, as any caller says it, and how it ends when it can't be done.
+
+This module imports nothing heavy: the command line reads options before anything else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from knotgym.errors import KnotgymError
+from knotgym.runs.shards import Shard
+
+
+class InvalidRun(KnotgymError, ValueError):
+    """A run that cannot be made, or gone on with, as asked."""
+
+
+class NotEnough(KnotgymError, RuntimeError):
+    """What was allowed was spent before everything asked for was there."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """How a run is done. Nothing here but the shard changes a byte of what is made.
+
+    Attributes:
+        workers: processes, 0 for one a core; 1 works in this process.
+        scheduler: address of a Dask cluster's scheduler, to work there instead.
+        shard: of the run.
+        resume: go on with what an earlier run of the same request left.
+        quiet: show nothing but errors.
+    """
+
+    workers: int = 0
+    scheduler: str = ""
+    shard: Shard = Shard()
+    resume: bool = False
+    quiet: bool = False
+
+    def __post_init__(self) -> None:
+        if self.workers < 0:
+            raise InvalidRun(f"workers must be at least 0, got {self.workers}")
