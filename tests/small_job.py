@@ -1,66 +1,30 @@
-"""The main job made small enough for tests: shorter rounds of the search, smaller waves, less
-opening up.
-
-As a script it is the `knotgym` command with that change: python tests/small_job.py generate --nx 1
-...
+"""Runs made small enough for tests, by settings alone: shorter rounds of the search, smaller waves,
+less hill climbing.
 """
 
 from __future__ import annotations
 
+import json
 import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
-from unittest import mock
 
 import pytest
 
 from knotgym.cli import main as cli
-from knotgym.control.planner import PlannerConfig
-from knotgym.generate.states import curation_run as job
-from knotgym.generate.states import state_recipe as main_job
-from knotgym.generate.states.candidates import CandidateConfig
-from knotgym.generate.states.curation_run import GenerateConfig
-from knotgym.generate.states.hill_climb import HillClimbConfig
-from knotgym.generate.states.search import SearchConfig
+from knotgym.configuration import updated
+from knotgym.generate.states.generate_config import GenerateConfig
 
-INSTANCE = CandidateConfig(opening=HillClimbConfig(steps=6, tries=4), stir_loop=4)
-WAVE = 8
-AIM = PlannerConfig(budget=400)
-
-_search_config, _generate = job.search_config, main_job.generate
-
-
-def small_search(config: GenerateConfig) -> SearchConfig:
-    """The search of a job, in rounds of 8 slots of 8 pulls."""
-    return replace(_search_config(config), batch_size=8, steps=8)
-
-
-@contextmanager
-def small() -> Iterator[None]:
-    """Let every job begun in here be small."""
-
-    def generate(config: GenerateConfig, *arguments: Any, **keywords: Any) -> None:
-        _generate(
-            replace(config, wave=WAVE, candidate=INSTANCE, planner=AIM), *arguments, **keywords
-        )
-
-    with (
-        mock.patch.object(job, "search_config", small_search),
-        mock.patch.object(main_job, "generate", generate),
-    ):
-        yield
+SETTINGS = Path(__file__).parent / "small.json"
+SMALL = updated(GenerateConfig(), json.loads(SETTINGS.read_text(encoding="utf-8")))
 
 
 def knotgym(*arguments: object) -> int:
     """Type a `knotgym` command, small; its exit status."""
     handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        with small(), pytest.raises(SystemExit) as ended:
-            cli.main([str(one) for one in arguments])
+        with pytest.raises(SystemExit) as ended:
+            cli.main(_small(arguments))
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler)
@@ -70,9 +34,11 @@ def knotgym(*arguments: object) -> int:
 
 def typed(*arguments: object) -> list[str]:
     """The same as a command line for another process."""
-    return [sys.executable, str(Path(__file__)), *map(str, arguments)]
+    return [sys.executable, "-m", "knotgym", *_small(arguments)]
 
 
-if __name__ == "__main__":
-    with small():
-        cli.main()
+def _small(arguments: tuple[object, ...]) -> list[str]:
+    words = [str(one) for one in arguments]
+    if words[:1] == ["generate"]:
+        words[1:1] = ["--settings", str(SETTINGS)]
+    return words

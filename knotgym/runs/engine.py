@@ -132,6 +132,7 @@ def run(recipe: Recipe, out: Path, options: RunOptions, console: Console | None 
                         progress.show(recipe.status)
                     if batch is CHECKPOINT:
                         recipe.save(folder)
+                progress.show(recipe.status, last=True)
         shutil.rmtree(folder / "made", ignore_errors=True)
         recipe.finish(folder / "made", request).rename(out)
     shutil.rmtree(staging_folder(out))

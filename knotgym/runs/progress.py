@@ -48,12 +48,13 @@ class Progress:
         if self._live:
             self._live.stop()
 
-    def show(self, status_of: Callable[[], Status]) -> None:
+    def show(self, status_of: Callable[[], Status], last: bool = False) -> None:
         """Show the status, which is only asked for when it is time for another look."""
         now = time.perf_counter()
         if self._done_before is None:  # what an earlier sitting did says nothing of the speed
             self._done_before = status_of().done
-        if self._quiet or now - self._told < (_LIVE_EVERY if self._live else _LINE_EVERY):
+        soon = now - self._told < (_LIVE_EVERY if self._live else _LINE_EVERY)
+        if self._quiet or (soon and not last):
             return
         self._told = now
         status, seconds = status_of(), now - self._began

@@ -6,6 +6,7 @@ import contextlib
 import fcntl
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -29,14 +30,13 @@ from knotgym.atomic_files import sha256
 from knotgym.cli import main as cli
 from knotgym.datasets.state_verification import folder_faults
 from knotgym.datasets.states import States, read_states
-from knotgym.generate.states import state_recipe as main_job
 from knotgym.generate.states.archive import Archive
 from knotgym.generate.states.curation import is_near_duplicate
-from knotgym.generate.states.curation_run import NotEnough
 from knotgym.generate.states.search import new_archive
 from knotgym.rendering.picture import draw
 from knotgym.rope import Rope
-from knotgym.runs.executors import engine
+from knotgym.runs import engine as run_engine
+from knotgym.runs.executors import executor
 from knotgym.simulation import Simulation
 from knotgym.topology.crossings import label
 from knotgym.topology.knots import knot_type
@@ -44,7 +44,7 @@ from knotgym.topology.reference_labeller import pyknotid_code
 
 from ..conftest import SEARCH, trefoil
 from ..minari_list import check_minari
-from ..small_job import knotgym, small, typed
+from ..small_job import SETTINGS, knotgym, typed
 
 WANTED = ("--nx", "0,1", "--count", 4)  # what conftest's `curated` folder was asked for
 INSTALLED = str(Path(sys.executable).with_name("knotgym-generate"))
@@ -72,7 +72,7 @@ def begun(out: Path, *arguments: object, saved: bool) -> "subprocess.Popen[str]"
         text=True,
         start_new_session=True,
     )
-    sign = out.parent / f".{out.name}.partial" / ("job.pickle" if saved else "lock")
+    sign = out.parent / f".{out.name}.partial" / ("run.json" if saved else "lock")
     until = time.monotonic() + SECONDS
     while not sign.exists() and run.poll() is None and time.monotonic() < until:
         time.sleep(0.02)
@@ -328,8 +328,10 @@ def test_the_default_folder_is_named_after_nx_and_quiet_says_nothing(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("signal.signal", lambda *_: None)
-    with small(), pytest.raises(SystemExit) as ended:
-        cli.main_generate(["--nx", "0", "--count", "1", "--workers", "1", "--quiet"])
+    with pytest.raises(SystemExit) as ended:
+        cli.main_generate(
+            ["--settings", str(SETTINGS), "--nx", "0", "--count", "1", "--workers", "1", "--quiet"]
+        )
     assert ended.value.code == 0 and (tmp_path / "knotgym-data" / "nx0" / "states.h5").is_file()
     assert capfd.readouterr() == ("", "")
 
@@ -373,7 +375,7 @@ def test_other_options_cannot_resume_it(killed: Path, capfd: pytest.CaptureFixtu
     ):
         assert knotgym("generate", *options, "--workers", 1, "--out", killed, "--resume") == 2
         (line,) = said(capfd)
-        assert "holds another job than the one asked for" in line
+        assert "is of another run than the one asked for: config." in line
     assert bytes_of(killed.parent) == before
 
 
@@ -439,7 +441,7 @@ def test_an_interrupted_run_says_one_line_and_leaves_nothing(
 
 
 def test_an_error_in_a_worker_comes_out_as_it_is() -> None:
-    with pytest.raises(ValueError, match="invalid literal for int"), engine(2) as pool:
+    with pytest.raises(ValueError, match="invalid literal for int"), executor(2) as pool:
         list(pool.map(int, ["one", "two"]))
 
 
@@ -454,7 +456,7 @@ def test_a_worker_that_dies_is_one_line(
     def deadly(workers: int, scheduler: str) -> Iterator[Deadly]:
         yield Deadly()
 
-    monkeypatch.setattr(main_job, "engine", deadly)
+    monkeypatch.setattr(run_engine, "executor", deadly)
     assert knotgym("generate", "--nx", 0, "--count", 1, "--out", tmp_path / "a") == 1
     assert said(capfd) == [
         "knotgym: a worker died, perhaps for want of memory; --resume goes on from the last cycle"
@@ -538,7 +540,7 @@ def mistaken(tmp_path: Path) -> Path:
             "--archive {}/foreign.h5",
             "foreign.h5 isn't an archive of format 'knotgym-archive' version 2",
         ),
-        ("--archive {}/knotted.h5", "the archive's ways begin at another curve"),
+        ("--archive {}/knotted.h5", "begin at another curve"),
     ],
 )
 def test_a_mistake_is_one_line_and_writes_nothing(
@@ -564,20 +566,57 @@ def test_no_command_shows_the_help(capfd: pytest.CaptureFixture[str]) -> None:
 
 
 def test_too_few_attempts_are_a_failure_that_can_be_resumed(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    words = (
+        "generate",
+        "--nx",
+        1,
+        "--count",
+        8,
+        "--workers",
+        1,
+        "--quiet",
+        "--out",
+        tmp_path / "a",
+    )
+    assert knotgym(*words, "--attempts", 1) == 1
+    (line,) = said(capfd)
+    assert re.fullmatch(
+        r"knotgym: [0-7] of 8 states with nx = 1 accepted in \d+ attempts; use --resume and more"
+        r" --attempts",
+        line,
+    )
+    assert [path.name for path in tmp_path.iterdir()] == [".a.partial"]
+    assert knotgym(*words, "--resume") == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+def test_a_fault_of_our_own_is_not_called_the_users_mistake(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    def run(*_: object) -> None:
-        raise NotEnough(
-            "3 of 8 states with nx = 1 accepted in 9 attempts; use --resume and more --attempts"
-        )
+    def faulty(folder: Path) -> bool:
+        raise ValueError("shapes (3,) and (4,) differ")
 
-    monkeypatch.setattr(main_job, "run", run)
-    assert knotgym("generate", "--nx", 1, "--out", tmp_path / "a", "--workers", 1, "--quiet") == 1
-    assert said(capfd) == [
-        "knotgym: 3 of 8 states with nx = 1 accepted in 9 attempts; use --resume and more"
-        " --attempts"
-    ]
-    assert [path.name for path in tmp_path.iterdir()] == [".a.partial"]
+    monkeypatch.setattr(run_engine, "request_of", faulty)
+    (tmp_path / "a").mkdir()
+    words = ("generate", "--nx", 0, "--count", 1, "--out", tmp_path / "a", "--resume")
+    assert knotgym(*words) == 1
+    lines = said(capfd)
+    assert lines[0] == "Traceback (most recent call last):"
+    assert "ValueError: shapes (3,) and (4,) differ" in lines
+    assert "a fault of knotgym's" in lines[-1] and "issue tracker" in lines[-1]
+
+
+def test_another_rope_than_the_environments_is_refused_at_once(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "light.json").write_text('{"candidate": {"rope": {"max_force": 0.15}}}')
+    light = ("--settings", tmp_path / "light.json", "--out", tmp_path / "a")
+    assert knotgym("generate", "--nx", 0, "--count", 1, *light) == 2
+    (line,) = said(capfd)
+    assert "candidate.rope must be RopeConfig()" in line and "max_force is 0.2" in line
+    assert [path.name for path in tmp_path.iterdir()] == ["light.json"]
 
 
 # The whole job, as large as a user's.

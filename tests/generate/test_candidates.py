@@ -28,12 +28,12 @@ from knotgym.topology.reference_labeller import pyknotid_code
 from knotgym.topology.symmetry import mirror_images
 
 from ..conftest import curled
-from ..small_job import INSTANCE
+from ..small_job import SMALL
 
 Made = Sequence[tuple[CandidateTask, Candidate]]
 
 
-def tasks(archive: Archive, config: CandidateConfig = INSTANCE) -> list[CandidateTask]:
+def tasks(archive: Archive, config: CandidateConfig = SMALL.candidate) -> list[CandidateTask]:
     """One order for every code with chirality that the archive knows, up to two crossings."""
     start = Rope().loop()
     codes = [
@@ -159,13 +159,15 @@ def test_another_seed_gives_another_instance(followed: Made) -> None:
 def test_a_way_that_misses_the_code_is_rejected_for_it(searched: Archive, rope: Rope) -> None:
     nowhere = Elite(GaussCode.parse("1+a,1-a"), 0, False, NO_ACTIONS, np.zeros(1), 0.0)
     one = make_candidate(
-        CandidateTask(INSTANCE, mirror_images(nowhere.code)[0], (nowhere,), rope.loop(), (0,))
+        CandidateTask(
+            SMALL.candidate, mirror_images(nowhere.code)[0], (nowhere,), rope.loop(), (0,)
+        )
     )
     assert one.faults == ("way missed the code",) and len(one.actions) == 0
 
 
 def test_limits_that_nothing_meets_reject_everything(searched: Archive) -> None:
-    strict = replace(INSTANCE, limits=Limits(crossing_angle=91.0))
+    strict = replace(SMALL.candidate, limits=Limits(crossing_angle=91.0))
     task = tasks(searched, strict)[0]
     assert make_candidate(task).faults == ("crossing_angle",)
 

@@ -11,7 +11,6 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
-from rich.console import Console
 
 from knotgym.cli.main import main
 from knotgym.control.planner import PlannerConfig
@@ -23,14 +22,17 @@ from knotgym.datasets.episode_writer import EpisodeWriter
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
 from knotgym.datasets.trajectory import relabel_all
 from knotgym.generate.episodes.collect import CollectConfig, InvalidCollection, collect
-from knotgym.runs.staging import Occupied
+from knotgym.runs.engine import request_of
+from knotgym.runs.options import InvalidRun, RunOptions
+from knotgym.runs.staging import Occupied, staging_folder
 from knotgym.tasks import TaskConfig
 
 from ..minari_list import check_minari
 
 FORK = multiprocessing.get_context("forkserver")
 FORK.set_forkserver_preload(["knotgym.cli.main", "knotgym.generate.episodes.collect"])
-QUIET = {"workers": 1, "resume": False, "quiet": True, "console": Console()}
+QUIET = RunOptions(workers=1, quiet=True)
+RESUMED = replace(QUIET, resume=True)
 
 
 def config(states_path: str, **settings: object) -> CollectConfig:
@@ -45,14 +47,14 @@ def made(folder: Path) -> bytes:
 
 
 def test_the_dataset_takes_its_id_and_holds_every_episode(states_path: str, tmp_path: Path) -> None:
-    folder = collect(config(states_path), tmp_path, **QUIET)
+    folder = collect(config(states_path), tmp_path, QUIET)
     assert folder == tmp_path / "knotgym/unknot-nx1/scripted-v0"
     assert len(EpisodeReader(folder)) == 6
     assert list(folder.parent.iterdir()) == [folder]
 
 
 def test_every_episode_can_be_acted_out_again(states_path: str, tmp_path: Path) -> None:
-    folder = collect(config(states_path), tmp_path, **QUIET)
+    folder = collect(config(states_path), tmp_path, QUIET)
     assert verify_episodes(folder, act_out=True) == []
 
 
@@ -64,7 +66,7 @@ def test_episodes_of_a_rope_integrated_otherwise_say_so_and_can_be_acted_out_aga
         config(states_path, task=replace(config(states_path).task, integrator_steps=20)),
     )
     folders = [
-        collect(one, tmp_path / str(one.task.integrator_steps), **QUIET) for one in (usual, coarse)
+        collect(one, tmp_path / str(one.task.integrator_steps), QUIET) for one in (usual, coarse)
     ]
     assert verify_episodes(folders[1], act_out=True) == []
     one, other = map(EpisodeReader, folders)
@@ -87,7 +89,7 @@ def test_the_environment_s_reset_with_the_stored_seed_begins_the_same_episode(
     states_path: str, tmp_path: Path
 ) -> None:
     made_config = config(states_path)
-    episode = EpisodeReader(collect(made_config, tmp_path, **QUIET)).episode(3)
+    episode = EpisodeReader(collect(made_config, tmp_path, QUIET)).episode(3)
     assert episode.seed == episode_seed(0, 3)
     env = gym.make("knotgym/Unknot-v0", nx=1, states=states_path, observation="state", horizon=4)
     for options in (None, dict(episode.options)):
@@ -126,7 +128,7 @@ def test_minari_does_with_a_dataset_all_that_it_does(
             dataset_id=name,
         ),
         tmp_path,
-        **QUIET,
+        QUIET,
     )
     check_minari(tmp_path, name, monkeypatch)
 
@@ -137,7 +139,7 @@ def test_minari_does_it_with_hindsight_too(
     task = TaskConfig(
         task="tie", nx=1, states=states_path, observation="both", horizon=16, image_size=32
     )
-    played = collect(config(states_path, task=task, episodes=5), tmp_path / "played", **QUIET)
+    played = collect(config(states_path, task=task, episodes=5), tmp_path / "played", QUIET)
     with EpisodeWriter(tmp_path / "hindsight.h5", task) as writer:
         for episode in relabel_all(EpisodeReader(played), "all"):
             writer.add(episode)
@@ -153,8 +155,8 @@ def test_minari_does_it_with_hindsight_too(
 @pytest.mark.parametrize("name", ["scripted", "noisy-expert"])
 def test_workers_do_not_change_the_bytes(name: str, states_path: str, tmp_path: Path) -> None:
     policy = PolicyConfig(policy=name, planner=PlannerConfig(budget=40, batch_size=2))
-    one = collect(config(states_path, policy=policy), tmp_path / "one", **QUIET)
-    two = collect(config(states_path, policy=policy), tmp_path / "two", **{**QUIET, "workers": 2})
+    one = collect(config(states_path, policy=policy), tmp_path / "one", QUIET)
+    two = collect(config(states_path, policy=policy), tmp_path / "two", replace(QUIET, workers=2))
     assert made(one) == made(two)
 
 
@@ -162,11 +164,11 @@ def test_failed_episodes_are_dropped_when_asked_and_counted(
     states_path: str, tmp_path: Path
 ) -> None:
     policy = PolicyConfig(policy="expert", planner=PlannerConfig(budget=24, batch_size=4))
-    kept = collect(config(states_path, policy=policy), tmp_path / "kept", **QUIET)
+    kept = collect(config(states_path, policy=policy), tmp_path / "kept", QUIET)
     tally = json.loads((kept / "data" / "collection.json").read_text())["tally"]
     assert 0 < tally["succeeded"] < tally["played"] == tally["kept"] == 6
     dropped = collect(
-        config(states_path, policy=policy, keep_failed=False), tmp_path / "dropped", **QUIET
+        config(states_path, policy=policy, keep_failed=False), tmp_path / "dropped", QUIET
     )
     assert len(EpisodeReader(dropped)) == tally["succeeded"]
     assert all(episode.is_success[-1] for episode in EpisodeReader(dropped))
@@ -179,18 +181,18 @@ def test_with_nothing_left_nothing_is_written(states_path: str, tmp_path: Path) 
                 states_path, policy=PolicyConfig(policy="random"), episodes=1, keep_failed=False
             ),
             tmp_path,
-            **QUIET,
+            QUIET,
         )
     assert not (tmp_path / "knotgym/unknot-nx1/random-v0").exists()
 
 
 def test_a_finished_dataset_is_not_written_over(states_path: str, tmp_path: Path) -> None:
-    folder = collect(config(states_path, episodes=1), tmp_path, **QUIET)
+    folder = collect(config(states_path, episodes=1), tmp_path, QUIET)
     with pytest.raises(Occupied):
-        collect(config(states_path, episodes=1), tmp_path, **QUIET)
-    assert collect(config(states_path, episodes=1), tmp_path, **{**QUIET, "resume": True}) == folder
-    with pytest.raises(Occupied):
-        collect(config(states_path, episodes=2), tmp_path, **{**QUIET, "resume": True})
+        collect(config(states_path, episodes=1), tmp_path, QUIET)
+    assert collect(config(states_path, episodes=1), tmp_path, RESUMED) == folder
+    with pytest.raises(InvalidRun, match="config.episodes is 1 there and 2 here"):
+        collect(config(states_path, episodes=2), tmp_path, RESUMED)
 
 
 def test_a_killed_run_leaves_nothing_under_its_name_and_resumes_to_the_same_bytes(
@@ -215,7 +217,7 @@ def test_a_killed_run_leaves_nothing_under_its_name_and_resumes_to_the_same_byte
     program = "import sys; from knotgym.cli.main import main; main(sys.argv[1:])"
     broken = subprocess.Popen([sys.executable, "-c", program, *arguments, str(tmp_path / "broken")])
     partial = tmp_path / "broken/knotgym/unknot-nx1/.scripted-v0.partial"
-    while broken.poll() is None and len(list(partial.glob("shard-*.json"))) < 2:
+    while broken.poll() is None and len(list(partial.glob("episodes-*.json"))) < 2:
         time.sleep(0.01)
     os.kill(broken.pid, signal.SIGKILL)
     broken.wait()
@@ -288,11 +290,24 @@ def test_ten_kills_at_random_moments_leave_nothing_half_written_and_change_no_by
 
 
 def test_another_collection_is_not_resumed(states_path: str, tmp_path: Path) -> None:
-    partial = tmp_path / "knotgym/unknot-nx1/.scripted-v0.partial"
-    partial.mkdir(parents=True)
-    (partial / "collection.json").write_text(json.dumps({"config": {"episodes": 3}}))
-    with pytest.raises(InvalidCollection, match="another collection"):
-        collect(config(states_path), tmp_path, **{**QUIET, "resume": True})
+    folder = tmp_path / "knotgym/unknot-nx1/scripted-v0"
+    collect(config(states_path, seed=1, episodes=1), tmp_path / "other", QUIET)
+    made_by = request_of(tmp_path / "other" / folder.relative_to(tmp_path))
+    staging_folder(folder).mkdir(parents=True)
+    (staging_folder(folder) / "request.json").write_text(json.dumps(made_by))
+    with pytest.raises(InvalidRun, match="seed is 1 there and 0 here"):
+        collect(config(states_path, episodes=1), tmp_path, RESUMED)
+
+
+def test_a_run_of_another_version_is_not_resumed(states_path: str, tmp_path: Path) -> None:
+    folder = collect(config(states_path, episodes=1), tmp_path, QUIET)
+    report = folder / "data" / "collection.json"
+    said = json.loads(report.read_text())
+    said["versions"]["mujoco"] = "3.0.0"
+    report.write_text(json.dumps(said))
+    with pytest.raises(InvalidRun, match='versions.mujoco is "3.0.0" there and') as caught:
+        collect(config(states_path, episodes=1), tmp_path, RESUMED)
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("settings", [{"episodes": 0}, {"seed": -1}])

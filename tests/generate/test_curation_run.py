@@ -12,55 +12,47 @@ import pytest
 
 from knotgym.control.macro_actions import ActionSequence, step_ropes
 from knotgym.control.planner import PlannerConfig
-from knotgym.generate.states import curation_run as jobs
+from knotgym.generate.states import curation_run as curation
 from knotgym.generate.states.archive import Archive
 from knotgym.generate.states.candidates import Candidate, CandidateTask, make_candidate
 from knotgym.generate.states.code_frequencies import frequencies
-from knotgym.generate.states.curation_run import (
-    GenerateConfig,
-    InvalidJob,
-    Job,
-    NotEnough,
-    run,
-    search_config,
-    start_of,
-)
-from knotgym.generate.states.search import new_archive
+from knotgym.generate.states.curation_run import CurationRun, search_config, start_of
+from knotgym.generate.states.generate_config import GenerateConfig, InvalidGenerateConfig
+from knotgym.generate.states.search import advance, new_archive
 from knotgym.generate.states.targeted_search import reach
 from knotgym.quality import Limits
 from knotgym.rope import Rope, RopeConfig
 from knotgym.runs.executors import InProcess
+from knotgym.runs.options import NotEnough
 from knotgym.simulation import Simulation
 from knotgym.topology.gauss import GaussCode
 
 from ..conftest import curled, trefoil
-from ..small_job import AIM, INSTANCE, WAVE, small
+from ..small_job import SMALL
 
 
 def config(**changes: Any) -> GenerateConfig:
-    return replace(
-        GenerateConfig(nx=(0, 1), count=4, wave=WAVE, candidate=INSTANCE, planner=AIM), **changes
-    )
+    return replace(SMALL, **{"nx": (0, 1), "count": 4, **changes})
 
 
-def done(job: Job) -> Job:
-    with small():
-        run(job, InProcess(), lambda job: None)
+def done(job: CurationRun) -> CurationRun:
+    for batch in job.batches():
+        for _ in batch.follow(InProcess()):
+            pass
     return job
 
 
 @pytest.fixture(scope="module")
-def finished() -> Job:
+def finished() -> CurationRun:
     """Two states with one crossing."""
-    with small():
-        return done(Job.begin(config(nx=(1,), count=2)))
+    return done(CurationRun.begin(config(nx=(1,), count=2)))
 
 
-def accepted(job: Job) -> Iterator[tuple[int, Candidate]]:
+def accepted(job: CurationRun) -> Iterator[tuple[int, Candidate]]:
     return ((nx, one) for nx, candidates in job.accepted.items() for one in candidates)
 
 
-def signature(job: Job) -> list[object]:
+def signature(job: CurationRun) -> list[object]:
     """What a job came to, every bit of it, but for the time it took."""
     took = [
         (nx, one.code, one.seed, one.qpos.tobytes(), one.actions.tobytes())
@@ -88,19 +80,19 @@ def signature(job: Job) -> list[object]:
     ],
 )
 def test_nonsense_is_refused_in_one_line(changes: dict[str, Any], problem: str) -> None:
-    with pytest.raises(InvalidJob, match=problem) as caught:
+    with pytest.raises(InvalidGenerateConfig, match=problem) as caught:
         config(**changes)
     assert "\n" not in str(caught.value)
 
 
 def test_a_knot_has_no_diagram_with_too_few_crossings() -> None:
-    with pytest.raises(InvalidJob, match="no diagram of 3_1 has 2 crossings"):
-        Job.begin(config(knot="3_1", nx=(2,)))
+    with pytest.raises(InvalidGenerateConfig, match="no diagram of 3_1 has 2 crossings"):
+        CurationRun.begin(config(knot="3_1", nx=(2,)))
 
 
 def test_natural_balance_is_for_the_unknot() -> None:
-    with pytest.raises(InvalidJob, match="empirical balance"):
-        Job.begin(config(knot="3_1", nx=(3,), balance="empirical"))
+    with pytest.raises(InvalidGenerateConfig, match="empirical balance"):
+        CurationRun.begin(config(knot="3_1", nx=(3,), balance="empirical"))
 
 
 def test_a_curve_with_more_crossings_than_asked_for_begins_a_job_all_the_same(
@@ -108,110 +100,111 @@ def test_a_curve_with_more_crossings_than_asked_for_begins_a_job_all_the_same(
 ) -> None:
     np.save(tmp_path / "curled.npy", curled(4))
     odd = config(knot=str(tmp_path / "curled.npy"), nx=(1,), count=1)
-    job = Job.begin(odd)
+    job = CurationRun.begin(odd)
     assert job.knot == "0_1" and search_config(odd).max_nx == 4
-    with small():
-        assert jobs.advance(job.archive, jobs.search_config(odd), InProcess()) >= 0
+    assert advance(job.archive, search_config(odd), InProcess()) >= 0
 
 
 def test_an_archive_whose_ways_begin_elsewhere_is_refused(rope: Rope) -> None:
     knotted = new_archive(search_config(config()), rope.from_curve(trefoil()))
-    with pytest.raises(InvalidJob, match="the archive's ways begin at another curve"):
-        Job.begin(config(), knotted)
+    with pytest.raises(InvalidGenerateConfig, match="begin at another curve"):
+        CurationRun.begin(config(), archive=knotted)
 
 
 def test_an_archive_of_another_rope_is_refused() -> None:
     heavy = new_archive(replace(search_config(config()), rope=RopeConfig(density=2000.0)))
-    with pytest.raises(InvalidJob, match="move another rope"):
-        Job.begin(config(), heavy)
+    with pytest.raises(InvalidGenerateConfig, match="move another rope"):
+        CurationRun.begin(config(), archive=heavy)
 
 
 def test_a_loaded_archive_of_another_search_is_gone_on_from(
     searched: Archive, tmp_path: Path
 ) -> None:
     searched.save(tmp_path / "archive.h5")
-    job = Job.begin(config(seed=9, nx=(2,)), Archive.load(tmp_path / "archive.h5"))
+    job = CurationRun.begin(config(seed=9, nx=(2,)), archive=Archive.load(tmp_path / "archive.h5"))
     assert len(job.archive.codes(2)) == len(searched.codes(2))
 
 
 def test_codes_share_the_count_evenly() -> None:
-    assert set(Job.begin(config(nx=(2,), count=20)).shares[2].values()) == {3}
+    assert set(CurationRun.begin(config(nx=(2,), count=20)).shares[2].values()) == {3}
 
 
 def test_every_code_is_wanted_as_often_as_asked() -> None:
-    job = Job.begin(config(nx=(2,), every_code=5))
+    job = CurationRun.begin(config(nx=(2,), every_code=5))
     assert job.wanted(2) == 8 * 5 and set(job.shares[2].values()) == {5} and job.existing == {2: 8}
 
 
-def test_a_finished_job_has_what_was_asked_for(finished: Job) -> None:
+def test_a_finished_job_has_what_was_asked_for(finished: CurationRun) -> None:
     assert finished.done() and finished.accepted.keys() == {1}
     assert Counter(str(one.code) for one in finished.accepted[1]) == {"1+,1-": 1, "1-,1+": 1}
 
 
-def test_accepted_states_have_no_faults_and_the_crossings_asked_for(finished: Job) -> None:
+def test_accepted_states_have_no_faults_and_the_crossings_asked_for(finished: CurationRun) -> None:
     assert all(one.faults == () and one.code.nx == nx for nx, one in accepted(finished))
 
 
-def test_every_instance_has_a_seed_of_its_own(finished: Job) -> None:
+def test_every_instance_has_a_seed_of_its_own(finished: CurationRun) -> None:
     seeds = [one.seed for _, one in accepted(finished)]
     assert len(seeds) == len(set(seeds)) and all(seed[1] == finished.config.seed for seed in seeds)
 
 
-def test_a_finished_job_can_be_run_again_and_does_nothing(finished: Job) -> None:
+def test_a_finished_job_can_be_run_again_and_does_nothing(finished: CurationRun) -> None:
     before = signature(finished)
     assert signature(done(finished)) == before
 
 
-def test_a_copy_is_rejected_as_a_near_duplicate(finished: Job) -> None:
-    job = Job.begin(config(nx=(1,)))
+def test_a_copy_is_rejected_as_a_near_duplicate(finished: CurationRun) -> None:
+    job = CurationRun.begin(config(nx=(1,)))
     for _ in range(2):
-        jobs._judge(job, 1, finished.accepted[1][0])
+        curation._judge(job, 1, finished.accepted[1][0])
     assert len(job.accepted[1]) == 1 and job.rejected[1] == {"near-duplicate": 1}
 
 
 def test_what_an_instance_brings_home_goes_into_the_archive(searched: Archive) -> None:
-    job = Job.begin(config(nx=(1,), wave=8), deepcopy(searched))
+    job = CurationRun.begin(config(nx=(1,), wave=8), archive=deepcopy(searched))
     better = next(
-        one for one in map(make_candidate, (task for _, task in jobs._tasks(job, {}))) if one.elites
+        one
+        for one in map(make_candidate, (task for _, task in curation._tasks(job, {})))
+        if one.elites
     )
-    jobs._judge(job, 1, better)
+    curation._judge(job, 1, better)
     assert any(one is better.elites[0] for one in job.archive.leading_to(better.code))
     assert all(not one.elites for one in job.accepted[1])
 
 
-def test_a_state_of_another_knot_is_rejected(finished: Job) -> None:
-    job = Job.begin(config(nx=(3,), knot="3_1"))
-    jobs._judge(job, 3, replace(finished.accepted[1][0], faults=()))
+def test_a_state_of_another_knot_is_rejected(finished: CurationRun) -> None:
+    job = CurationRun.begin(config(nx=(3,), knot="3_1"))
+    curation._judge(job, 3, replace(finished.accepted[1][0], faults=()))
     assert job.accepted[3] == [] and job.rejected[3] == {"knot type changed": 1}
 
 
-def test_rejections_are_counted_by_reason(finished: Job) -> None:
-    job = Job.begin(config(nx=(1,)))
-    jobs._judge(job, 1, replace(finished.accepted[1][0], faults=("margin", "clearance")))
+def test_rejections_are_counted_by_reason(finished: CurationRun) -> None:
+    job = CurationRun.begin(config(nx=(1,)))
+    curation._judge(job, 1, replace(finished.accepted[1][0], faults=("margin", "clearance")))
     assert job.accepted[1] == [] and job.rejected[1] == {"margin": 1, "clearance": 1}
 
 
-def test_a_code_that_has_its_share_gets_no_more(finished: Job) -> None:
-    job = Job.begin(config(nx=(1,), count=2))
+def test_a_code_that_has_its_share_gets_no_more(finished: CurationRun) -> None:
+    job = CurationRun.begin(config(nx=(1,), count=2))
     one = finished.accepted[1][0]
     elsewhere = replace(one, points=one.points * 1.2)
     for candidate in (one, elsewhere):
-        jobs._judge(job, 1, candidate)
+        curation._judge(job, 1, candidate)
     [kept] = job.accepted[1]
     assert kept.points is one.points and not job.rejected[1]
 
 
 def test_orders_are_for_codes_that_lack_states(searched: Archive) -> None:
-    job = Job.begin(config(nx=(1, 2), wave=20), searched)
-    tasks: list[tuple[int, CandidateTask]] = jobs._tasks(job, {})
+    job = CurationRun.begin(config(nx=(1, 2), wave=20), archive=searched)
+    tasks: list[tuple[int, CandidateTask]] = curation._tasks(job, {})
     assert len(tasks) == 20 and Counter(nx for nx, _ in tasks) == {1: 10, 2: 10}
     assert all(task.code.nx == nx and task.elites for nx, task in tasks)
     assert len({task.seed for _, task in tasks}) == 20
 
 
 def test_codes_are_ordered_with_each_chirality_in_turn(searched: Archive) -> None:
-    job = Job.begin(config(nx=(1,), wave=8), searched)
-    assert Counter(task.code.chiral for _, task in jobs._tasks(job, {})) == {
+    job = CurationRun.begin(config(nx=(1,), wave=8), archive=searched)
+    assert Counter(task.code.chiral for _, task in curation._tasks(job, {})) == {
         text: 2 for text in ("1+a,1-a", "1+c,1-c", "1-a,1+a", "1-c,1+c")
     }
 
@@ -222,17 +215,17 @@ def test_what_cannot_be_accepted_ends_with_a_line_that_says_so() -> None:
         count=1,
         attempts=4,
         wave=4,
-        candidate=replace(INSTANCE, limits=Limits(crossing_angle=91.0)),
+        candidate=replace(SMALL.candidate, limits=Limits(crossing_angle=91.0)),
     )
     with pytest.raises(
         NotEnough,
         match="0 of 1 states with nx = 0 accepted in 4 attempts; use --resume and more --attempts",
     ):
-        done(Job.begin(hopeless))
+        done(CurationRun.begin(hopeless))
 
 
 def test_a_job_stops_after_its_cycles_with_what_there_is() -> None:
-    job = done(Job.begin(config(nx=(1, 2), count=40, cycles=2)))
+    job = done(CurationRun.begin(config(nx=(1, 2), count=40, cycles=2)))
     assert job.cycle == len(job.growth) == 2 and 0 < len(job.accepted[1]) < 40
     assert job.growth[-1]["accepted"] == {
         str(nx): len(candidates) for nx, candidates in job.accepted.items()
@@ -248,27 +241,35 @@ def test_a_job_stops_after_its_cycles_with_what_there_is() -> None:
 
 def test_cycles_that_accept_nothing_end_with_a_line_that_says_so() -> None:
     hopeless = config(
-        nx=(0,), count=1, cycles=1, candidate=replace(INSTANCE, limits=Limits(crossing_angle=91.0))
+        nx=(0,),
+        count=1,
+        cycles=1,
+        candidate=replace(SMALL.candidate, limits=Limits(crossing_angle=91.0)),
     )
     with pytest.raises(
         NotEnough, match="no state accepted in 1 cycles; use --resume and more --cycles"
     ):
-        done(Job.begin(hopeless))
+        done(CurationRun.begin(hopeless))
 
 
-def test_more_is_searched_while_wanted_codes_are_unknown(finished: Job) -> None:
-    assert jobs._rounds(Job.begin(config(nx=(3,), every_code=1))) == 1 + jobs.MORE_ROUNDS
-    assert jobs._rounds(finished) == 1 and jobs._rounds(Job.begin(config(nx=(0,)))) == 0
+def test_more_is_searched_while_wanted_codes_are_unknown(finished: CurationRun) -> None:
+    assert (
+        curation._rounds(CurationRun.begin(config(nx=(3,), every_code=1))) == 1 + SMALL.more_rounds
+    )
+    assert (
+        curation._rounds(finished) == 1
+        and curation._rounds(CurationRun.begin(config(nx=(0,)))) == 0
+    )
 
 
 def test_codes_not_surely_known_are_aimed_at_those_aimed_at_least_first() -> None:
-    job = Job.begin(config(nx=(2,), every_code=1))
+    job = CurationRun.begin(config(nx=(2,), every_code=1))
     search = search_config(job.config)
-    first, second = jobs._targets(job, search), jobs._targets(job, search)
+    first, second = curation._targets(job, search), curation._targets(job, search)
     assert (
         [one.goal for one in first]
         == [one.goal for one in second]
-        == list(job.shares[2])[: jobs.AIMS]
+        == list(job.shares[2])[: SMALL.targets]
     )
     assert len({one.seed for one in first + second}) == 2 * len(first) and set(
         job.aimed.values()
@@ -276,44 +277,44 @@ def test_codes_not_surely_known_are_aimed_at_those_aimed_at_least_first() -> Non
     for elite in reach(first[0]).elites:
         job.archive.offer(elite)
     assert job.archive.sure(next(iter(job.archive.handed(first[0].goal))))
-    assert first[0].goal not in [one.goal for one in jobs._targets(job, search)]
+    assert first[0].goal not in [one.goal for one in curation._targets(job, search)]
 
 
 def test_a_code_that_only_a_long_way_leads_to_is_aimed_at_after_those_that_lack_states(
-    finished: Job,
+    finished: CurationRun,
 ) -> None:
-    job = Job.begin(config(nx=(2,), every_code=1))
+    job = CurationRun.begin(config(nx=(2,), every_code=1))
     search, code = search_config(job.config), next(iter(job.shares[2]))
-    elite = next(one for one in reach(jobs._targets(job, search)[0]).elites if one.exact)
+    elite = next(one for one in reach(curation._targets(job, search)[0]).elites if one.exact)
     rests = ActionSequence(
         np.zeros(search.longest, dtype=np.int16), np.zeros((search.longest, 3), dtype=np.float32)
     )
     job.archive.offer(replace(elite, sequence=elite.sequence + rests))
     job.accepted[2].append(replace(finished.accepted[1][0], code=elite.code))
     assert any(map(job.archive.sure, job.archive.handed(code)))
-    assert [one.goal for one in jobs._targets(job, search)][-1] == code
+    assert [one.goal for one in curation._targets(job, search)][-1] == code
 
 
 def test_a_code_whose_instances_all_fail_is_aimed_at_again_and_they_set_out_from_there() -> None:
-    job = Job.begin(config(nx=(2,), every_code=1))
+    job = CurationRun.begin(config(nx=(2,), every_code=1))
     search, code = search_config(job.config), next(iter(job.shares[2]))
-    shot = reach(jobs._targets(job, search)[0])
+    shot = reach(curation._targets(job, search)[0])
     for elite in shot.elites:
         job.archive.offer(elite)
-    assert code not in [one.goal for one in jobs._targets(job, search)]
-    job.tried[2][code] = 2 * jobs.STUCK
-    assert code in [one.goal for one in jobs._targets(job, search)]
-    assert code not in [one.goal for one in jobs._targets(job, search)]
+    assert code not in [one.goal for one in curation._targets(job, search)]
+    job.tried[2][code] = 2 * SMALL.stuck
+    assert code in [one.goal for one in curation._targets(job, search)]
+    assert code not in [one.goal for one in curation._targets(job, search)]
     exact = next(one for one in shot.elites if one.exact)
     fresh = replace(exact, objective=exact.objective + 1)
     job.tried[2][code] = 0
-    tasks = [task for _, task in jobs._tasks(job, {code: fresh}) if task.code.plain == code]
+    tasks = [task for _, task in curation._tasks(job, {code: fresh}) if task.code.plain == code]
     assert tasks and all(task.code == fresh.code and task.elites == (fresh,) for task in tasks)
 
 
 def test_an_aim_is_a_way_that_can_be_gone_again(rope: Rope) -> None:
-    target = jobs._targets(
-        Job.begin(config(nx=(2,), every_code=1)), search_config(config(nx=(2,)))
+    target = curation._targets(
+        CurationRun.begin(config(nx=(2,), every_code=1)), search_config(config(nx=(2,)))
     )[0]
     shot, again = reach(target), reach(target)
     assert shot.spent == again.spent > len(shot.elites[0].sequence) > 0
@@ -327,8 +328,8 @@ def test_an_aim_is_a_way_that_can_be_gone_again(rope: Rope) -> None:
 
 
 def test_an_aim_that_fails_says_what_it_spent() -> None:
-    target = jobs._targets(
-        Job.begin(config(nx=(4,), every_code=1)), search_config(config(nx=(4,)))
+    target = curation._targets(
+        CurationRun.begin(config(nx=(4,), every_code=1)), search_config(config(nx=(4,)))
     )[0]
     assert reach(target._replace(planner=PlannerConfig(budget=16))) == ((), 16)
 

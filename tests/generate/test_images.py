@@ -8,13 +8,13 @@ import json
 import shutil
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from rich.console import Console
 
 from knotgym.cli.main import main
 from knotgym.datasets import image_table as tables
@@ -34,8 +34,9 @@ from knotgym.datasets.image_table import (
 from knotgym.datasets.image_verification import image_faults, row_faults
 from knotgym.datasets.near_duplicates import NEAR, distances
 from knotgym.difficulty import grade
-from knotgym.generate.images import image_recipe as job
-from knotgym.generate.images.image_recipe import ImagesConfig, InvalidImagesJob, make, quotas
+from knotgym.generate.images import image_recipe
+from knotgym.generate.images.image_recipe import make_images
+from knotgym.generate.images.images_config import ImagesConfig, quotas
 from knotgym.generate.images.seed_states import NoSeedStates, families, seed_states
 from knotgym.generate.images.selection import _options
 from knotgym.loaders import MissingExtra
@@ -44,6 +45,7 @@ from knotgym.quality import UNITS, Limits, measure
 from knotgym.relaxation import relaxed
 from knotgym.rendering.appearance import VARIED, AppearanceConfig
 from knotgym.rope import Array, Rope
+from knotgym.runs.options import InvalidRun, RunOptions
 from knotgym.runs.staging import Occupied
 from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.gauss import GaussCode
@@ -67,9 +69,7 @@ CONFIG = ImagesConfig(
 
 
 def made(out: Path, config: ImagesConfig = CONFIG, **options: Any) -> Path:
-    settings = {"archive": None, "states": None, "workers": 1, "resume": False, "quiet": True}
-    make(config, out, console=Console(quiet=True), **{**settings, **options})
-    return out
+    return make_images(config, out, RunOptions(**{"workers": 1, "quiet": True, **options}))
 
 
 def _pixel_altered(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -122,7 +122,7 @@ def test_a_run_that_was_interrupted_and_resumed_on_other_workers_gives_the_same_
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(job, "_draw", killed)
+        patch.setattr(image_recipe.ImageRecipe, "_table_files", killed)
         with pytest.raises(KeyboardInterrupt):
             made(tmp_path / "table")
     assert not (tmp_path / "table").exists()
@@ -133,12 +133,10 @@ def test_a_run_that_was_interrupted_and_resumed_on_other_workers_gives_the_same_
         made(tmp_path / "table")
 
 
-def test_another_job_is_not_resumed(tmp_path: Path) -> None:
-    partial = tmp_path / ".table.partial"
-    partial.mkdir()
-    (partial / "job.json").write_text(json.dumps({"config": {}, "source": {}}))
-    with pytest.raises(InvalidImagesJob, match="another job"):
-        made(tmp_path / "table", resume=True)
+def test_another_run_is_not_resumed_and_what_differs_is_named(folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder, tmp_path / "table")
+    with pytest.raises(InvalidRun, match="config.count is 36 there and 30 here"):
+        made(tmp_path / "table", replace(CONFIG, count=30), resume=True)
 
 
 @pytest.mark.parametrize(

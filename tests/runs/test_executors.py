@@ -15,12 +15,13 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 
 from knotgym.control.policies import PolicyConfig
 from knotgym.generate.episodes.collect import CollectConfig, collect
-from knotgym.generate.images.image_recipe import ImagesConfig, make
-from knotgym.runs.executors import AHEAD, InvalidEngine, engine, ordered, scheduler_of
+from knotgym.generate.images.image_recipe import make_images
+from knotgym.generate.images.images_config import ImagesConfig
+from knotgym.runs.executors import AHEAD, InvalidEngine, executor, ordered, scheduler_of
+from knotgym.runs.options import RunOptions
 from knotgym.tasks import TaskConfig
 
 from ..cli.test_generate_command import SECONDS, WANTED, bytes_of, said
@@ -111,7 +112,7 @@ def generated(
     )
     until = time.monotonic() + 2 * SECONDS
     while (
-        not (out.parent / f".{out.name}.partial" / "job.pickle").exists()
+        not (out.parent / f".{out.name}.partial" / "run.json").exists()
         and run.poll() is None
         and time.monotonic() < until
     ):
@@ -146,7 +147,7 @@ def test_processes_take_work_that_never_ends() -> None:
             k += 1
 
     taken: list[int] = []
-    with engine(2) as pool:
+    with executor(2) as pool:
         results = iter(pool.map(abs, endless()))
         assert [next(results) for _ in range(5)] == [0, 1, 2, 3, 4]
     assert len(taken) <= 5 + 2 * AHEAD
@@ -158,7 +159,7 @@ def _interruptible(_: int) -> bool:
 
 
 def _print_interruptible() -> None:
-    with engine(2) as pool:
+    with executor(2) as pool:
         print([*pool.map(_interruptible, range(2)), _interruptible(0)])
 
 
@@ -277,31 +278,23 @@ def test_a_worker_of_several_threads_is_refused(
 def test_a_cluster_that_loses_a_worker_makes_the_same_bytes(
     curated: Path, states_path: str, tmp_path: Path
 ) -> None:
-    settings = {"resume": False, "quiet": True, "console": Console()}
     task = TaskConfig(task="unknot", nx=1, states=states_path, observation="state", horizon=4)
     config = CollectConfig(task=task, policy=PolicyConfig(policy="scripted"), episodes=6)
     with cluster(tmp_path, 2) as (scheduler, workers, _):
         generated(tmp_path / "nx0-1", scheduler, workers[0])
-        there = collect(config, tmp_path / "there", workers=0, scheduler=scheduler, **settings)
+        there = collect(config, tmp_path / "there", RunOptions(scheduler=scheduler, quiet=True))
     assert bytes_of(tmp_path / "nx0-1") == bytes_of(curated)
-    here = collect(config, tmp_path / "here", workers=1, **settings)
+    here = collect(config, tmp_path / "here", RunOptions(workers=1, quiet=True))
     assert bytes_of(there / "data")["main_data.hdf5"] == bytes_of(here / "data")["main_data.hdf5"]
 
 
 @with_dask
 @with_arrow
 def test_pictures_come_out_the_same_on_a_cluster(tmp_path: Path) -> None:
-    settings = {
-        "archive": None,
-        "states": None,
-        "resume": False,
-        "quiet": True,
-        "console": Console(),
-    }
     config = ImagesConfig(nx=(0, 1), count=12, steps=4, stride=2, rows_per_file=5)
     with cluster(tmp_path, 2) as (scheduler, _, _):
-        make(config, tmp_path / "there", workers=0, scheduler=scheduler, **settings)
-    make(config, tmp_path / "here", workers=1, **settings)
+        make_images(config, tmp_path / "there", RunOptions(scheduler=scheduler, quiet=True))
+    make_images(config, tmp_path / "here", RunOptions(workers=1, quiet=True))
     assert bytes_of(tmp_path / "there") == bytes_of(tmp_path / "here")
 
 
@@ -315,7 +308,7 @@ def test_a_scheduler_that_dies_is_one_line_and_the_run_goes_on_elsewhere(
             "generate", *WANTED, "--engine", "dask", "--scheduler", scheduler, "--out", out
         )
         run = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-        while not (tmp_path / ".nx0-1.partial" / "job.pickle").exists() and run.poll() is None:
+        while not (tmp_path / ".nx0-1.partial" / "run.json").exists() and run.poll() is None:
             time.sleep(0.02)
     error = run.communicate(timeout=SECONDS)[1]
     assert (

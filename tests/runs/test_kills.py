@@ -7,18 +7,21 @@ cluster's workers in test_engines.
 
 import contextlib
 import importlib.util
+import json
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from ..cli.test_generate_command import SECONDS, WANTED, begun, bytes_of, held, said
-from ..small_job import knotgym, typed
+from ..small_job import SETTINGS, knotgym, typed
 
 with_arrow = pytest.mark.skipif(
     importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed"
@@ -183,7 +186,7 @@ def test_a_worker_that_dies_is_one_line_and_the_rest_is_kept(
     broken = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     until = time.monotonic() + SECONDS
     while (
-        not list(tmp_path.rglob("shard-*.json"))
+        not list(tmp_path.rglob("episodes-*.json"))
         and broken.poll() is None
         and time.monotonic() < until
     ):
@@ -217,15 +220,61 @@ def test_asked_to_stop_twice_it_says_so_once(command: tuple[object, ...], tmp_pa
     )
 
 
-def test_a_spoilt_checkpoint_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    going = begun(tmp_path / "a", "--workers", 1, saved=True)
-    going.kill()
-    going.communicate()
-    saved = tmp_path / ".a.partial" / "job.pickle"
-    saved.write_bytes(saved.read_bytes()[:-1000])
+@pytest.mark.parametrize("name", ["run.json", "archive-*.h5", "accepted/*.npz"])
+def test_a_spoilt_checkpoint_is_one_line(
+    name: str, checkpoint: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    partial = tmp_path / ".a.partial"
+    shutil.copytree(checkpoint, partial)
+    saved = next(partial.glob(name))
+    saved.write_bytes(saved.read_bytes()[:-100])
     assert knotgym("generate", *WANTED, "--workers", 1, "--out", tmp_path / "a", "--resume") == 2
     (line,) = said(capfd)
-    assert line == f"knotgym: {saved} can't be read, the disk has spoilt it; start without --resume"
+    assert line.startswith(f"knotgym: {partial} can't be resumed, it is damaged")
+    assert line.endswith("start without --resume")
+
+
+@pytest.mark.parametrize("key", ["knotgym", "mujoco", "numpy", "opencv"])
+def test_a_checkpoint_of_another_version_is_refused_by_name(
+    key: str, checkpoint: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    partial = tmp_path / ".a.partial"
+    shutil.copytree(checkpoint, partial)
+    request = json.loads((partial / "request.json").read_text())
+    request["versions"][key] = "0.0.9"
+    (partial / "request.json").write_text(json.dumps(request))
+    assert knotgym("generate", *WANTED, "--workers", 1, "--out", tmp_path / "a", "--resume") == 2
+    (line,) = said(capfd)
+    assert f'versions.{key} is "0.0.9" there and' in line
+
+
+def test_a_checkpoint_with_other_tuned_numbers_is_refused_by_name(
+    checkpoint: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(checkpoint, tmp_path / ".a.partial")
+    other = {**json.loads(SETTINGS.read_text()), "stuck": 47}
+    (tmp_path / "more.json").write_text(json.dumps(other))
+    more = ("--settings", tmp_path / "more.json", "--resume", "--workers", 1)
+    assert knotgym("generate", *WANTED, *more, "--out", tmp_path / "a") == 2
+    assert "config.stuck is 48 there and 47 here" in said(capfd)[0]
+
+
+def test_no_checkpoint_is_unpickled(checkpoint: Path) -> None:
+    names = {path.suffix for path in checkpoint.rglob("*") if path.is_file()}
+    assert names <= {".json", ".h5", ".npz", ""}
+    for path in checkpoint.rglob("*.npz"):
+        with np.load(path, allow_pickle=False) as file:
+            assert all(file[name].dtype != object for name in file.files)
+
+
+@pytest.fixture(scope="module")
+def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The staging folder of a run that was killed once it had saved a cycle with a state in it."""
+    out = tmp_path_factory.mktemp("killed") / "a"
+    going = begun(out, "--workers", 1, saved=True)
+    going.kill()
+    going.communicate()
+    return out.parent / ".a.partial"
 
 
 def spoil(path: Path) -> None:
@@ -253,9 +302,9 @@ def interrupted(command: tuple[object, ...], out: Path, sign: str, count: int) -
 def test_spoilt_shards_of_a_collection_are_made_anew(
     unbroken: dict[str, dict[str, str]], tmp_path: Path
 ) -> None:
-    interrupted(COLLECT, tmp_path / "a", "shard-*.json", 2)
+    interrupted(COLLECT, tmp_path / "a", "episodes-*.json", 2)
     first, second = (
-        next(tmp_path.rglob(f"shard-00000{k}.{kind}")) for k, kind in ((0, "h5"), (1, "json"))
+        next(tmp_path.rglob(f"episodes-00000{k}.{kind}")) for k, kind in ((0, "h5"), (1, "json"))
     )
     spoil(first)
     second.write_text("{")

@@ -25,7 +25,12 @@ from knotgym.configuration import as_json
 from knotgym.datasets.image_folder import finish
 from knotgym.datasets.image_rows import Row, TableFile, write_table_file
 from knotgym.datasets.image_table import SPLITS, arrow, shard_name
-from knotgym.generate.images.images_config import ImagesConfig, InvalidImages, held_out, quotas
+from knotgym.generate.images.images_config import (
+    ImagesConfig,
+    InvalidImagesConfig,
+    held_out,
+    quotas,
+)
 from knotgym.generate.images.seed_states import SeedStates, seed_states
 from knotgym.generate.images.selection import Choice, Chooser
 from knotgym.generate.images.walks import WALKS, Frames, Unit, Walk, stir
@@ -58,7 +63,7 @@ def make_images(
 
     Raises:
         Occupied, InvalidRun: as of `runs.engine.run`.
-        InvalidImages, NoSeedStates: can't be made as asked.
+        InvalidImagesConfig, NoSeedStates: can't be made as asked.
         NotEnough: the states and their walks don't give so many different pictures.
     """
     arrow()
@@ -79,12 +84,14 @@ class ImageRecipe:
         }
         for nx in config.nx:
             if not codes[nx]:
-                raise InvalidImages(f"no diagram of {' or '.join(start.knots)} has {nx} crossings")
+                raise InvalidImagesConfig(
+                    f"no diagram of {' or '.join(start.knots)} has {nx} crossings"
+                )
         quota = quotas(config, {nx: len(codes[nx]) for nx in codes})
         shares = {key: self.shard.share(count) for key, count in quota.items()}
         self.wanted = {key: len(share) for key, share in shares.items() if share}
         if not self.wanted:
-            raise InvalidImages(
+            raise InvalidImagesConfig(
                 f"shard {self.shard} has no picture to make: cut the run into fewer shards"
             )
         self.split = splits_of(config, start, set(quota))

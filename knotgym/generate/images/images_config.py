@@ -11,7 +11,7 @@ from knotgym.tasks import MAX_NX
 from knotgym.topology.gauss import GaussCode
 
 
-class InvalidImages(KnotgymError, ValueError):
+class InvalidImagesConfig(KnotgymError, ValueError):
     """Pictures that can't be made as asked."""
 
 
@@ -57,7 +57,7 @@ class ImagesConfig:
             or any(not 0 <= nx <= MAX_NX for nx in self.nx)
             or len(set(self.nx)) != len(self.nx)
         ):
-            raise InvalidImages(
+            raise InvalidImagesConfig(
                 f"nx takes different numbers of crossings from 0 to {MAX_NX}, got"
                 f" {', '.join(map(str, self.nx)) or 'none'}"
             )
@@ -69,24 +69,26 @@ class ImagesConfig:
             or not rest
             or min(self.held_nx, default=MAX_NX + 1) <= max(rest)
         ):
-            raise InvalidImages(
+            raise InvalidImagesConfig(
                 f"test-nx takes the largest of the nx asked for, {sorted(self.nx)}, and not all of"
                 f" them; got {sorted(self.held_nx)}"
             )
         for name in ("count", "steps", "stride", "rows_per_file", "wave", "idle"):
             if getattr(self, name) < 1:
-                raise InvalidImages(f"{name} must be at least 1, got {getattr(self, name)}")
+                raise InvalidImagesConfig(f"{name} must be at least 1, got {getattr(self, name)}")
         if self.stride > self.steps:
-            raise InvalidImages(f"stride must be at most steps, {self.steps}, got {self.stride}")
+            raise InvalidImagesConfig(
+                f"stride must be at most steps, {self.steps}, got {self.stride}"
+            )
         if not (
             0 <= self.test_share and 0 <= self.code_share and self.test_share + self.code_share < 1
         ):
-            raise InvalidImages(
+            raise InvalidImagesConfig(
                 "test and code shares must be at least 0 and below 1 together, got"
                 f" {self.test_share} and {self.code_share}"
             )
         if self.seed < 0:
-            raise InvalidImages(f"seed must be at least 0, got {self.seed}")
+            raise InvalidImagesConfig(f"seed must be at least 0, got {self.seed}")
 
     @property
     def held_nx(self) -> tuple[int, ...]:

@@ -18,7 +18,7 @@ from knotgym.generate.states.candidates import Candidate, CandidateTask, make_ca
 from knotgym.generate.states.code_frequencies import empirical_shares
 from knotgym.generate.states.curation import is_near_duplicate
 from knotgym.generate.states.curves import knot_curve
-from knotgym.generate.states.generate_config import GenerateConfig, InvalidStates
+from knotgym.generate.states.generate_config import GenerateConfig, InvalidGenerateConfig
 from knotgym.generate.states.search import SearchConfig, new_archive, search_round
 from knotgym.generate.states.targeted_search import Target, TargetPlan, reach
 from knotgym.rope import Array, Rope
@@ -73,18 +73,18 @@ class CurationRun:
         """A run from the start, with an archive to go on from or a new one.
 
         Raises:
-            InvalidStates: there are no such states.
+            InvalidGenerateConfig: there are no such states.
         """
         shard, start = shard or Shard(), start_of(config)
         knot = knot_type(label(start))
         if knot == "unknown":
-            raise InvalidStates(
+            raise InvalidGenerateConfig(
                 f"the knot type of {config.knot} cannot be certified: knots of up to 7 crossings"
                 " can"
             )
         fresh = new_archive(search_config(config, shard), None if config.knot == "0_1" else start)
         if archive is not None and _origin(archive) != _origin(fresh):
-            raise InvalidStates(
+            raise InvalidGenerateConfig(
                 "the archive's action sequences begin at another curve or move another rope than"
                 f" those of knot {config.knot} here"
             )
@@ -93,7 +93,7 @@ class CurationRun:
         for nx in config.nx:
             run.accepted[nx], run.rejected[nx], run.tried[nx] = [], Counter(), Counter()
         if not any(run.wanted(nx) for nx in config.nx):
-            raise InvalidStates(
+            raise InvalidGenerateConfig(
                 f"shard {shard} has no state to make: cut the run into fewer shards"
             )
         return run
@@ -281,12 +281,12 @@ def _shares(config: GenerateConfig, knot: str, nx: int) -> dict[GaussCode, int]:
     """
     known = codes_of(knot, nx)
     if not known:
-        raise InvalidStates(f"no diagram of {knot} has {nx} crossings")
+        raise InvalidGenerateConfig(f"no diagram of {knot} has {nx} crossings")
     if config.every_code:
         return dict.fromkeys(known, config.every_code)
     if config.balance == "empirical":
         if knot != "0_1":
-            raise InvalidStates(
+            raise InvalidGenerateConfig(
                 f"empirical balance is known for ropes that start as a plain loop, not as {knot}"
             )
         return empirical_shares(nx, config.count, config.seed, config.candidate.rope)

@@ -12,7 +12,7 @@ from knotgym.rope import RopeConfig
 from knotgym.tasks import MAX_NX
 
 
-class InvalidStates(KnotgymError, ValueError):
+class InvalidGenerateConfig(KnotgymError, ValueError):
     """States that cannot be made as asked."""
 
 
@@ -66,27 +66,31 @@ class GenerateConfig:
             or any(not 0 <= nx <= MAX_NX for nx in self.nx)
             or len(set(self.nx)) != len(self.nx)
         ):
-            raise InvalidStates(
+            raise InvalidGenerateConfig(
                 f"nx takes different numbers of crossings from 0 to {MAX_NX}, got"
                 f" {', '.join(map(str, self.nx)) or 'none'}"
             )
         for name in ("count", "attempts", "wave", "stuck"):
             if getattr(self, name) < 1:
-                raise InvalidStates(f"{name} must be at least 1, got {getattr(self, name)}")
+                raise InvalidGenerateConfig(f"{name} must be at least 1, got {getattr(self, name)}")
         for name in ("every_code", "cycles", "more_rounds", "targets"):
             if getattr(self, name) < 0:
-                raise InvalidStates(f"{name} must be at least 0, got {getattr(self, name)}")
+                raise InvalidGenerateConfig(f"{name} must be at least 0, got {getattr(self, name)}")
         if self.balance not in ("even", "empirical"):
-            raise InvalidStates(f'balance must be "even" or "empirical", got {self.balance!r}')
+            raise InvalidGenerateConfig(
+                f'balance must be "even" or "empirical", got {self.balance!r}'
+            )
         if self.split_by not in ("state", "code"):
-            raise InvalidStates(f'split_by must be "state" or "code", got {self.split_by!r}')
+            raise InvalidGenerateConfig(
+                f'split_by must be "state" or "code", got {self.split_by!r}'
+            )
         if not 0 <= self.train_share <= 1:
-            raise InvalidStates(f"train_share must be in [0, 1], got {self.train_share}")
+            raise InvalidGenerateConfig(f"train_share must be in [0, 1], got {self.train_share}")
         if self.seed < 0:
-            raise InvalidStates(f"seed must be at least 0, got {self.seed}")
+            raise InvalidGenerateConfig(f"seed must be at least 0, got {self.seed}")
         if self.candidate.rope != RopeConfig():
             changed = ", ".join(differences(as_json(RopeConfig()), as_json(self.candidate.rope)))
-            raise InvalidStates(
+            raise InvalidGenerateConfig(
                 "states are made of the rope that environments reset and verify replays, so"
                 f" candidate.rope must be RopeConfig(); got one whose {changed}"
             )

@@ -22,7 +22,7 @@ from rich.console import Console
 
 from knotgym.atomic_files import atomic_write, sha256
 from knotgym.configuration import as_json
-from knotgym.errors import KnotgymError
+from knotgym.errors import KnotgymError, MissingFile
 from knotgym.generate.states import state_folder
 from knotgym.generate.states.archive import Archive
 from knotgym.generate.states.candidates import Candidate
@@ -66,7 +66,7 @@ def generate(
 
     Raises:
         Occupied, InvalidRun: as of `runs.engine.run`.
-        InvalidStates: nothing of the kind can be made.
+        InvalidGenerateConfig: nothing of the kind can be made.
         NotEnough: the attempts allowed were spent.
     """
     recipe = StateRecipe(config, options, archive)
@@ -79,6 +79,8 @@ class StateRecipe:
     flexible: tuple[str, ...] = ("attempts", "cycles")
 
     def __init__(self, config: GenerateConfig, options: RunOptions, archive: Path | None) -> None:
+        if archive is not None and not archive.is_file():
+            raise MissingFile(f"no archive at {archive}")
         self.config, self.shard, self.archive = config, options.shard, archive
         self.run: CurationRun
 
