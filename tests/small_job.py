@@ -27,7 +27,7 @@ from knotgym.generate.states.curation_run import GenerateConfig
 from knotgym.generate.states.hill_climb import HillClimbConfig
 from knotgym.generate.states.search import SearchConfig
 
-INSTANCE = CandidateConfig(opening=HillClimbConfig(steps=6, tries=4), stir_loop=4)
+INSTANCE = CandidateConfig(hill_climb=HillClimbConfig(steps=6, tries=4), loop_walk_steps=4)
 WAVE = 8
 AIM = PlannerConfig(budget=400)
 

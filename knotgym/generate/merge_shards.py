@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 
 from knotgym.atomic_files import sha256
-from knotgym.control.planner import PlannerConfig
-from knotgym.control.policies import PolicyConfig
+from knotgym.configuration import InvalidConfig, from_json
 from knotgym.datasets import image_folder
 from knotgym.datasets.episode_reader import Chosen
 from knotgym.datasets.image_table import (
@@ -39,10 +38,10 @@ from knotgym.generate.episodes.collect import REPORT, CollectConfig, Tally, writ
 from knotgym.generate.states import state_folder as output
 from knotgym.generate.states.archive import Archive
 from knotgym.generate.states.curation import split
+from knotgym.generate.states.search import SearchSettings
 from knotgym.runs.shards import Shard
 from knotgym.runs.staging import Occupied, staging
 from knotgym.streams import Stream, generator
-from knotgym.tasks import TaskConfig
 from knotgym.topology.gauss import GaussCode
 
 _FORMATS = {"knotgym-manifest": "states", "knotgym-images-manifest": "images"}
@@ -189,9 +188,9 @@ def _states(ordered: Sequence[ShardFolder], folder: Path) -> Path:
             folder / "minari",
             folder / "states.h5",
         )
-    _archive([Archive.load(shard.folder / "archive.h5") for shard in ordered]).save(
-        folder / "archive.h5"
-    )
+    archives = [Archive.load(shard.folder / "archive.h5") for shard in ordered]
+    search = from_json(SearchSettings, config["search"])
+    _archive(archives, search).save(folder / "archive.h5")
     report = _report_of_states([shard.said["report"] for shard in ordered], len(order) - len(kept))
     output.finish(folder, merged, report, config)
     return folder
@@ -219,16 +218,16 @@ def _rows(states: States, rows: np.ndarray) -> States:
     return replace(states, **columns, **groups)
 
 
-def _archive(archives: Sequence[Archive]) -> Archive:
+def _archive(archives: Sequence[Archive], search: SearchSettings) -> Archive:
     """What any of the searches found, their rounds one after another."""
     out = archives[0]
     for other in archives[1:]:
         for elites in other.niches.values():
             for elite in elites:
-                out.offer(elite)
+                out.offer(elite, search.archive)
         for niche, count in other.visits.items():
             out.visits[niche] = out.visits.get(niche, 0) + count
-        out.transitions.add(other.transitions)
+        out.transitions.add(other.transitions, search.most_templates)
         rounds, actions = len(out.growth), out.growth[-1]["actions"] if out.growth else 0
         out.growth += [
             {**row, "round": rounds + row["round"], "actions": actions + row["actions"]}
@@ -254,16 +253,11 @@ def _report_of_states(reports: Sequence[dict[str, Any]], near: int) -> dict[str,
 
 def _episodes(ordered: Sequence[ShardFolder], folder: Path) -> Path:
     asked = ordered[0].asked["config"]
-    policy = PolicyConfig(
-        **{
-            **_tuples(asked["policy"]),
-            "planner": PlannerConfig(**_tuples(asked["policy"]["planner"])),
-        }
-    )
-    config = CollectConfig(
-        **{**_tuples(asked), "task": TaskConfig(**asked["task"]), "policy": policy}
-    )
-    if json.loads(json.dumps(asdict(config))) != asked:
+    try:
+        config = from_json(CollectConfig, asked)
+    except InvalidConfig:
+        config = None
+    if config is None or json.loads(json.dumps(asdict(config))) != asked:
         raise InvalidMerge(
             f"{ordered[0].folder} was collected by another version of knotgym, with other settings"
         )
@@ -275,13 +269,6 @@ def _episodes(ordered: Sequence[ShardFolder], folder: Path) -> Path:
         folder,
         concatenate=True,
     )
-
-
-def _tuples(settings: dict[str, Any]) -> dict[str, Any]:
-    """Settings as JSON has them, lists as the tuples they were."""
-    return {
-        name: tuple(value) if isinstance(value, list) else value for name, value in settings.items()
-    }
 
 
 def _images(ordered: Sequence[ShardFolder], folder: Path) -> Path:

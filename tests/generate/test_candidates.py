@@ -1,6 +1,4 @@
-"""Candidates show the code that was ordered, can be made again bit for bit, and say why if they are
-rejected.
-"""
+"""Candidates show the code asked for, can be made again bit for bit, and say why if rejected."""
 
 import pickle
 from collections.abc import Sequence
@@ -9,11 +7,10 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from knotgym.control.macro_actions import NO_ACTIONS, step_ropes
-from knotgym.generate.states import candidates as candidates
+from knotgym.control.action_sequence import NO_ACTIONS, step_ropes
+from knotgym.generate.states import candidates
 from knotgym.generate.states.archive import Archive, Elite
 from knotgym.generate.states.candidates import (
-    REST,
     Candidate,
     CandidateConfig,
     CandidateTask,
@@ -34,10 +31,13 @@ Made = Sequence[tuple[CandidateTask, Candidate]]
 
 
 def tasks(archive: Archive, config: CandidateConfig = INSTANCE) -> list[CandidateTask]:
-    """One order for every code with chirality that the archive knows, up to two crossings."""
+    """One task for every code with chirality that the archive knows, up to two crossings."""
     start = Rope().loop()
     codes = [
-        code for nx in range(3) for plain in archive.codes(nx) for code in archive.handed(plain)
+        code
+        for nx in range(3)
+        for plain in archive.codes(nx)
+        for code in archive.known_chiralities(plain)
     ]
     return [
         CandidateTask(config, code, tuple(archive.leading_to(code)), start, (0, 2, code.nx, k, 0))
@@ -70,7 +70,7 @@ def made(searched: Archive) -> Made:
 
 @pytest.fixture(scope="module")
 def followed(made: Made) -> Made:
-    """Those whose way led to the code."""
+    """Those whose sequence led to the code."""
     return [(task, one) for task, one in made if len(one.actions)]
 
 
@@ -79,16 +79,16 @@ def accepted(made: Made) -> Made:
     return [(task, one) for task, one in made if not one.faults]
 
 
-def test_most_ways_carry_over(made: Made, followed: Made, accepted: Made) -> None:
+def test_most_sequences_carry_over(made: Made, followed: Made, accepted: Made) -> None:
     assert len(followed) > len(made) / 2 and len(accepted) >= 4
 
 
-def test_an_accepted_instance_shows_the_code_that_was_ordered(accepted: Made) -> None:
+def test_an_accepted_candidate_shows_the_code_asked_for(accepted: Made) -> None:
     for task, one in accepted:
         assert one.code == task.code == label(one.points[-1])
 
 
-def test_both_labellers_agree_on_an_accepted_instance(accepted: Made) -> None:
+def test_both_labellers_agree_on_an_accepted_candidate(accepted: Made) -> None:
     for _, one in accepted:
         assert pyknotid_code(one.points[-1]) == one.code
 
@@ -110,9 +110,9 @@ def test_actions_are_what_an_agent_can_do(followed: Made) -> None:
         assert one.actions.dtype == np.float32 and np.abs(one.actions).max() <= 1
 
 
-def test_the_last_pulls_have_no_force(followed: Made) -> None:
-    for _, one in followed:
-        assert not one.actions[-REST:, 3:].any()
+def test_the_last_steps_have_no_force(followed: Made) -> None:
+    for task, one in followed:
+        assert not one.actions[-task.config.rest :, 3:].any()
 
 
 def test_it_starts_as_the_plain_loop(followed: Made) -> None:
@@ -123,7 +123,7 @@ def test_it_starts_as_the_plain_loop(followed: Made) -> None:
         )
 
 
-def test_the_order_seed_goes_with_the_instance(made: Made) -> None:
+def test_the_seed_of_the_task_goes_with_the_candidate(made: Made) -> None:
     assert all(task.seed == one.seed for task, one in made)
 
 
@@ -133,7 +133,7 @@ def test_quality_is_that_of_the_last_state(followed: Made) -> None:
         assert one.quality == right and 0 <= one.quality.noise_survival <= 1
 
 
-def test_an_instance_is_accepted_if_and_only_if_nothing_is_at_fault(followed: Made) -> None:
+def test_a_candidate_is_accepted_if_and_only_if_nothing_is_at_fault(followed: Made) -> None:
     for task, one in followed:
         right = task.config.limits.faults(one.quality, one.code.nx)
         assert [
@@ -146,22 +146,22 @@ def test_a_code_lost_on_the_way_to_rest_is_a_fault(followed: Made) -> None:
         assert ("code lost at rest" in one.faults) == (label(one.points[-1]) != task.code)
 
 
-def test_the_same_order_gives_the_same_bytes_whatever_was_made_before(made: Made) -> None:
+def test_the_same_task_gives_the_same_bytes_whatever_was_made_before(made: Made) -> None:
     for task, one in made[::-1][:6]:
         assert same(make_candidate(pickle.loads(pickle.dumps(task))), one)
 
 
-def test_another_seed_gives_another_instance(followed: Made) -> None:
+def test_another_seed_gives_another_candidate(followed: Made) -> None:
     task, one = followed[-1]
     assert not same(make_candidate(task._replace(seed=(1, 2, 3, 4, 5))), one)
 
 
-def test_a_way_that_misses_the_code_is_rejected_for_it(searched: Archive, rope: Rope) -> None:
+def test_a_sequence_that_misses_the_code_is_rejected_for_it(searched: Archive, rope: Rope) -> None:
     nowhere = Elite(GaussCode.parse("1+a,1-a"), 0, False, NO_ACTIONS, np.zeros(1), 0.0)
     one = make_candidate(
         CandidateTask(INSTANCE, mirror_images(nowhere.code)[0], (nowhere,), rope.loop(), (0,))
     )
-    assert one.faults == ("way missed the code",) and len(one.actions) == 0
+    assert one.faults == ("sequence missed the code",) and len(one.actions) == 0
 
 
 def test_limits_that_nothing_meets_reject_everything(searched: Archive) -> None:
@@ -170,7 +170,7 @@ def test_limits_that_nothing_meets_reject_everything(searched: Archive) -> None:
     assert make_candidate(task).faults == ("crossing_angle",)
 
 
-def test_variants_of_one_way_end_in_different_places(followed: Made) -> None:
+def test_variants_of_one_sequence_end_in_different_places(followed: Made) -> None:
     ends = np.array([one.points[-1] - one.points[-1].mean(axis=0) for _, one in followed])
     assert len({end.tobytes() for end in ends}) == len(ends)
 

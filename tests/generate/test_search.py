@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from knotgym.control.macro_actions import step_ropes
+from knotgym.control.action_sequence import step_ropes
 from knotgym.generate.states.archive import Archive, Elite
 from knotgym.generate.states.search import SearchConfig, advance, new_archive
 from knotgym.quality import Limits, base_spacing, measure
@@ -72,7 +72,7 @@ def test_everything_found_is_an_unknot(searched: Archive) -> None:
     assert all(is_unknot(niche) for niche in searched.niches)
 
 
-def test_rounds_are_the_same_bytes_in_shifts_of_any_size(searched: Archive, tmp_path: Path) -> None:
+def test_rounds_are_the_same_bytes_in_units_of_any_size(searched: Archive, tmp_path: Path) -> None:
     assert kept(grown(3, chunk=1), tmp_path) == kept(searched, tmp_path)
 
 
@@ -97,7 +97,7 @@ def test_another_seed_searches_elsewhere(searched: Archive, tmp_path: Path) -> N
     assert kept(grown(1, replace(SEARCH, seed=2)), tmp_path) != kept(grown(1), tmp_path)
 
 
-def test_every_way_from_the_plain_loop_ends_in_its_state_bit_for_bit(
+def test_every_sequence_from_the_plain_loop_ends_in_its_state_bit_for_bit(
     searched: Archive, rope: Rope
 ) -> None:
     simulation = Simulation(1, rope)
@@ -109,7 +109,9 @@ def test_every_way_from_the_plain_loop_ends_in_its_state_bit_for_bit(
         assert np.array_equal(simulation.states()[0], elite.state), elite.code.chiral
 
 
-def test_every_elite_shows_its_code_walked_from_its_roll(searched: Archive, rope: Rope) -> None:
+def test_every_elite_shows_its_code_walked_from_its_base_shift(
+    searched: Archive, rope: Rope
+) -> None:
     simulation = Simulation(1, rope)
     for elite in elites(searched):
         simulation.restore(elite.state[None])
@@ -121,7 +123,7 @@ def test_every_elite_shows_its_code_walked_from_its_roll(searched: Archive, rope
         )
 
 
-def test_the_badness_of_an_elite_is_that_of_its_state(searched: Archive, rope: Rope) -> None:
+def test_the_objective_of_an_elite_is_that_of_its_state(searched: Archive, rope: Rope) -> None:
     simulation = Simulation(1, rope)
     for elite in elites(searched)[:40]:
         simulation.restore(elite.state[None])
@@ -131,7 +133,7 @@ def test_the_badness_of_an_elite_is_that_of_its_state(searched: Archive, rope: R
         )
 
 
-def test_base_spacing_is_taken_from_the_roll(searched: Archive, rope: Rope) -> None:
+def test_base_spacing_is_taken_from_the_base_shift(searched: Archive, rope: Rope) -> None:
     simulation = Simulation(1, rope)
     for elite in [one for one in elites(searched) if one.code.nx][:10]:
         simulation.restore(elite.state[None])
@@ -157,15 +159,15 @@ def test_a_round_says_how_many_classes_are_new() -> None:
     assert advance(archive, SEARCH, InProcess()) == len(archive.niches) - known
 
 
-def test_the_first_round_takes_every_pull_of_every_slot(searched: Archive) -> None:
+def test_the_first_round_takes_every_step_of_every_rope(searched: Archive) -> None:
     assert searched.growth[0]["actions"] == SEARCH.batch_size * SEARCH.steps
 
 
-def test_every_slot_counts_as_a_visit(searched: Archive) -> None:
+def test_every_rope_counts_as_a_visit(searched: Archive) -> None:
     assert sum(searched.visits.values()) == 3 * SEARCH.batch_size
 
 
-def test_no_way_is_longer_than_the_longest_allowed() -> None:
+def test_no_sequence_is_longer_than_the_longest_allowed() -> None:
     archive = grown(3, replace(SEARCH, seed=4, longest=12))
     assert 8 < max(len(one.sequence) for one in elites(archive)) <= 12
 

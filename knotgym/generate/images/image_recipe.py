@@ -28,8 +28,8 @@ from knotgym.datasets.image_rows import Row, TableFile, write_table_file
 from knotgym.datasets.image_table import SPLITS, arrow, shard_name
 from knotgym.errors import KnotgymError
 from knotgym.generate.images.seed_states import SeedStates, seed_states
-from knotgym.generate.images.selection import Chooser
-from knotgym.generate.images.walks import WALKS, Frames, Unit, Walk, stir
+from knotgym.generate.images.selection import Chooser, SelectionConfig
+from knotgym.generate.images.walks import WALKS, Frames, Unit, Walk, WalkConfig, make_walks
 from knotgym.generate.states.curation import codes_of
 from knotgym.generate.states.curation_run import MOST_NX, NotEnough
 from knotgym.rendering.appearance import AppearanceConfig
@@ -65,6 +65,8 @@ class ImagesConfig:
             lost.
         stride: steps from one frame to the next.
         rows_per_file: pictures in a file of the table.
+        walk: how walks are made and which frames are kept.
+        selection: which of them become pictures.
         appearance: what varies between pictures.
         part: of the run, which makes its share of each quota; splits and codes held out are those
             of the run.
@@ -79,6 +81,8 @@ class ImagesConfig:
     steps: int = 12
     stride: int = 2
     rows_per_file: int = 500
+    walk: WalkConfig = WalkConfig()
+    selection: SelectionConfig = SelectionConfig()
     appearance: AppearanceConfig = AppearanceConfig()
     shard: Shard = Shard()
 
@@ -280,7 +284,13 @@ def _choose(
         raise InvalidImagesJob(
             f"shard {config.shard} has no picture to make: cut the run into fewer shards"
         )
-    chooser = Chooser(mine, held_out(config, codes), start.points.shape[1])
+    chooser = Chooser(
+        mine,
+        held_out(config, codes),
+        start.points.shape[1],
+        config.selection,
+        config.walk.limits,
+    )
     split = splits_of(config, start, set(quota))
     done: list[Frames] = []
     dropped: Counter[str] = Counter()
@@ -307,6 +317,7 @@ def _choose(
                     steps,
                     config.stride,
                     max(config.nx),
+                    config.walk,
                 )
                 units.append(
                     _UnitFile(partial / "units" / f"{len(done) + len(units):06d}.npz", unit)
@@ -481,7 +492,7 @@ def _stirred(work: _UnitFile) -> Path:
     try:
         _load(work.path)  # the file has checksums
     except (OSError, ValueError, KeyError, EOFError, BadZipFile):
-        frames = stir(work.unit)
+        frames = make_walks(work.unit)
         with atomic_write(work.path) as temporary, open(temporary, "wb") as file:
             np.savez(file, **{**vars(frames), "dropped": np.array(json.dumps(frames.dropped))})
     return work.path

@@ -1,7 +1,6 @@
-"""Curation: which codes there are to curate, which accepted states make a set, and which of them
-are for training.
+"""Curation: which codes there are to curate, and which accepted states make a set.
 
-A set holds no two near-duplicates (`datasets.near`), so none straddle its splits.
+A set holds no two near-duplicates (`datasets.near_duplicates`).
 """
 
 from __future__ import annotations
@@ -21,13 +20,13 @@ from knotgym.topology.knots import is_unknot, knot_type
 
 @lru_cache(maxsize=32)
 def codes_of(knot: str, nx: int) -> tuple[GaussCode, ...]:
-    """Every code, without chirality and in order, that a rope of this knot type can show with nx
-    crossings; exact.
+    """Every code with nx crossings that a rope of this knot type can show; exact, in order.
+
+    Codes come without chirality.
     """
     certified = is_unknot if knot == "0_1" else lambda code: knot_type(code) == knot
-    return tuple(
-        sorted((code for code in planar_codes(nx) if certified(code)), key=lambda code: code.visits)
-    )
+    codes = [code for code in planar_codes(nx) if certified(code)]
+    return tuple(sorted(codes, key=lambda code: code.visits))
 
 
 def is_near_duplicate(points: Array, accepted: Sequence[Array]) -> bool:

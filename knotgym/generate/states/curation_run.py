@@ -23,10 +23,10 @@ from knotgym.generate.states.candidates import (
     CandidateTask,
     make_candidate,
 )
-from knotgym.generate.states.code_frequencies import empirical_shares
+from knotgym.generate.states.code_frequencies import FrequencyConfig, empirical_shares
 from knotgym.generate.states.curation import codes_of, is_near_duplicate
 from knotgym.generate.states.curves import knot_curve
-from knotgym.generate.states.search import SearchConfig, advance, new_archive
+from knotgym.generate.states.search import SearchConfig, SearchSettings, advance, new_archive
 from knotgym.generate.states.targeted_search import Target, reach
 from knotgym.rope import Array, Rope
 from knotgym.runs.executors import Pool
@@ -73,6 +73,8 @@ class GenerateConfig:
         wave: candidates made in a cycle.
         candidate: how they are made and judged.
         planner: what is spent on a code aimed at.
+        search: how codes are searched for.
+        frequencies: how codes are counted for the empirical balance.
         part: of the run, which curates its share of the states and of the codes.
     """
 
@@ -89,6 +91,8 @@ class GenerateConfig:
     wave: int = 48
     candidate: CandidateConfig = CandidateConfig()
     planner: PlannerConfig = PlannerConfig(budget=3000)
+    search: SearchSettings = SearchSettings()
+    frequencies: FrequencyConfig = FrequencyConfig()
     shard: Shard = Shard()
 
     def __post_init__(self) -> None:
@@ -230,7 +234,7 @@ def run(job: Job, pool: Pool, each_cycle: Callable[[Job], None]) -> None:
             for target, shot in zip(targets, pool.map(reach, targets), strict=True):
                 job.actions += shot.spent
                 for elite in shot.elites:
-                    job.archive.offer(elite)
+                    job.archive.offer(elite, search.archive)
                     if elite.exact:
                         fresh[target.goal] = elite
         tasks = _tasks(job, fresh)
@@ -294,7 +298,9 @@ def _targets(job: Job, search: SearchConfig) -> list[Target]:
         sure = {
             code
             for code in shares
-            if any(job.archive.sure(one, search.longest) for one in job.archive.handed(code))
+            if any(
+                job.archive.sure(one, search.longest) for one in job.archive.known_chiralities(code)
+            )
         } - stuck
         if not nx or len(job.accepted[nx]) >= job.wanted(nx) or len(sure) >= job.wanted_codes(nx):
             continue
@@ -310,7 +316,12 @@ def _targets(job: Job, search: SearchConfig) -> list[Target]:
                 )
                 lacking.append(
                     (
-                        (have[code] >= shares[code], aimed, bool(job.archive.handed(code)), index),
+                        (
+                            have[code] >= shares[code],
+                            aimed,
+                            bool(job.archive.known_chiralities(code)),
+                            index,
+                        ),
                         target,
                     )
                 )
@@ -327,7 +338,10 @@ def search_config(config: GenerateConfig) -> SearchConfig:
         else derived_seed(Stream.SHARD, config.seed, config.shard.number)
     )
     return SearchConfig(
-        max_nx=max(*config.nx, label(start_of(config)).nx), seed=seed, rope=config.candidate.rope
+        **vars(config.search),
+        max_nx=max(*config.nx, label(start_of(config)).nx),
+        seed=seed,
+        rope=config.candidate.rope,
     )
 
 
@@ -360,7 +374,9 @@ def _shares(config: GenerateConfig, knot: str, nx: int) -> dict[GaussCode, int]:
             raise InvalidJob(
                 f"empirical balance is known for ropes that start as a plain loop, not as {knot}"
             )
-        return empirical_shares(nx, config.count, config.seed, config.candidate.rope)
+        return empirical_shares(
+            nx, config.count, config.seed, config.candidate.rope, config.frequencies
+        )
     return dict.fromkeys(known, -(-config.count // len(known)))
 
 
@@ -398,7 +414,7 @@ def _tasks(job: Job, fresh: dict[GaussCode, Elite]) -> list[tuple[int, Candidate
         lacking = [
             (code, known)
             for code in ranked
-            if have[code] < job.shares[nx][code] and (known := job.archive.handed(code))
+            if have[code] < job.shares[nx][code] and (known := job.archive.known_chiralities(code))
         ]
         lacking.sort(key=lambda one: job.tried[nx][one[0]])
         for k in range(-(-config.wave // len(open_nx)) if lacking else 0):
@@ -426,7 +442,7 @@ def _judge(job: Job, nx: int, candidate: Candidate) -> None:
     ):
         reasons = ["near-duplicate"]
     for elite in candidate.elites:
-        job.archive.offer(elite)
+        job.archive.offer(elite, job.config.search.archive)
     candidate = replace(candidate, elites=())
     same = sum(one.code.plain == candidate.code.plain for one in job.accepted[nx])
     if reasons:
