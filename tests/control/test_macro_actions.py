@@ -31,48 +31,40 @@ def test_every_kind_is_drawn(rope: Rope) -> None:
 
 
 def test_the_same_seed_draws_the_same_macro_actions(rope: Rope) -> None:
-    for one, other in zip(drawn(rope, 20), drawn(rope, 20), strict=True):
-        assert (one.kind, one.bead, one.target, one.side) == (
-            other.kind,
-            other.bead,
-            other.target,
-            other.side,
-        )
-        assert np.array_equal(one.waypoints, other.waypoints)
+    for macro_action, other in zip(drawn(rope, 20), drawn(rope, 20), strict=True):
+        for name in ("kind", "bead", "target", "side", "waypoints"):
+            assert np.array_equal(getattr(macro_action, name), getattr(other, name))
 
 
 def test_only_passes_and_curls_have_a_strand_to_pass(rope: Rope) -> None:
-    for one in drawn(rope):
-        assert (0 <= one.target < 100) if one.kind in ("pass", "curl") else one.target == -1
+    for macro_action in drawn(rope):
+        passes = macro_action.kind in ("pass", "curl")
+        assert (0 <= macro_action.target < 100) if passes else macro_action.target == -1
 
 
 def test_a_strand_is_passed_by_another_bead(rope: Rope) -> None:
-    apart = {
-        kind: [
-            min((one.target - one.bead) % 100, (one.bead - one.target) % 100)
-            for one in drawn(rope)
-            if one.kind == kind
-        ]
-        for kind in KINDS
-    }
+    apart: dict[str, list[int]] = {"pass": [], "curl": []}
+    for macro_action in drawn(rope):
+        if macro_action.kind in apart:
+            along = (macro_action.target - macro_action.bead) % 100
+            apart[macro_action.kind].append(min(along, 100 - along))
     assert min(apart["pass"]) >= 12 and 6 <= min(apart["curl"]) <= max(apart["curl"]) <= 24
 
 
 @pytest.mark.parametrize("side", [-1, 1])
 def test_a_strand_is_passed_at_a_height_above_or_below_it(rope: Rope, side: int) -> None:
-    one = pass_strand(rope.loop(), "pass", 10, 60, side, np.random.default_rng(0), CONFIG)
-    assert np.allclose(one.waypoints[:2, 2], side * CONFIG.lift) and one.waypoints[
-        2, 2
-    ] == pytest.approx(0)
+    rng = np.random.default_rng(0)
+    macro_action = pass_strand(rope.loop(), "pass", 10, 60, side, rng, CONFIG)
+    assert np.allclose(macro_action.waypoints[:2, 2], side * CONFIG.lift)
+    assert macro_action.waypoints[2, 2] == pytest.approx(0)
 
 
 def test_a_pass_ends_beyond_the_strand(rope: Rope) -> None:
     points, rng = rope.loop(), np.random.default_rng(1)
     for _ in range(50):
-        one = pass_strand(points, "pass", 10, 30, 1, rng, CONFIG)
-        assert np.linalg.norm(one.waypoints[1, :2] - points[10, :2]) > np.linalg.norm(
-            points[30, :2] - points[10, :2]
-        )
+        macro_action = pass_strand(points, "pass", 10, 30, 1, rng, CONFIG)
+        led = np.linalg.norm(macro_action.waypoints[1, :2] - points[10, :2])
+        assert led > np.linalg.norm(points[30, :2] - points[10, :2])
 
 
 def test_proposing_leaves_the_rope_alone(rope: Rope) -> None:

@@ -36,7 +36,9 @@ def elite(
 
 
 def kept(archive: Archive) -> list[tuple[int, float]]:
-    return [(len(one.sequence), one.objective) for one in archive.niches[mirror_images(KINK)[0]]]
+    return [
+        (len(elite.sequence), elite.objective) for elite in archive.niches[mirror_images(KINK)[0]]
+    ]
 
 
 @pytest.fixture
@@ -108,16 +110,15 @@ def test_an_empty_archive_leads_nowhere() -> None:
 def test_every_code_known_has_a_chirality_and_elites(searched: Archive) -> None:
     for nx in range(4):
         for code in searched.codes(nx):
-            assert searched.known_chiralities(code) and all(
-                one.visits == code.visits and searched.leading_to(one)
-                for one in searched.known_chiralities(code)
-            )
+            chiral = searched.known_chiralities(code)
+            assert chiral and {known.visits for known in chiral} == {code.visits}
+            assert all(searched.leading_to(known) for known in chiral)
 
 
 def test_what_leads_to_a_code_has_it_among_its_mirror_images(searched: Archive) -> None:
     for code in searched.codes(2):
-        for one in searched.known_chiralities(code):
-            assert all(one in mirror_images(elite.code) for elite in searched.leading_to(one))
+        for known in searched.known_chiralities(code):
+            assert all(known in mirror_images(elite.code) for elite in searched.leading_to(known))
 
 
 def test_the_archive_comes_back_as_saved(searched: Archive, saved: Path) -> None:
@@ -128,22 +129,12 @@ def test_the_archive_comes_back_as_saved(searched: Archive, saved: Path) -> None
         and read.growth == searched.growth
     )
     for ours, theirs in zip(searched.niches.values(), read.niches.values(), strict=True):
-        for one, other in zip(ours, theirs, strict=True):
-            assert (one.code, one.base_shift, one.reverse, one.objective) == (
-                other.code,
-                other.base_shift,
-                other.reverse,
-                other.objective,
-            )
-            assert np.array_equal(one.state, other.state)
-            assert (
-                np.array_equal(one.sequence.beads, other.sequence.beads)
-                and one.sequence.beads.dtype == other.sequence.beads.dtype
-            )
-            assert (
-                np.array_equal(one.sequence.forces, other.sequence.forces)
-                and one.sequence.forces.dtype == other.sequence.forces.dtype
-            )
+        for saved_elite, elite in zip(ours, theirs, strict=True):
+            for name in ("code", "base_shift", "reverse", "objective", "state"):
+                assert np.array_equal(getattr(saved_elite, name), getattr(elite, name))
+            for name in ("beads", "forces"):
+                before, after = getattr(saved_elite.sequence, name), getattr(elite.sequence, name)
+                assert np.array_equal(before, after) and before.dtype == after.dtype
 
 
 def test_saving_again_gives_the_same_bytes(saved: Path, tmp_path: Path) -> None:

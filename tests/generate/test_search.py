@@ -1,6 +1,4 @@
-"""Rounds of the search come out the same however they are run, and whatever they find can be
-reached again.
-"""
+"""Rounds of the search come out the same however they are run; what they find is reached again."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -39,23 +37,19 @@ def kept(archive: Archive, folder: Path) -> bytes:
 
 
 def elites(archive: Archive) -> list[Elite]:
-    return [one for niche in archive.niches.values() for one in niche]
+    return [elite for niche in archive.niches.values() for elite in niche]
 
 
 def test_a_new_archive_knows_the_plain_loop() -> None:
     archive = new_archive(SEARCH)
-    assert (
-        [str(code) for code in archive.codes(0)] == [""]
-        and len(archive.niches) == 1
-        and archive.growth == []
-    )
+    assert [str(code) for code in archive.codes(0)] == [""]
+    assert len(archive.niches) == 1 and archive.growth == []
 
 
 def test_a_new_archive_can_begin_at_a_knot(rope: Rope) -> None:
     archive = new_archive(SEARCH, rope.from_curve(trefoil()))
-    assert {knot_type(code) for code in archive.codes(3)} == {"3_1"} and archive.settings[
-        "start"
-    ] != "loop"
+    assert {knot_type(code) for code in archive.codes(3)} == {"3_1"}
+    assert archive.settings["start"] != "loop"
 
 
 def test_a_search_from_a_knot_keeps_the_knot(rope: Rope) -> None:
@@ -135,7 +129,7 @@ def test_the_objective_of_an_elite_is_that_of_its_state(searched: Archive, rope:
 
 def test_base_spacing_is_taken_from_the_base_shift(searched: Archive, rope: Rope) -> None:
     simulation = Simulation(1, rope)
-    for elite in [one for one in elites(searched) if one.code.nx][:10]:
+    for elite in [elite for elite in elites(searched) if elite.code.nx][:10]:
         simulation.restore(elite.state[None])
         points = simulation.points[0]
         renumbered = np.roll(points, -elite.base_shift, axis=0)
@@ -148,8 +142,8 @@ def test_growth_has_one_row_a_round(searched: Archive) -> None:
     assert [row["round"] for row in searched.growth] == [0, 1, 2]
     assert searched.growth[-1]["classes"] == len(searched.niches)
     assert all(
-        one["actions"] < other["actions"] and one["classes"] <= other["classes"]
-        for one, other in pairwise(searched.growth)
+        row["actions"] < after["actions"] and row["classes"] <= after["classes"]
+        for row, after in pairwise(searched.growth)
     )
 
 
@@ -169,7 +163,7 @@ def test_every_rope_counts_as_a_visit(searched: Archive) -> None:
 
 def test_no_sequence_is_longer_than_the_longest_allowed() -> None:
     archive = grown(3, replace(SEARCH, seed=4, longest=12))
-    assert 8 < max(len(one.sequence) for one in elites(archive)) <= 12
+    assert 8 < max(len(elite.sequence) for elite in elites(archive)) <= 12
 
 
 def test_settings_tell_the_whole_search(searched: Archive) -> None:

@@ -30,6 +30,7 @@ from knotgym.topology.symmetry import mirror_images
 
 FORMAT = "knotgym-archive"
 FORMAT_VERSION = 3
+_COMPRESSED = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 _OLD = {"base_shift": "roll", "objective": "badness"}  # what version 2, read too, calls them
 
 
@@ -161,27 +162,18 @@ class Archive:
             file["visits"] = json.dumps(
                 {niche.chiral: count for niche, count in self.visits.items()}
             )
-            squeezed = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
-            file.create_dataset(
-                "code",
-                data=[elite.code.chiral for elite in elites],
-                dtype=h5py.string_dtype("utf-8"),
-            )
-            file.create_dataset("base_shift", data=[elite.base_shift for elite in elites])
-            file.create_dataset("reverse", data=[elite.reverse for elite in elites])
-            file.create_dataset("objective", data=[elite.objective for elite in elites])
-            file.create_dataset("length", data=[len(elite.sequence) for elite in elites])
-            file.create_dataset(
-                "beads", data=np.concatenate([elite.sequence.beads for elite in elites]), **squeezed
-            )
-            file.create_dataset(
-                "forces",
-                data=np.concatenate([elite.sequence.forces for elite in elites]),
-                **squeezed,
-            )
-            file.create_dataset(
-                "state", data=np.stack([elite.state for elite in elites]), **squeezed
-            )
+            codes = [elite.code.chiral for elite in elites]
+            file.create_dataset("code", data=codes, dtype=h5py.string_dtype("utf-8"))
+            file["base_shift"] = [elite.base_shift for elite in elites]
+            file["reverse"] = [elite.reverse for elite in elites]
+            file["objective"] = [elite.objective for elite in elites]
+            file["length"] = [len(elite.sequence) for elite in elites]
+            for name, column in {
+                "beads": np.concatenate([elite.sequence.beads for elite in elites]),
+                "forces": np.concatenate([elite.sequence.forces for elite in elites]),
+                "state": np.stack([elite.state for elite in elites]),
+            }.items():
+                file.create_dataset(name, data=column, **_COMPRESSED)
             self.transitions.write(file.create_group("transitions"))
 
     @classmethod
