@@ -1,7 +1,7 @@
-"""Action sequences: steps of one rope after the other, by bead and not by place.
+"""Action sequences: a rope's steps one after the other, by bead and not by place.
 
-Source of what is recorded: every step goes through the agent's interface (`step_ropes`), so that a
-sequence is something that an agent can do.
+Every step goes through the agent's interface (`step_ropes`), so that a sequence is something that
+an agent can do.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ class MacroActionConfig:
     Attributes:
         shares: of KINDS among those drawn at random.
         arrived: metres from a waypoint that count as there.
-        stride: metres that one step at full force leads a bead, about; shorter ways take less.
+        stride: metres that one step at full force leads a bead, about; shorter ones take less.
         lift: metres above or below a strand that a bead passes it at, or that it is shifted at.
         rise: metres ahead within which a bead reaches that height.
         distance: metres that a bead is spread or shifted, from and to.

@@ -112,7 +112,7 @@ def test_a_bead_is_found_again_by_its_arc(base_shift: int, rope: Rope, states_pa
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "said"),
+    ("before", "after", "expected"),
     [
         ("", "1+a,1-a", "R1+ pass"),
         ("1+a,1-a", "", "R1- pass"),
@@ -123,8 +123,8 @@ def test_a_bead_is_found_again_by_its_arc(base_shift: int, rope: Rope, states_pa
         ("1+a,1-a", "1+a,1-a", "none pass"),
     ],
 )
-def test_the_reason_names_the_move(before: str, after: str, said: str) -> None:
-    assert reason(GaussCode.parse(before), GaussCode.parse(after), "pass") == said
+def test_the_reason_names_the_move(before: str, after: str, expected: str) -> None:
+    assert reason(GaussCode.parse(before), GaussCode.parse(after), "pass") == expected
 
 
 def test_the_graph_that_ships_has_a_path_to_every_code_of_up_to_four_crossings() -> None:

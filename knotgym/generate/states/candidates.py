@@ -281,11 +281,12 @@ def _random_walk(
     for _ in range(steps):
         bead = rng.integers(simulation.rope.config.beads, size=1)
         heading, strength = rng.uniform(-np.pi, np.pi), rng.uniform(*force)
-        pull = (strength * np.array([[np.cos(heading), np.sin(heading), 0.0]])).astype(np.float32)
-        _, held = step_ropes(simulation, bead, pull, ONE)
+        direction = np.array([[np.cos(heading), np.sin(heading), 0.0]])
+        forces = (strength * direction).astype(np.float32)
+        _, held = step_ropes(simulation, bead, forces, ONE)
         if held.all() and label(simulation.points[0]) == code:
             state = simulation.states(ONE)
-            sequence += ActionSequence(bead.astype(np.int16), pull)
+            sequence += ActionSequence(bead.astype(np.int16), forces)
         else:
             simulation.restore(state, ONE)
     return state[0], sequence
