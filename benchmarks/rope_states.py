@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from knotgym.control.macro_actions import WaypointController, propose, step_ropes
+from knotgym.control.action_sequence import step_ropes
+from knotgym.control.macro_actions import MacroActionConfig, WaypointController, propose
 from knotgym.rope import Array
 from knotgym.simulation import Simulation
 from knotgym.topology.crossings import count_crossings
@@ -21,17 +22,20 @@ def tangled(
     """Yield `count` configurations (beads, 3) with `least` to `most` crossings, at most every
     fourth pull of a rope.
     """
-    simulation, hand = Simulation(ROPES, threads=0), WaypointController(ROPES)
+    simulation, config = Simulation(ROPES, threads=0), MacroActionConfig()
+    controller = WaypointController(ROPES, config)
     loop = np.repeat(simulation.rope.qpos(simulation.rope.loop())[None], ROPES, axis=0)
     step = given = 0
     while True:
         if step % LONGEST == 0:
             simulation.lay(loop)
             for rope in range(ROPES):
-                hand.take(rope, propose(simulation.points[rope], rng))
-        for rope in np.flatnonzero(hand.idle(simulation.points)):
-            hand.take(int(rope), propose(simulation.points[rope], rng))
-        step_ropes(simulation, hand.beads, hand.forces(simulation.points))
+                controller.begin(rope, propose(simulation.points[rope], rng, config))
+        controller.advance(simulation.points)
+        for rope in np.flatnonzero(controller.idle).tolist():
+            controller.begin(rope, propose(simulation.points[rope], rng, config))
+        controller.advance(simulation.points)
+        step_ropes(simulation, controller.beads, controller.forces(simulation.points))
         step += 1
         for points in simulation.points if step % 4 == 0 else ():
             if least <= count_crossings(points) <= most:

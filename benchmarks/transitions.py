@@ -8,6 +8,7 @@ than --max-nx crossings are left out.
 """
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
@@ -34,14 +35,14 @@ def main() -> None:
     parser.add_argument("--max-nx", type=int, default=5)
     parser.add_argument("--least", type=int, default=2, help="times that a change was seen")
     parser.add_argument("--workers", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path("knotgym/generate/data/transitions.h5"))
+    parser.add_argument("--out", type=Path, default=Path("knotgym/control/data/transitions.h5"))
     args = parser.parse_args()
-    console, table = Console(), TransitionCounts()
+    console, table, settings = Console(), TransitionCounts(), SearchConfig(max_nx=4)
     for path in args.archive:
-        table.add(Archive.load(path).transitions)
+        table.add(Archive.load(path).transitions, settings.most_templates)
     with engine(args.workers) as pool:
         for seed, rounds in zip(args.seeds, args.rounds, strict=True):
-            config = SearchConfig(max_nx=4, seed=seed)
+            config = replace(settings, seed=seed)
             archive = new_archive(config)
             for number in range(rounds):
                 advance(archive, config, pool)
@@ -51,7 +52,7 @@ def main() -> None:
                         f"seed {seed}, round {number + 1}: {classes} classes, {changes} changes",
                         highlight=False,
                     )
-            table.add(archive.transitions)
+            table.add(archive.transitions, settings.most_templates)
     table.pruned(max_nx=args.max_nx, least=args.least).save(args.out)
 
 

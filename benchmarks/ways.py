@@ -18,7 +18,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from knotgym.control.macro_actions import step_ropes
+from knotgym.control.action_sequence import step_ropes
 from knotgym.generate.states.archive import Archive, Elite
 from knotgym.generate.states.curation import codes_of
 from knotgym.simulation import Simulation
@@ -75,7 +75,11 @@ def main() -> None:
     for nx in range(args.most_nx + 1):
         lengths: dict[str, int] = {}
         for code in codes_of("0_1", nx):
-            elites = [one for handed in archive.handed(code) for one in archive.leading_to(handed)]
+            elites = [
+                elite
+                for chiral in archive.known_chiralities(code)
+                for elite in archive.leading_to(chiral)
+            ]
             for elite in sorted(elites, key=lambda one: len(one.sequence)):
                 if (taken := leads(simulation, elite, code)) is not None:
                     lengths[str(code)] = taken

@@ -6,9 +6,11 @@ A configuration is a frozen dataclass of numbers, strings, tuples and further co
 from __future__ import annotations
 
 import json
+import math
 import types
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, fields, is_dataclass, replace
+from numbers import Integral
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from knotgym.errors import KnotgymError
@@ -16,8 +18,48 @@ from knotgym.errors import KnotgymError
 Config = TypeVar("Config")
 
 
-class InvalidConfiguration(KnotgymError, ValueError):
+class InvalidConfig(KnotgymError, ValueError):
     """A field that a configuration does not have, or a value of the wrong type."""
+
+
+def check_numbers(
+    config: object,
+    *,
+    counts: Sequence[str] = (),
+    whole: Sequence[str] = (),
+    positive: Sequence[str] = (),
+    non_negative: Sequence[str] = (),
+    shares: Sequence[str] = (),
+    ranges: Sequence[str] = (),
+    error: type[KnotgymError] = InvalidConfig,
+) -> None:
+    """Refuse a configuration whose numbers make no sense; NaN and infinity never do.
+
+    Args:
+        config: a dataclass, whose fields the other arguments name.
+        counts: whole numbers of at least 1.
+        whole: whole numbers of at least 0.
+        positive: above 0.
+        non_negative: at least 0.
+        shares: in [0, 1].
+        ranges: pairs (least, most) of numbers of at least 0.
+        error: what is raised.
+    """
+    least_whole = {**dict.fromkeys(counts, 1), **dict.fromkeys(whole, 0)}
+    for name, least in least_whole.items():
+        value = getattr(config, name)
+        if not isinstance(value, Integral) or value < least:
+            raise error(f"{name} must be a whole number of at least {least}, got {value!r}")
+    for names, fits, right in (
+        (positive, lambda value: 0 < value < math.inf, "above 0 and finite"),
+        (non_negative, lambda value: 0 <= value < math.inf, "at least 0 and finite"),
+        (shares, lambda value: 0 <= value <= 1, "in [0, 1]"),
+        (ranges, _is_range, "two finite numbers, at least 0, the smaller one first"),
+    ):
+        for name in names:
+            value = getattr(config, name)
+            if not fits(value):
+                raise error(f"{name} must be {right}, got {value!r}")
 
 
 def as_json(config: Any) -> dict[str, Any]:
@@ -35,7 +77,7 @@ def updated(config: Config, changes: Mapping[str, Any], where: str = "") -> Conf
         where: what to call the configuration in an error.
 
     Raises:
-        InvalidConfiguration: an unknown field, or a value of another type than the field's.
+        InvalidConfig: an unknown field, or a value of another type than the field's.
         KnotgymError: the configuration refuses the value.
 
     >>> from knotgym.tasks import TaskConfig
@@ -43,13 +85,13 @@ def updated(config: Config, changes: Mapping[str, Any], where: str = "") -> Conf
     3
     """
     if not isinstance(changes, Mapping):
-        raise InvalidConfiguration(f"{where or 'settings'} must be an object, got {changes!r}")
+        raise InvalidConfig(f"{where or 'settings'} must be an object, got {changes!r}")
     assert is_dataclass(config) and not isinstance(config, type)
     hints = get_type_hints(type(config))
     known = [field.name for field in fields(config)]
     unknown = [name for name in changes if name not in known]
     if unknown:
-        raise InvalidConfiguration(
+        raise InvalidConfig(
             f"{where or 'settings'}: no field {', '.join(map(repr, unknown))}; there is"
             f" {', '.join(known)}"
         )
@@ -61,6 +103,26 @@ def updated(config: Config, changes: Mapping[str, Any], where: str = "") -> Conf
         else:
             values[name] = _typed(value, hints[name], path)
     return replace(config, **values)
+
+
+def from_json(kind: type[Config], values: Mapping[str, Any]) -> Config:
+    """A configuration of class `kind` made from what `as_json` made of one.
+
+    Raises:
+        InvalidConfig: an unknown field, or a value of another type than the field's.
+        KnotgymError: the configuration refuses a value.
+    """
+    hints = get_type_hints(kind)
+    if unknown := [name for name in values if name not in hints]:
+        raise InvalidConfig(f"{kind.__name__} has no field {', '.join(map(repr, unknown))}")
+    return kind(
+        **{
+            name: from_json(hints[name], value)
+            if is_dataclass(hints[name]) and isinstance(value, Mapping)
+            else _typed(value, hints[name], name)
+            for name, value in values.items()
+        }
+    )
 
 
 def differences(there: Any, asked: Any, where: str = "") -> Iterator[str]:
@@ -97,4 +159,8 @@ def _typed(value: Any, hint: Any, where: str) -> Any:
         elif isinstance(value, origin) and (origin is bool or not isinstance(value, bool)):
             return value
     names = " or ".join(getattr(option, "__name__", str(option)) for option in options)
-    raise InvalidConfiguration(f"{where} must be {names}, got {value!r}")
+    raise InvalidConfig(f"{where} must be {names}, got {value!r}")
+
+
+def _is_range(value: Any) -> bool:
+    return len(value) == 2 and 0 <= value[0] <= value[1] < math.inf

@@ -18,15 +18,19 @@ READING = (
     "strand_spacing",
     "smallest_region",
 )
-_FROM = {"easy": 1.5, "medium": 1.0, "hard": 0.5}
+EASE = {"easy": 1.5, "medium": 1.0, "hard": 0.5, "extreme": 0.0}  # grade -> from which ease up
 
 
 def ease(quality: Quality, limits: Limits) -> float:
     """The worst of the READING measures, each divided by its limit; 1 is just acceptable."""
-    return min(getattr(quality, name) / getattr(limits, name) for name in READING)
+    return min(getattr(quality, measure) / getattr(limits, measure) for measure in READING)
 
 
 def grade(quality: Quality, limits: Limits) -> str:
-    """The grade of a picture, one of `datasets.images.GRADES`."""
-    worst = ease(quality, limits)
-    return next((name for name, least in _FROM.items() if worst >= least), "extreme")
+    """The grade of a picture, one of `datasets.image_table.GRADES`."""
+    return grade_of(ease(quality, limits))
+
+
+def grade_of(ease: float) -> str:
+    """The grade that an ease means."""
+    return next((grade for grade, least in EASE.items() if ease >= least), "extreme")

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from knotgym.configuration import Config, InvalidConfiguration, updated
+from knotgym.configuration import Config, InvalidConfig, updated
 from knotgym.runs.executors import scheduler_of
 from knotgym.runs.options import RunOptions
 from knotgym.runs.shards import Shard
@@ -88,12 +88,12 @@ def with_settings(config: Config, path: Path | None) -> Config:
     """A configuration changed by a --settings file.
 
     Raises:
-        InvalidConfiguration: the file can't be read as JSON, or names what isn't there.
+        InvalidConfig: the file can't be read as JSON, or names what isn't there.
     """
     if path is None:
         return config
     try:
         changes = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise InvalidConfiguration(f"--settings {path} can't be read as JSON: {error}") from error
+        raise InvalidConfig(f"--settings {path} can't be read as JSON: {error}") from error
     return updated(config, changes)

@@ -1,5 +1,4 @@
-"""The expert: plans in the simulator from the very state a rope is in, and pulls what the plan
-says.
+"""The expert: plans in the simulator from the very state a rope is in, and acts the plan out.
 
 Each episode has a budget of simulated actions for all its plans together. When no plan is left to
 be had, the expert goes on without looking ahead, by macro-actions that are like those that led
@@ -15,18 +14,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.control.macro_actions import WaypointController
-from knotgym.control.planner import REST, Plan, PlannerConfig, guided, plan
-from knotgym.control.policies import Choice, Effort
+from knotgym.control.planner import REST, Plan, PlannerConfig, plan, promising
+from knotgym.control.policy import Choice, Effort
 from knotgym.control.transition_graph import TransitionGraph, shipped_transition_graph
 from knotgym.episode_batch import Episodes
 from knotgym.simulation import Simulation
 
-BLIND = "blind"  # begins the reason of a pull without a plan
+BLIND = "blind"  # begins the reason of a step without a plan
 
 
 @dataclass(eq=False)
-class _Mind:
-    """What the expert holds of one episode."""
+class _Progress:
+    """What the expert keeps of one episode.
+
+    Attributes:
+        rng: the episode's own.
+        plan: acted out now, up to `step`; None if another is wanted.
+        spent, seconds: simulated actions and wall time of all its plans.
+        kind: of the macro-action under way without a plan.
+    """
 
     rng: np.random.Generator
     plan: Plan | None = None
@@ -37,97 +43,90 @@ class _Mind:
 
 
 class Expert:
-    """Leads every rope to its goal code; a `policies.Policy`."""
+    """Leads every rope to its goal code; a `policy.PlanningPolicy`."""
 
     def __init__(
         self, config: PlannerConfig | None = None, graph: TransitionGraph | None = None
     ) -> None:
-        """Args:
-        config: how hard to plan.
-        graph: distances between codes, by default the one that comes with the package.
-        """
+        """Plan as hard as `config` says, by the distances of `graph`, else those that ship."""
         self.config = config or PlannerConfig()
-        self._atlas = graph
+        self._graph = graph
         self._simulation: Simulation | None = None
-        self._minds: dict[int, _Mind] = {}
-        self._controller = WaypointController(0)
+        self._progress: dict[int, _Progress] = {}
+        self._controller = WaypointController(0, self.config.macro_actions)
 
     def begin(self, episodes: Episodes, index: int, rng: np.random.Generator) -> None:
         if len(self._controller.beads) != episodes.count:
-            self._controller = WaypointController(episodes.count)
+            self._controller = WaypointController(episodes.count, self.config.macro_actions)
         self._controller.release(index)
-        self._minds[index] = _Mind(rng)
+        self._progress[index] = _Progress(rng)
 
     def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
         actions, moves = np.zeros((len(ids), 6), dtype=np.float32), []
-        for k, i in enumerate(ids.tolist()):
-            mind = self._minds[i]
-            if mind.plan is None or mind.step >= len(mind.plan.actions):
+        for row, index in enumerate(ids.tolist()):
+            progress = self._progress[index]
+            if progress.plan is None or progress.step >= len(progress.plan.actions):
                 began = time.perf_counter()
-                mind.plan, mind.step = self._planned(episodes, i, mind), 0
-                mind.seconds += time.perf_counter() - began
-                mind.spent += mind.plan.spent
-            if mind.step < len(mind.plan.actions):
-                actions[k] = mind.plan.actions[mind.step]
-                moves.append(mind.plan.moves[mind.step])
-                mind.step += 1
+                progress.plan, progress.step = self._plan(episodes, index, progress), 0
+                progress.seconds += time.perf_counter() - began
+                progress.spent += progress.plan.spent
+            if progress.step < len(progress.plan.actions):
+                actions[row] = progress.plan.actions[progress.step]
+                moves.append(progress.plan.moves[progress.step])
+                progress.step += 1
             else:
-                actions[k] = self._blind(episodes, i, mind)
-                moves.append(f"{BLIND} {mind.kind}")
+                actions[row] = self._act_without_plan(episodes, index, progress)
+                moves.append(f"{BLIND} {progress.kind}")
         return Choice(actions, moves)
 
-    def forget(self, index: int) -> None:
+    def replan(self, index: int) -> None:
         """Plan anew before the next action."""
-        self._minds[index].plan = None
+        self._progress[index].plan = None
         self._controller.release(index)
 
     def name(self, index: int) -> str:
         return "expert"
 
     def effort(self, index: int) -> Effort:
-        mind = self._minds[index]
-        return Effort(mind.spent, mind.seconds)
+        progress = self._progress[index]
+        return Effort(progress.spent, progress.seconds)
 
-    def _planned(self, episodes: Episodes, index: int, mind: _Mind) -> Plan:
+    def _plan(self, episodes: Episodes, index: int, progress: _Progress) -> Plan:
         if self._simulation is None:
             self._simulation = Simulation(self.config.batch_size, episodes.simulation.rope)
-        state = episodes.simulation.states([index])[0]
-        left = int(episodes.config.horizon - episodes.steps[index])
-        hold = (
-            max(1, int(episodes.config.hold - episodes.held[index]))
-            if episodes.held[index]
-            else episodes.config.hold
-        )
-        budget = self.config.budget - mind.spent
+        hold, held = episodes.config.hold, int(episodes.held[index])
         return plan(
             self._simulation,
-            state,
+            episodes.simulation.states([index])[0],
             episodes.goals[index],
-            self._used(),
+            self._graph_used(),
             self.config,
-            mind.rng,
-            steps=left,
-            hold=hold,
-            budget=budget,
+            progress.rng,
+            steps=int(episodes.config.horizon - episodes.steps[index]),
+            hold=max(1, hold - held) if held else hold,
+            budget=self.config.budget - progress.spent,
         )
 
-    def _blind(self, episodes: Episodes, index: int, mind: _Mind) -> NDArray[np.float32]:
+    def _act_without_plan(
+        self, episodes: Episodes, index: int, progress: _Progress
+    ) -> NDArray[np.float32]:
         simulation = episodes.simulation
         points = simulation.points
         if episodes.codes[index].matches(episodes.goals[index]):
-            mind.kind = REST
+            progress.kind = REST
             return simulation.actions([0], np.zeros((1, 3)), [index])[0]
         self._controller.advance(points)
         if self._controller.idle[index]:
-            distances = self._used().distances(episodes.goals[index])
-            macro_action = guided(points[index], self._used(), distances, mind.rng)
-            mind.kind = macro_action.kind
+            graph = self._graph_used()
+            distances = graph.distances(episodes.goals[index])
+            macro_action = promising(points[index], graph, distances, self.config, progress.rng)
+            progress.kind = macro_action.kind
             self._controller.begin(index, macro_action)
             self._controller.advance(points)
         forces = self._controller.forces(points)[[index]] * simulation.rope.config.max_force
         return simulation.actions(self._controller.beads[[index]], forces, [index])[0]
 
-    def _used(self) -> TransitionGraph:
-        if self._atlas is None:
-            self._atlas = shipped_transition_graph()
-        return self._atlas
+    def _graph_used(self) -> TransitionGraph:
+        if self._graph is None:
+            self._graph = shipped_transition_graph(self.config.graph)
+        return self._graph

@@ -1,26 +1,99 @@
-"""Learned policies from files: Stable-Baselines3, ONNX, TorchScript. Each needs its own library,
-imported only here and only then.
+"""Policies of the user's own: a Python function, or a model from a file.
+
+Models come from Stable-Baselines3, ONNX or TorchScript; each needs its own library, imported only
+here and only then.
 """
 
 from __future__ import annotations
 
 import importlib
+import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from knotgym.control.policies import InvalidPolicy
+from knotgym.control.policy import Choice, InvalidPolicy, UnplannedPolicy
+from knotgym.episode_batch import Episodes
+
+UserFunction = Callable[[Any, dict[str, Any], np.random.Generator], Any]
+Model = Callable[[Any], Any]
 
 
-def load_model(path: Path, word: str = "") -> Callable[[Any], Any]:
-    """A function from a batch of observations, as the environment's with one more axis in front, to
-    actions (n, 6).
+class FunctionPolicy(UnplannedPolicy):
+    """A user's function of one observation, its info and a generator."""
+
+    def __init__(self, function: UserFunction, name: str) -> None:
+        super().__init__(name)
+        self._function = function
+
+    def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
+        actions = [
+            self._function(episodes.observation(index), episodes.info(index), self._rngs[index])
+            for index in ids.tolist()
+        ]
+        return _checked(actions, self._name)
+
+
+class ModelPolicy(UnplannedPolicy):
+    """A model that maps a batch of observations to a batch of actions."""
+
+    def __init__(self, model: Model, name: str) -> None:
+        super().__init__(name)
+        self._model = model
+
+    def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
+        seen = [episodes.observation(index) for index in ids.tolist()]
+        batch: Any
+        if isinstance(seen[0], dict):
+            batch = {
+                part: np.stack([observation[part] for observation in seen]) for part in seen[0]
+            }
+        else:
+            batch = np.stack(seen)
+        return _checked(list(np.asarray(self._model(batch))), self._name)
+
+
+def _checked(actions: list[Any], name: str) -> Choice:
+    """Actions of somebody else's, cut to [-1, 1]."""
+    array = np.array([np.asarray(action, dtype=np.float32).reshape(-1) for action in actions])
+    if array.shape != (len(actions), 6) or not np.isfinite(array).all():
+        raise InvalidPolicy(
+            f"policy {name} must give 6 finite numbers an episode, got {array[:1].tolist()}"
+        )
+    return Choice(np.clip(array, -1, 1), [""] * len(actions))
+
+
+def load_function(module: str, name: str) -> UserFunction:
+    """A function (observation, info, generator) -> action, from a module.
+
+    Raises:
+        InvalidPolicy: there is no such function.
+    """
+    if os.getcwd() not in sys.path:
+        # a user's file lies where the command is typed; last, so that it hides nothing
+        sys.path.append(os.getcwd())
+    try:
+        function: UserFunction = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError, ValueError, SyntaxError) as error:
+        raise InvalidPolicy(f"no policy {module}:{name}: {error}") from error
+    if not callable(function):
+        raise InvalidPolicy(
+            f"policy {module}:{name} must be a function (observation, info, generator) -> action"
+        )
+    return function
+
+
+def load_model(path: Path, algorithm: str = "") -> Model:
+    """A function from a batch of observations to actions (n, 6).
 
     Args:
-        path: .zip, .onnx (inputs named as the observation's parts, or one input) or .pt.
-        word: the Stable-Baselines3 algorithm, "PPO" for "".
+        path: .zip, .onnx (inputs named as the observation's parts, or one input) or .pt; the model
+            takes the environment's observations with one more axis in front.
+        algorithm: of Stable-Baselines3, "PPO" for "".
 
     Raises:
         InvalidPolicy: there is no such file, it holds no such model, or its library isn't
@@ -29,7 +102,7 @@ def load_model(path: Path, word: str = "") -> Callable[[Any], Any]:
     if not path.is_file():
         raise InvalidPolicy(f"no policy file at {path}")
     try:
-        return {".zip": _sb3, ".onnx": _onnx, ".pt": _torchscript}[path.suffix](path, word)
+        return MODEL_FILES[path.suffix](path, algorithm)
     except InvalidPolicy:
         raise
     except Exception as error:  # each library has its own for a file it can't read
@@ -39,9 +112,9 @@ def load_model(path: Path, word: str = "") -> Callable[[Any], Any]:
         ) from error
 
 
-def _sb3(path: Path, word: str) -> Callable[[Any], Any]:
+def _stable_baselines3(path: Path, algorithm: str) -> Model:
     algorithms = _library("stable_baselines3", path)
-    name = word or "PPO"
+    name = algorithm or "PPO"
     if not hasattr(algorithms, name):
         raise InvalidPolicy(
             f"Stable-Baselines3 has no algorithm {name!r}; name it after the file, as in {path}:SAC"
@@ -50,37 +123,45 @@ def _sb3(path: Path, word: str) -> Callable[[Any], Any]:
     return lambda batch: model.predict(batch, deterministic=True)[0]
 
 
-def _onnx(path: Path, word: str) -> Callable[[Any], Any]:
-    session = _library("onnxruntime", path).InferenceSession(
-        str(path), providers=["CPUExecutionProvider"]
-    )
-    names = [one.name for one in session.get_inputs()]
-    return lambda batch: session.run(None, batch if isinstance(batch, dict) else {names[0]: batch})[
-        0
-    ]
+def _onnx(path: Path, algorithm: str) -> Model:
+    runtime = _library("onnxruntime", path)
+    session = runtime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    first = session.get_inputs()[0].name
+
+    def act(batch: Any) -> Any:
+        return session.run(None, batch if isinstance(batch, dict) else {first: batch})[0]
+
+    return act
 
 
-def _torchscript(path: Path, word: str) -> Callable[[Any], Any]:
+def _torchscript(path: Path, algorithm: str) -> Model:
     torch = _library("torch", path)
     model = torch.jit.load(str(path), map_location="cpu").eval()
 
     def act(batch: Any) -> Any:
         with torch.no_grad():
-            given = (
-                {name: torch.from_numpy(part) for name, part in batch.items()}
-                if isinstance(batch, dict)
-                else torch.from_numpy(batch)
-            )
-            return np.asarray(model(given))
+            if isinstance(batch, dict):
+                return np.asarray(
+                    model({part: torch.from_numpy(values) for part, values in batch.items()})
+                )
+            return np.asarray(model(torch.from_numpy(batch)))
 
     return act
+
+
+# suffix -> what reads such a file, given a Stable-Baselines3 algorithm's name or ""
+MODEL_FILES: dict[str, Callable[[Path, str], Model]] = {
+    ".zip": _stable_baselines3,
+    ".onnx": _onnx,
+    ".pt": _torchscript,
+}
 
 
 def _library(name: str, path: Path) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError as error:
+        package = name.replace("_", "-")
         raise InvalidPolicy(
-            f"{path} needs {name.replace('_', '-')}, which isn't installed: pip install"
-            f" {name.replace('_', '-')}"
+            f"{path} needs {package}, which isn't installed: pip install {package}"
         ) from error

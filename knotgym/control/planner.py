@@ -1,10 +1,10 @@
-"""Planning in the simulator: pulls that lead a rope from the very state it is in to a Gauss code.
+"""Planning in the simulator: steps that lead a rope from the very state it is in to a Gauss code.
 
 A pool of states met is kept by their codes. Copies of the rope set out from states whose codes are
-near the goal, as the graph tells, each through one macro_action: the most promising of several that
-are surrogate_rollout, some of them like those that made a change towards the goal before; or any.
-Every new code on the way joins the pool. MuJoCo repeats itself bit for bit from an integration
-state, so a plan that reaches the goal here reaches it.
+near the goal, as the transition graph tells, each through one macro-action: the most promising of
+several whose surrogate rollouts are looked at, some of them like those that made a change towards
+the goal before; or any. Every new code on the way joins the pool. MuJoCo repeats itself bit for bit
+from an integration state, so a plan that reaches the goal here reaches it.
 """
 
 from __future__ import annotations
@@ -15,30 +15,34 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.configuration import check_numbers
+from knotgym.control.action_sequence import step_ropes
 from knotgym.control.macro_actions import (
     MacroAction,
+    MacroActionConfig,
     WaypointController,
     move_aside,
     pass_strand,
     propose,
-    step_ropes,
 )
-from knotgym.control.surrogate import surrogate_rollout
+from knotgym.control.surrogate import SurrogateConfig, surrogate_rollout
 from knotgym.control.transition_counts import MacroTemplate, Places
-from knotgym.control.transition_graph import Distances, Step, TransitionGraph
+from knotgym.control.transition_graph import (
+    Distances,
+    Step,
+    TransitionGraph,
+    TransitionGraphConfig,
+)
 from knotgym.errors import KnotgymError
 from knotgym.rope import Array
 from knotgym.simulation import Simulation
 from knotgym.topology.crossings import find_crossings, label_many
 from knotgym.topology.gauss import GaussCode
 
-_STUCK = 24  # macro-actions from one code
-_TRUST = 3  # failures after which a promise counts half
-_SKETCHED = 10  # pulls of a surrogate rollout
 # code set out from, nearest code in a surrogate rollout -> macro-actions chosen for it
-Tried = Counter[tuple[GaussCode, GaussCode]]
+Promises = Counter[tuple[GaussCode, GaussCode]]
 
-REST = "rest"  # the kind of a pull with no force, by which a code is held
+REST = "rest"  # the kind of a step with no force, by which a code is held
 
 
 class InvalidPlanner(KnotgymError, ValueError):
@@ -52,14 +56,26 @@ class PlannerConfig:
     Attributes:
         budget: simulated actions for one episode at most, all its plans together.
         batch_size: copies of the rope led side by side.
-        guided: share of macro-actions that are chosen among `surrogate_rollouts`; the others are
-        any.
-        surrogate_rollouts: macro-actions surrogate_rollout for each one chosen.
-        longest: pulls of one macro_action.
+        guided: share of macro-actions that are chosen by surrogate rollouts; the others are any.
+        surrogate_rollouts: macro-actions looked at for each one so chosen.
+        longest: steps of one macro-action.
         kept: states kept for a code.
         greed: how much likelier a state is to be set out from the nearer it is; 0 for not at all.
-        stride: pulls that a change of code takes, about.
-        patience: pulls later at which a state is e times less likely to be set out from.
+        stride: steps that a change of code takes, about.
+        least_stride: steps that it takes at least: states too late for the changes left are
+            dropped.
+        unknown_hops: changes of code to the goal where the graph knows no path.
+        patience: steps later at which a state is e times less likely to be set out from.
+        weariness: macro-actions from a code that halve its chance to be set out from again.
+        try_cost: steps that a macro-action from a state counts as when the worst state of a code
+            is dropped.
+        stuck: macro-actions from a code after which states that show it, lying otherwise, are kept
+            too.
+        trust: macro-actions chosen for the same promise after which it counts half.
+        template_noise: standard deviation of a template's places along the arcs, in arcs.
+        graph: how distances are counted.
+        macro_actions: how they are drawn and carried out.
+        surrogate: how their surrogate rollouts move the rope.
     """
 
     budget: int = 20000
@@ -70,23 +86,28 @@ class PlannerConfig:
     kept: int = 6
     greed: float = 4.0
     stride: float = 6.0
+    least_stride: int = 2
+    unknown_hops: int = 2
     patience: float = 10.0
+    weariness: float = 10.0
+    try_cost: float = 2.0
+    stuck: int = 24
+    trust: float = 3.0
+    template_noise: float = 0.1
+    graph: TransitionGraphConfig = TransitionGraphConfig()
+    macro_actions: MacroActionConfig = MacroActionConfig()
+    surrogate: SurrogateConfig = SurrogateConfig()
 
     def __post_init__(self) -> None:
-        for name in ("batch_size", "surrogate_rollouts", "longest", "kept"):
-            if getattr(self, name) < 1:
-                raise InvalidPlanner(f"{name} must be at least 1, got {getattr(self, name)}")
-        if self.budget < 0:
-            raise InvalidPlanner(f"budget must be at least 0 actions, got {self.budget}")
-        if not 0 <= self.guided <= 1:
-            raise InvalidPlanner(f"guided must be in [0, 1], got {self.guided}")
-        if not 0 <= self.greed < np.inf:
-            raise InvalidPlanner(f"greed must be at least 0 and finite, got {self.greed}")
-        if not (0 <= self.stride < np.inf and 0 < self.patience < np.inf):
-            raise InvalidPlanner(
-                f"stride must be at least 0 and patience above 0, both finite; got {self.stride}"
-                f" and {self.patience}"
-            )
+        check_numbers(
+            self,
+            counts=("batch_size", "surrogate_rollouts", "longest", "kept"),
+            whole=("budget", "least_stride", "unknown_hops", "stuck"),
+            positive=("patience", "weariness", "trust"),
+            non_negative=("greed", "stride", "try_cost", "template_noise"),
+            shares=("guided",),
+            error=InvalidPlanner,
+        )
 
 
 @dataclass(eq=False)
@@ -96,9 +117,9 @@ class Node:
     Attributes:
         state: integration state, float64.
         code: shown, with chirality.
-        pulls: from the state planned from.
+        steps: from the state planned from.
         before: the node that the last macro-action set out from, None at the root.
-        kind: of that macro_action.
+        kind: of that macro-action.
         actions: of that macro-action up to here, float32 (k, 6).
         tries: macro-actions that set out from here.
     """
@@ -138,6 +159,11 @@ class _Branch:
     code: GaussCode
     actions: list[NDArray[np.float32]] = field(default_factory=list)
 
+    @property
+    def steps(self) -> int:
+        """From the state planned from."""
+        return self.node.steps + len(self.actions)
+
 
 def plan(
     simulation: Simulation,
@@ -151,47 +177,42 @@ def plan(
     hold: int = 1,
     budget: int | None = None,
 ) -> Plan:
-    """Find pulls that lead to the goal code.
+    """Find steps that lead to the goal code.
 
     Args:
-        simulation: at least `config.slots` ropes, whose states are overwritten.
+        simulation: at least `config.batch_size` ropes, whose states are overwritten.
         state: integration state to set out from.
         goal: compared without chirality.
         graph: knows distances; an empty one guides by crossings alone.
         config: how hard to try.
         rng: decides what is tried.
-        steps: pulls there are.
+        steps: that there are.
         hold: consecutive states that shall show the goal.
         budget: simulated actions, instead of the configuration's.
 
     Returns:
-        The first plan found that reaches the goal; for want of one, the way to the state nearest to
-        it.
+        The first plan found that reaches the goal; for want of one, the plan to the state nearest
+        to it.
     """
-    return _Search(simulation, state, goal, graph, config, rng, steps, hold).run(
-        config.budget if budget is None else budget
-    )
+    search = _Search(simulation, state, goal, graph, config, rng, steps, hold)
+    return search.run(config.budget if budget is None else budget)
 
 
-def guided(
-    points: Array, graph: TransitionGraph, distances: Distances, rng: np.random.Generator
+def promising(
+    points: Array,
+    graph: TransitionGraph,
+    distances: Distances,
+    config: PlannerConfig,
+    rng: np.random.Generator,
 ) -> MacroAction:
-    """A macro-action that promises to lead towards the goal."""
+    """A macro-action that promises to lead towards the goal of `distances`."""
     code = find_crossings(points).code
-    return _foreseen(
-        points,
-        code,
-        graph.steps(code, distances),
-        distances,
-        rng,
-        Counter(),
-        PlannerConfig().surrogate_rollouts,
-    )
+    steps = graph.steps(code, distances)
+    return _most_promising(points, code, steps, distances, config, rng, Counter())
 
 
 def reason(before: GaussCode, after: GaussCode, kind: str) -> str:
-    """Name what a macro-action did to a code, and the macro_action: "R1+ curl", "R2- pass", "slide
-    spread".
+    """Name what a macro-action did to a code, and its kind: "R1+ curl", "R2- pass".
 
     R1 and R2, + or -, are one or two crossings more or less; "slide" moves the base bead past
     crossings; R3 keeps number and writhe of three crossings or more; what is left is "other", and
@@ -226,13 +247,8 @@ class _Search:
         steps: int,
         hold: int,
     ) -> None:
-        self.simulation, self.goal, self.graph, self.config, self.rng = (
-            simulation,
-            goal,
-            graph,
-            config,
-            rng,
-        )
+        self.simulation, self.goal, self.graph = simulation, goal, graph
+        self.config, self.rng = config, rng
         self.steps, self.hold = steps, hold
         simulation.restore(state[None], [0])
         self.root = Node(state, label_many(simulation.points[:1])[0])
@@ -240,65 +256,75 @@ class _Search:
         self.pool: dict[GaussCode, list[Node]] = {self.root.code: [self.root]}
         self.tries: dict[GaussCode, int] = {}
         self.towards: dict[GaussCode, list[Step]] = {}
-        self.promised: Tried = Counter()
-        self.controller = WaypointController(simulation.count)
+        self.promises: Promises = Counter()
+        self.controller = WaypointController(simulation.count, config.macro_actions)
+        self.branches: dict[int, _Branch] = {}  # by the rope of the simulation
+        self.spent = 0
 
     def run(self, budget: int) -> Plan:
+        """Search until the goal is reached or the budget spent."""
         count = self.config.batch_size
-        branches: list[_Branch | None] = [None] * count
-        ids = np.arange(count)
-        spent = 0
-        while spent + count <= budget and self.steps > 0:
+        while self.spent + count <= budget and self.steps > 0:
             for row in range(count):
-                if branches[row] is None:
-                    branches[row] = self._set_out(row)
-            self.controller.advance(self.simulation.points)
-            actions, held = step_ropes(
-                self.simulation,
-                self.controller.beads[:count],
-                self.controller.forces(self.simulation.points)[:count],
-                ids,
-            )
-            spent += count
-            codes = label_many(self.simulation.points[:count])
-            self.controller.advance(self.simulation.points)
-            ended = self.controller.idle
-            for row, branch in enumerate(branches):
-                if branch is None or not held[row]:
-                    branches[row] = None
-                    continue
-                branch.actions.append(actions[row])
-                steps = branch.node.steps + len(branch.actions)
-                last = (
-                    bool(ended[row])
-                    or len(branch.actions) >= self.config.longest
-                    or steps >= self.steps
-                )
-                # then the same code, lying otherwise, is worth setting out from
-                stuck = self.tries.get(branch.node.code, 0) > _STUCK
-                if codes[row] != branch.code or (
-                    last and (stuck or codes[row] != branch.node.code)
-                ):
-                    node = self._met(row, branch, codes[row])
-                    if codes[row].matches(self.goal):
-                        reached, cost = self._holding(row, node)
-                        spent += cost
-                        if reached is not None:
-                            return _plan(reached, True, spent)
-                        last = True
-                    last |= self.distances(codes[row]) < self.distances(branch.node.code)
-                branch.code = codes[row]
-                if last:
-                    branches[row] = None
-        best = min(
+                if row not in self.branches:
+                    self.branches[row] = self._set_out(row)
+            reached = self._step()
+            if reached is not None:
+                return _plan_to(reached, True, self.spent)
+        nearest = min(
             (node for nodes in self.pool.values() for node in nodes),
-            key=lambda one: (self.distances(one.code), one.steps),
+            key=lambda node: (self.distances(node.code), node.steps),
         )
-        return _plan(best, False, spent)
+        return _plan_to(nearest, False, self.spent)
+
+    def _step(self) -> Node | None:
+        """Take one step of every branch; the node at which the goal has been held, if any is."""
+        count, simulation, controller = self.config.batch_size, self.simulation, self.controller
+        controller.advance(simulation.points)
+        forces = controller.forces(simulation.points)[:count]
+        actions, held = step_ropes(simulation, controller.beads[:count], forces, np.arange(count))
+        self.spent += count
+        codes = label_many(simulation.points[:count])
+        controller.advance(simulation.points)
+        idle = controller.idle
+        for row in range(count):
+            if not held[row]:
+                del self.branches[row]
+                continue
+            branch, code = self.branches[row], codes[row]
+            branch.actions.append(actions[row])
+            ended = bool(idle[row]) or self._is_over(branch)
+            if self._is_worth_keeping(branch, code, ended):
+                node = self._keep(row, branch, code)
+                if code.matches(self.goal):
+                    reached = self._hold_goal(row, node)
+                    if reached is not None:
+                        return reached
+                    ended = True
+                ended |= self.distances(code) < self.distances(branch.node.code)
+            branch.code = code
+            if ended:
+                del self.branches[row]
+        return None
+
+    def _is_over(self, branch: _Branch) -> bool:
+        """Whether the branch, or the episode, has no step left."""
+        return len(branch.actions) >= self.config.longest or branch.steps >= self.steps
+
+    def _is_worth_keeping(self, branch: _Branch, code: GaussCode, ended: bool) -> bool:
+        """Whether the state joins the pool: a code just changed, or a macro-action's end.
+
+        An end with the code that the branch set out from counts only where that code is stuck: then
+        the same code, lying otherwise, is worth setting out from.
+        """
+        if code != branch.code:
+            return True
+        stuck = self.tries.get(branch.node.code, 0) > self.config.stuck
+        return ended and (stuck or code != branch.node.code)
 
     def _set_out(self, row: int) -> _Branch:
         """Choose a state and a macro-action, and lay a rope there."""
-        node = self._chosen()
+        node = self._choose()
         node.tries += 1
         self.tries[node.code] = self.tries.get(node.code, 0) + 1
         self.simulation.restore(node.state[None], [row])
@@ -306,141 +332,150 @@ class _Search:
         if self.rng.random() < self.config.guided:
             if node.code not in self.towards:
                 self.towards[node.code] = self.graph.steps(node.code, self.distances)
-            macro_action = _foreseen(
+            macro_action = _most_promising(
                 points,
                 node.code,
                 self.towards[node.code],
                 self.distances,
+                self.config,
                 self.rng,
-                self.promised,
-                self.config.surrogate_rollouts,
+                self.promises,
             )
         else:
-            macro_action = propose(points, self.rng)
+            macro_action = propose(points, self.rng, self.config.macro_actions)
         self.controller.begin(row, macro_action)
         return _Branch(node, macro_action.kind, node.code)
 
-    def _chosen(self) -> Node:
+    def _choose(self) -> Node:
+        """Draw a code, near and early ones more often, then a state that shows it."""
+        config = self.config
         codes = [code for code, nodes in self.pool.items() if nodes]
         far = np.array([self.distances(code) for code in codes])
         tries = np.array([self.tries.get(code, 0) for code in codes])
+        earliest = [min(node.steps for node in self.pool[code]) for code in codes]
+        hops = [self._hops(code) for code in codes]
         late = np.array(
-            [
-                min(node.steps for node in self.pool[code])
-                + self.config.stride * self.distances.hops.get(code, 2)
-                for code in codes
-            ]
+            [steps + config.stride * left for steps, left in zip(earliest, hops, strict=True)]
         )
         weights = (
-            (1 + far) ** -self.config.greed
-            / (1 + tries / 10)
-            * np.exp(-(late - late.min()) / self.config.patience)
+            (1 + far) ** -config.greed
+            / (1 + tries / config.weariness)
+            * np.exp(-(late - late.min()) / config.patience)
         )
         nodes = self.pool[codes[self.rng.choice(len(codes), p=weights / weights.sum())]]
         fresh = np.array(
-            [np.exp(-node.steps / self.config.patience) / (1 + node.tries) for node in nodes]
+            [np.exp(-node.steps / config.patience) / (1 + node.tries) for node in nodes]
         )
         return nodes[self.rng.choice(len(nodes), p=fresh / fresh.sum())]
 
-    def _met(self, row: int, branch: _Branch, code: GaussCode) -> Node:
-        """Keep a state, if there is a way on from it; of too many with one code the longest and
-        most tried goes.
+    def _hops(self, code: GaussCode) -> int:
+        """Changes of code from here to the goal, about."""
+        return self.distances.hops.get(code, self.config.unknown_hops)
+
+    def _keep(self, row: int, branch: _Branch, code: GaussCode) -> Node:
+        """Put a state into the pool, if there are steps enough left to go on from it.
+
+        Of too many with one code the longest and most tried goes.
         """
-        steps = branch.node.steps + len(branch.actions)
         node = Node(
             self.simulation.states([row])[0],
             code,
-            steps,
+            branch.steps,
             branch.node,
             branch.kind,
             tuple(branch.actions),
         )
-        if steps + 2 * self.distances.hops.get(code, 2) <= self.steps:
+        if node.steps + self.config.least_stride * self._hops(code) <= self.steps:
             nodes = self.pool.setdefault(code, [])
             nodes.append(node)
             if len(nodes) > self.config.kept:
-                nodes.remove(max(nodes, key=lambda one: one.steps + 2 * one.tries))
+                cost = self.config.try_cost
+                nodes.remove(max(nodes, key=lambda node: node.steps + cost * node.tries))
         return node
 
-    def _holding(self, row: int, node: Node) -> tuple[Node | None, int]:
-        """The node at which the goal has been held long enough, and the actions simulated; None if
-        it is lost.
-        """
+    def _hold_goal(self, row: int, node: Node) -> Node | None:
+        """Rest until the goal has been held long enough; None if it is lost before."""
         still: tuple[NDArray[np.float32], ...] = ()
         for extra in range(1, self.hold):
             actions, held = step_ropes(
                 self.simulation, np.array([0]), np.zeros((1, 3)), np.array([row])
             )
+            self.spent += 1
             still = (*still, actions[0])
-            if (
-                not held[0]
-                or node.steps + extra > self.steps
-                or not label_many(self.simulation.points[row : row + 1])[0].matches(self.goal)
-            ):
-                return None, extra
+            if not held[0] or node.steps + extra > self.steps:
+                return None
+            if not label_many(self.simulation.points[row : row + 1])[0].matches(self.goal):
+                return None
         if not still:
-            return node, 0
-        return Node(
-            self.simulation.states([row])[0], node.code, node.steps + len(still), node, REST, still
-        ), len(still)
+            return node
+        state = self.simulation.states([row])[0]
+        return Node(state, node.code, node.steps + len(still), node, REST, still)
 
 
-def _foreseen(
+def _most_promising(
     points: Array,
     code: GaussCode,
     steps: list[Step],
     distances: Distances,
+    config: PlannerConfig,
     rng: np.random.Generator,
-    tried: Tried,
-    count: int,
+    promises: Promises,
 ) -> MacroAction:
-    """Of some macro-actions, half of them held as ones that made a change towards the goal, the one
-    whose surrogate rollout comes nearest to it.
+    """Of some macro-actions the one whose surrogate rollout comes nearest to the goal.
 
-    What a surrogate rollout promises counts the less the oftener it was chosen for the same
-    promise; the choice is counted in `tried`.
+    Every second one follows a template that made a change towards the goal before. What a rollout
+    promises counts the less the oftener a macro-action was chosen for the same promise; the choice
+    is counted in `promises`.
     """
     places = Places(find_crossings(points), len(points))
     weights = np.array([step.chance * step.gain for step in steps])
     here, best, promise, chosen = distances(code), -np.inf, code, None
-    for number in range(count):
+    for number in range(config.surrogate_rollouts):
         if steps and number % 2 == 0:
             templates = steps[rng.choice(len(steps), p=weights / weights.sum())].templates
-            macro_action = held_so(points, templates[rng.integers(len(templates))], places, rng)
+            template = templates[rng.integers(len(templates))]
+            macro_action = from_template(points, template, places, config, rng)
         else:
-            macro_action = propose(points, rng)
-        nearest = min(label_many(surrogate_rollout(points, macro_action, _SKETCHED)), key=distances)
-        gain = (here - distances(nearest)) / (1 + tried[code, nearest] / _TRUST)
+            macro_action = propose(points, rng, config.macro_actions)
+        frames = surrogate_rollout(
+            points, macro_action, config.macro_actions.arrived, config.surrogate
+        )
+        nearest = min(label_many(frames), key=distances)
+        gain = (here - distances(nearest)) / (1 + promises[code, nearest] / config.trust)
         if gain > best:
             best, promise, chosen = gain, nearest, macro_action
-    assert chosen is not None  # count is at least 1, and no distance is infinite
-    tried[code, promise] += 1
+    assert chosen is not None  # there is at least one, and no distance is infinite
+    promises[code, promise] += 1
     return chosen
 
 
-def held_so(
-    points: Array, template: MacroTemplate, places: Places, rng: np.random.Generator
+def from_template(
+    points: Array,
+    template: MacroTemplate,
+    places: Places,
+    config: PlannerConfig,
+    rng: np.random.Generator,
 ) -> MacroAction:
     """The macro-action of a template on a rope, its places along the arcs varied a little."""
 
     def bead(place: float) -> int:
-        along = np.clip(place % 1.0 + rng.normal(0, 0.1), 0.0, 0.999)
+        along = np.clip(place % 1.0 + rng.normal(0, config.template_noise), 0.0, 0.999)
         return places.bead(int(place) + float(along))
 
+    kind, side, led = template.kind, template.side, bead(template.bead)
     if template.target >= 0:
-        return pass_strand(
-            points, template.kind, bead(template.bead), bead(template.target), template.side, rng
-        )
-    return move_aside(points, template.kind, bead(template.bead), template.side, rng)
+        target = bead(template.target)
+        return pass_strand(points, kind, led, target, side, rng, config.macro_actions)
+    return move_aside(points, kind, led, side, rng, config.macro_actions)
 
 
-def _plan(node: Node, solved: bool, spent: int) -> Plan:
-    """The way from the root to a node."""
-    parts: list[tuple[tuple[NDArray[np.float32], ...], str]] = []
+def _plan_to(node: Node, solved: bool, spent: int) -> Plan:
+    """The actions from the root to a node."""
+    stretches: list[tuple[tuple[NDArray[np.float32], ...], str]] = []
     while node.before is not None:
-        parts.append((node.actions, reason(node.before.code, node.code, node.kind)))
+        stretches.append((node.actions, reason(node.before.code, node.code, node.kind)))
         node = node.before
-    parts.reverse()
-    actions = [action for some, _ in parts for action in some]
-    moves = tuple(why for some, why in parts for _ in some)
+    stretches.reverse()
+    actions = [action for taken, _ in stretches for action in taken]
+    moves = tuple(move for taken, move in stretches for _ in taken)
     return Plan(np.array(actions, dtype=np.float32).reshape(-1, 6), moves, solved, spent)

@@ -1,21 +1,23 @@
 """Rollouts: a policy acting in the environment's own episodes.
 
 Episode i of a run with seed s is what `env.reset(seed=episode_seed(s, i))` begins, whichever
-process plays it and whatever is played beside it; the policy draws from stream POLICY.
-Nothing is drawn as a picture here: an episode keeps the rope, and its observations are made from
-that.
+process plays it and whatever is played beside it; the policy draws from stream POLICY. No picture
+is drawn here: an episode keeps the rope, and its observations are made from that.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from knotgym.control.policies import Effort, Policy
+from knotgym.control.policy import Effort, Policy
 from knotgym.datasets.trajectory import Episode
 from knotgym.episode_batch import Episodes
+from knotgym.rope import Array
 from knotgym.streams import Stream, derived_seed, generator
 from knotgym.tasks import TaskConfig
 
@@ -42,22 +44,27 @@ class Rollout:
 
 @dataclass(eq=False)
 class _Track:
-    """What has been seen of one episode."""
+    """What has been seen of one episode; the lists have a place for each action, or each state."""
 
-    start_qpos: np.ndarray
-    goal_points: np.ndarray
+    start_qpos: Array
+    goal_points: Array
     options: dict[str, int]
     goal: str
-    points: list[np.ndarray] = field(default_factory=list)
-    actions: list[np.ndarray] = field(default_factory=list)
-    ends: list[tuple[float, bool, bool]] = field(default_factory=list)
+    points: list[Array] = field(default_factory=list)
     infos: list[dict[str, object]] = field(default_factory=list)
+    actions: list[NDArray[np.float32]] = field(default_factory=list)
+    rewards: list[float] = field(default_factory=list)
+    terminations: list[bool] = field(default_factory=list)
+    truncations: list[bool] = field(default_factory=list)
+
+    def see(self, episodes: Episodes, index: int, move: str) -> None:
+        """Keep the state that the episode is in now, and why it came to be."""
+        self.points.append(episodes.simulation.points[index].copy())
+        self.infos.append({**episodes.info(index), "move": move})
 
 
 def episode_seed(seed: int, number: int) -> int:
-    """The seed of the reset that begins episode `number` of a run: 52 bits, so that JSON can hold
-    it.
-    """
+    """The seed of the reset that begins episode `number` of a run, 52 bits for JSON's sake."""
     return derived_seed(Stream.EPISODE, seed, number)
 
 
@@ -75,28 +82,19 @@ def rollout(task: TaskConfig, policy: Policy, numbers: Sequence[int], seed: int)
     for index, number in enumerate(numbers):
         episodes.begin(index, np.random.default_rng(episode_seed(seed, number)))
         policy.begin(episodes, index, generator(Stream.POLICY, seed, number))
-        info = episodes.info(index)
-        options = {name: int(info[name]) for name in ("start", "goal")}
-        track = _Track(
-            episodes.simulation.qpos([index])[0],
-            episodes.goal_points(index),
-            options,
-            str(info["goal_gauss_code"]),
-        )
-        track.points.append(episodes.simulation.points[index].copy())
-        track.infos.append({**info, "move": ""})
-        tracks.append(track)
-    going = np.arange(len(numbers))
-    while len(going):
-        actions, moves = policy.act(episodes, going)
-        rewards, terminated, truncated = episodes.step(actions, going)
-        for k, index in enumerate(going.tolist()):
+        tracks.append(_begun(episodes, index))
+    under_way = np.arange(len(numbers))
+    while len(under_way):
+        actions, moves = policy.act(episodes, under_way)
+        rewards, terminated, truncated = episodes.step(actions, under_way)
+        for row, index in enumerate(under_way.tolist()):
             track = tracks[index]
-            track.actions.append(actions[k].copy())
-            track.ends.append((float(rewards[k]), bool(terminated[k]), bool(truncated[k])))
-            track.points.append(episodes.simulation.points[index].copy())
-            track.infos.append({**episodes.info(index), "move": moves[k]})
-        going = going[~(terminated | truncated)]
+            track.actions.append(actions[row].copy())
+            track.rewards.append(float(rewards[row]))
+            track.terminations.append(bool(terminated[row]))
+            track.truncations.append(bool(truncated[row]))
+            track.see(episodes, index, moves[row])
+        under_way = under_way[~(terminated | truncated)]
     return [
         Rollout(
             number,
@@ -107,21 +105,31 @@ def rollout(task: TaskConfig, policy: Policy, numbers: Sequence[int], seed: int)
     ]
 
 
-def _episode(track: _Track, policy: str, seed: int) -> Episode:
-    rewards, terminations, truncations = zip(*track.ends, strict=True)
+def _begun(episodes: Episodes, index: int) -> _Track:
+    """The track of an episode that has just begun."""
+    info = episodes.info(index)
+    track = _Track(
+        start_qpos=episodes.simulation.qpos([index])[0],
+        goal_points=episodes.goal_points(index),
+        options={name: int(info[name]) for name in ("start", "goal")},
+        goal=str(info["goal_gauss_code"]),
+    )
+    track.see(episodes, index, move="")
+    return track
 
-    def column(name: str, dtype: type) -> np.ndarray:
+
+def _episode(track: _Track, policy: str, seed: int) -> Episode:
+    def column(name: str, dtype: type) -> NDArray[Any]:
         return np.array([info[name] for info in track.infos], dtype=dtype)
 
-    moves = column("move", np.str_)
     return Episode(
         start_qpos=track.start_qpos,
         points=np.stack(track.points),
         goal_points=track.goal_points,
         actions=np.stack(track.actions),
-        rewards=np.array(rewards, dtype=np.float64),
-        terminations=np.array(terminations, dtype=bool),
-        truncations=np.array(truncations, dtype=bool),
+        rewards=np.array(track.rewards, dtype=np.float64),
+        terminations=np.array(track.terminations, dtype=bool),
+        truncations=np.array(track.truncations, dtype=bool),
         gauss_code=column("gauss_code", np.str_),
         gauss_code_chiral=column("gauss_code_chiral", np.str_),
         crossings=column("crossings", np.int64),
@@ -129,7 +137,7 @@ def _episode(track: _Track, policy: str, seed: int) -> Episode:
         force=column("force", np.float64),
         is_success=column("is_success", np.bool_),
         simulation_failed=column("simulation_failed", np.bool_),
-        move=moves,
+        move=column("move", np.str_),
         goal_gauss_code=track.goal,
         seed=seed,
         options=track.options,

@@ -1,35 +1,84 @@
-"""Sketches of macro_actions: about where a rope would lie, without simulating it.
+"""Surrogate rollouts: about where a macro-action would lead a rope, without simulating it.
 
-The pulled bead goes straight to its waypoints and takes its neighbours along; from there on to both
+The led bead goes straight to its waypoints and takes its neighbours along; from there on to both
 sides every vertex follows the one before it at its distance, as the links of a chain do in
 something thick. Inertia, contact and the drag in the joints are left out: of the codes that
-surrogate_rollouts show one in four is one that the simulated rope goes through. A surrogate rollout
-takes about a seventh of a millisecond.
+surrogate rollouts show one in four is one that the simulated rope goes through. A rollout takes
+about a seventh of a millisecond.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numba import njit
 
-from knotgym.control.macro_actions import ARRIVED, MacroAction
+from knotgym.configuration import check_numbers
+from knotgym.control.macro_actions import MacroAction
 from knotgym.rope import Array
 
-PACE = 0.03  # metres that a pull leads a bead, on average
-_STEP = 0.006  # metres in one go
-_REACH = 2.0  # vertices away at which a neighbour is taken along by exp(-1/2)
+_LEAST_SHARE = 1e-3  # of the bead's motion, below which a neighbour isn't taken along
 
 
-def surrogate_rollout(points: Array, macro_action: MacroAction, steps: int) -> Array:
-    """Configurations about after each pull of a macro-action, `pulls` at most: float64 (k, beads,
-    3), metres.
+@dataclass(frozen=True, kw_only=True)
+class SurrogateConfig:
+    """How surrogate rollouts move a rope.
+
+    Attributes:
+        steps: of the rope that a rollout foresees.
+        pace: metres that a step leads a bead, on average.
+        stride: metres that the surrogate moves the bead at once.
+        reach: vertices away at which a neighbour is taken along by exp(-1/2).
     """
-    frames, count = _led(points, macro_action.bead, macro_action.waypoints, steps)
+
+    steps: int = 10
+    pace: float = 0.03
+    stride: float = 0.006
+    reach: float = 2.0
+
+    def __post_init__(self) -> None:
+        check_numbers(self, counts=("steps",), positive=("pace", "stride", "reach"))
+
+
+def surrogate_rollout(
+    points: Array, macro_action: MacroAction, arrived: float, config: SurrogateConfig
+) -> Array:
+    """Configurations about after each step of a macro-action.
+
+    Args:
+        points: float64 (beads, 3), metres; left alone.
+        macro_action: what the rope is led through.
+        arrived: metres from a waypoint that count as there.
+        config: how the rope moves.
+
+    Returns:
+        float64 (k, beads, 3), metres, `config.steps` of them at most.
+    """
+    frames, count = _lead(
+        points,
+        macro_action.bead,
+        macro_action.waypoints,
+        arrived,
+        config.steps,
+        config.pace,
+        config.stride,
+        config.reach,
+    )
     return frames[:count]
 
 
 @njit(cache=True)
-def _led(points: Array, bead: int, waypoints: Array, steps: int) -> tuple[Array, int]:
+def _lead(
+    points: Array,
+    bead: int,
+    waypoints: Array,
+    arrived: float,
+    steps: int,
+    pace: float,
+    stride: float,
+    reach: float,
+) -> tuple[Array, int]:
     n = len(points)
     half = n // 2
     now = points.copy()
@@ -38,29 +87,29 @@ def _led(points: Array, bead: int, waypoints: Array, steps: int) -> tuple[Array,
     for i in range(n):
         lengths[i] = np.sqrt(((points[(i + 1) % n] - points[i]) ** 2).sum())
     for k in range(half):
-        taken[k] = np.exp(-0.5 * (k / _REACH) ** 2)
-    sequence = np.empty(3)
+        taken[k] = np.exp(-0.5 * (k / reach) ** 2)
+    move = np.empty(3)
     stage, count, walked = 0, 0, 0.0
     while stage < len(waypoints) and count < steps:
         for c in range(3):
-            sequence[c] = waypoints[stage, c] - 0.5 * (now[bead, c] + now[(bead + 1) % n, c])
-        far = np.sqrt((sequence**2).sum())
-        if far < ARRIVED:
+            move[c] = waypoints[stage, c] - 0.5 * (now[bead, c] + now[(bead + 1) % n, c])
+        far = np.sqrt((move**2).sum())
+        if far < arrived:
             stage += 1
             continue
-        step = min(_STEP, far)
-        sequence *= step / far
+        step = min(stride, far)
+        move *= step / far
         for k in range(half):
-            if taken[k] < 1e-3:
+            if taken[k] < _LEAST_SHARE:
                 break
-            now[(bead + 1 + k) % n] += taken[k] * sequence
-            now[(bead - k) % n] += taken[k] * sequence
+            now[(bead + 1 + k) % n] += taken[k] * move
+            now[(bead - k) % n] += taken[k] * move
         for k in range(half - 1):
             ahead, back = (bead + 1 + k) % n, (bead - k) % n
             _follow(now, ahead, (ahead + 1) % n, lengths[ahead])
             _follow(now, back, (back - 1) % n, lengths[(back - 1) % n])
         walked += step
-        if walked >= PACE:
+        if walked >= pace:
             walked = 0.0
             frames[count] = now
             count += 1
@@ -72,9 +121,7 @@ def _led(points: Array, bead: int, waypoints: Array, steps: int) -> tuple[Array,
 
 @njit(cache=True)
 def _follow(now: Array, lead: int, after: int, length: float) -> None:
-    """Draw a vertex towards, or push it from, the one that leads it until it is as far away as it
-    was.
-    """
+    """Put a vertex at its old distance from the one that leads it."""
     far = 0.0
     for c in range(3):
         far += (now[after, c] - now[lead, c]) ** 2

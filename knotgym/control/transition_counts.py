@@ -1,10 +1,9 @@
-"""What macro-actions do to Gauss codes: how often one leads from a code to another, and examples of
-how.
+"""What macro-actions do to Gauss codes: how often one leads from a code to another, and examples.
 
-A macro-action sets out from one code and may show several others on its way; each counts. What one
-rope does, it shows at every start of its walk that is nearly a symmetry (`symmetry.base_shifts`)
-and, exactly, in its mirrors and walked the other way: so codes are counted by classes, `before`
-brought to the member that stands for its class and `after` along with it.
+A macro-action begins at one code and may show several others on its way; each counts. What one rope
+does, it shows at every start of its walk that is nearly a symmetry (`rope.base_shifts`) and,
+exactly, in its mirrors and walked the other way: so codes are counted by classes, `before` brought
+to its canonical form and `after` along with it.
 
 A *template* names a macro-action by what it does in the diagram and not where: places along the
 rope are told by the arc between two visits that they lie in. Arc 0 runs from the base bead to the
@@ -34,9 +33,8 @@ from knotgym.topology.symmetry import canonical_form, shifted_base, variants
 
 FORMAT = "knotgym-transitions"
 FORMAT_VERSION = 2  # version 1, which is read too, calls templates grips
-KEPT = 6  # templates kept for a change of code
 
-_Element = tuple[bool, bool, bool]  # reverse, switch, reflect
+_Element = tuple[bool, bool, bool]  # symmetry element: reverse, switch, reflect
 
 
 class InvalidTransitions(KnotgymError, ValueError):
@@ -59,14 +57,12 @@ class MacroTemplate(NamedTuple):
     target: float
 
     def transformed(self, element: _Element, arcs: int) -> MacroTemplate:
-        """The same on a rope that was walked the other way, switched over and under, or
-        reflected.
-        """
+        """The same on a rope walked the other way, switched over and under, or reflected."""
         reverse, switch, _ = element
-        bead, target = (
-            (arcs - self.bead if reverse else self.bead),
-            (arcs - self.target if reverse and self.target >= 0 else self.target),
-        )
+        bead, target = self.bead, self.target
+        if reverse:
+            bead = arcs - bead
+            target = arcs - target if target >= 0 else target
         return MacroTemplate(self.kind, -self.side if switch else self.side, bead, target)
 
 
@@ -75,9 +71,9 @@ class TransitionCounts:
     """Counts of changes between classes of codes.
 
     Attributes:
-        tried: class -> macro-actions that set out from it.
+        tried: class -> macro-actions that began at it.
         seen: (class before, code after, moved along) -> macro-actions that showed it.
-        templates: the same -> examples, KEPT at most.
+        templates: the same -> examples, the first few met.
     """
 
     tried: Counter[GaussCode] = field(default_factory=Counter)
@@ -85,28 +81,33 @@ class TransitionCounts:
     templates: dict[tuple[GaussCode, GaussCode], list[MacroTemplate]] = field(default_factory=dict)
 
     def set_out(self, before: GaussCode) -> None:
-        """Count a macro-action that sets out from a code."""
+        """Count a macro-action that begins at a code."""
         self.tried[canonical_form(before)] += 1
 
-    def change(self, before: GaussCode, after: GaussCode, template: MacroTemplate) -> None:
-        """Count a code that a macro-action showed for the first time."""
+    def change(
+        self, before: GaussCode, after: GaussCode, template: MacroTemplate, most_templates: int
+    ) -> None:
+        """Count a code that a macro-action showed for the first time.
+
+        Its template is kept if the change has fewer than `most_templates`.
+        """
         element = min(
             _elements(before, canonical_form(before)),
-            key=lambda one: (_order(transformed(after, one)), one),
+            key=lambda element: (_order(transformed(after, element)), element),
         )
         key = canonical_form(before), transformed(after, element)
         self.seen[key] += 1
         kept = self.templates.setdefault(key, [])
-        if len(kept) < KEPT:
+        if len(kept) < most_templates:
             kept.append(template.transformed(element, 2 * before.nx + 1))
 
-    def add(self, other: TransitionCounts) -> None:
-        """Count another table's macro-actions too."""
+    def add(self, other: TransitionCounts, most_templates: int) -> None:
+        """Count another table's macro-actions too, keeping so many templates of a change."""
         self.tried.update(other.tried)
         self.seen.update(other.seen)
         for key, templates in other.templates.items():
             kept = self.templates.setdefault(key, [])
-            kept += templates[: KEPT - len(kept)]
+            kept += templates[: max(0, most_templates - len(kept))]
 
     def pruned(self, *, max_nx: int, least: int) -> TransitionCounts:
         """Without codes of more than max_nx crossings and changes seen fewer than `least` times."""
@@ -124,17 +125,16 @@ class TransitionCounts:
 
     def write(self, group: h5py.Group) -> None:
         """Write into an HDF5 group."""
-        codes = {
-            code: row
-            for row, code in enumerate(
-                dict.fromkeys([*self.tried, *(code for key in self.seen for code in key)])
-            )
-        }
+        known = dict.fromkeys([*self.tried, *(code for key in self.seen for code in key)])
+        codes = {code: row for row, code in enumerate(known)}
         templates = [
             (row, template) for row, key in enumerate(self.seen) for template in self.templates[key]
         ]
         squeezed = {"compression": "gzip", "compression_opts": 9, "shuffle": True}
         text = "\n".join(code.chiral for code in codes).encode()
+        kinds = [KINDS.index(template.kind) for _, template in templates]
+        sides = [template.side for _, template in templates]
+        places = np.array([(template.bead, template.target) for _, template in templates])
         columns: dict[str, NDArray[Any]] = {
             "codes": np.frombuffer(text, dtype=np.uint8),
             "tried": np.array([self.tried.get(code, 0) for code in codes], dtype=np.int32),
@@ -142,16 +142,9 @@ class TransitionCounts:
             "after": np.array([codes[after] for _, after in self.seen], dtype=np.int32),
             "seen": np.array(list(self.seen.values()), dtype=np.int32),
             "template_of": np.array([row for row, _ in templates], dtype=np.int32),
-            "template_kind": np.array(
-                [KINDS.index(template.kind) for _, template in templates], dtype=np.int8
-            ),
-            "template_side": np.array([template.side for _, template in templates], dtype=np.int8),
-            "template_places": (
-                np.array(
-                    [(template.bead, template.target) for _, template in templates],
-                    dtype=np.float16,
-                ).reshape(-1, 2)
-            ),
+            "template_kind": np.array(kinds, dtype=np.int8),
+            "template_side": np.array(sides, dtype=np.int8),
+            "template_places": places.astype(np.float16).reshape(-1, 2),
         }
         for name, values in columns.items():
             group.create_dataset(name, data=values, **(squeezed if values.size else {}))
@@ -161,17 +154,10 @@ class TransitionCounts:
         """Read what `write` wrote."""
         text = bytes(group["codes"][()]).decode()
         codes = [GaussCode.parse(line) for line in text.split("\n")] if len(group["tried"]) else []
-        tried = Counter(
-            {
-                code: count
-                for code, count in zip(codes, group["tried"][()].tolist(), strict=True)
-                if count
-            }
-        )
-        keys = [
-            (codes[a], codes[b])
-            for a, b in zip(group["before"][()].tolist(), group["after"][()].tolist(), strict=True)
-        ]
+        counts = zip(codes, group["tried"][()].tolist(), strict=True)
+        tried = Counter({code: count for code, count in counts if count})
+        ends = zip(group["before"][()].tolist(), group["after"][()].tolist(), strict=True)
+        keys = [(codes[before], codes[after]) for before, after in ends]
         templates: dict[tuple[GaussCode, GaussCode], list[MacroTemplate]] = {
             key: [] for key in keys
         }
@@ -181,9 +167,8 @@ class TransitionCounts:
         )
         for row, kind, side, (bead, target) in zip(*columns, strict=True):
             templates[keys[row]].append(MacroTemplate(KINDS[kind], side, bead, target))
-        return cls(
-            tried, Counter(dict(zip(keys, group["seen"][()].tolist(), strict=True))), templates
-        )
+        seen = Counter(dict(zip(keys, group["seen"][()].tolist(), strict=True)))
+        return cls(tried, seen, templates)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a file of transitions alone."""
@@ -217,51 +202,50 @@ class TransitionCounts:
 
 
 class Places:
-    """Places along one rope told by the arcs of its diagram, whose walk starts at vertex
-    `base_shift`.
-    """
+    """Places along one rope told by the arcs of its diagram, walked from vertex `base_shift`."""
 
     def __init__(self, crossings: Crossings, beads: int, base_shift: int = 0) -> None:
-        visits = (
-            np.concatenate([crossings.over_place, crossings.under_place]) - base_shift
-        ) % beads
-        self._cuts: NDArray[np.float64] = np.concatenate([[0.0], np.sort(visits), [float(beads)]])
+        visits = np.concatenate([crossings.over_place, crossings.under_place]) - base_shift
+        self._cuts: NDArray[np.float64] = np.concatenate(
+            [[0.0], np.sort(visits % beads), [float(beads)]]
+        )
         self._beads, self._base_shift = beads, base_shift
 
     def arc(self, bead: int) -> float:
         """Arc and fraction of a bead's middle."""
         place = (bead + 0.5 - self._base_shift) % self._beads
         arc = min(int(np.searchsorted(self._cuts, place, side="right")) - 1, len(self._cuts) - 2)
-        return arc + min(
-            0.999,
-            float((place - self._cuts[arc]) / max(1e-9, self._cuts[arc + 1] - self._cuts[arc])),
-        )
+        start, end = self._cuts[arc], self._cuts[arc + 1]
+        return arc + min(0.999, float((place - start) / max(1e-9, end - start)))
 
     def bead(self, place: float) -> int:
         """The bead at an arc and fraction; the inverse of `arc`."""
         arc = min(max(int(place), 0), len(self._cuts) - 2)
-        along = self._cuts[arc] + min(max(place - arc, 0.0), 1.0) * (
-            self._cuts[arc + 1] - self._cuts[arc]
-        )
+        start, end = self._cuts[arc], self._cuts[arc + 1]
+        along = start + min(max(place - arc, 0.0), 1.0) * (end - start)
         return int(along + self._base_shift) % self._beads
 
 
 class TransitionRecorder:
-    """Follows one rope through one macro-action after the other and counts what it shows, walked
-    from each of `base_shifts`.
+    """Follows one rope through its macro-actions and counts what it shows.
+
+    Attributes:
+        transitions: counted so far.
     """
 
-    def __init__(self, base_shifts: list[int], beads: int) -> None:
+    def __init__(self, base_shifts: list[int], beads: int, most_templates: int) -> None:
+        """Count each code as walked from each of `base_shifts`, with so many templates a change."""
         self.transitions = TransitionCounts()
         self._base_shifts, self._beads = base_shifts, beads
+        self._most_templates = most_templates
         self._before: list[GaussCode] = []
-        self._grips: list[MacroTemplate] = []
+        self._templates: list[MacroTemplate] = []
         self._met: list[set[GaussCode]] = []
 
     def set_out(self, crossings: Crossings, macro_action: MacroAction) -> None:
         """A macro-action begins on a rope that shows `crossings`."""
         self._before = [shifted_base(crossings, base_shift) for base_shift in self._base_shifts]
-        self._grips = [
+        self._templates = [
             template_of(macro_action, Places(crossings, self._beads, base_shift))
             for base_shift in self._base_shifts
         ]
@@ -270,26 +254,25 @@ class TransitionRecorder:
             self.transitions.set_out(before)
 
     def show(self, crossings: Crossings) -> None:
-        """What the rope shows after a pull of the macro_action."""
-        for k, base_shift in enumerate(self._base_shifts):
+        """The rope shows `crossings` after a step of the macro-action."""
+        for walk, base_shift in enumerate(self._base_shifts):
             after = shifted_base(crossings, base_shift)
-            if after not in self._met[k]:
-                self._met[k].add(after)
-                self.transitions.change(self._before[k], after, self._grips[k])
+            if after not in self._met[walk]:
+                self._met[walk].add(after)
+                self.transitions.change(
+                    self._before[walk], after, self._templates[walk], self._most_templates
+                )
 
 
 def template_of(macro_action: MacroAction, places: Places) -> MacroTemplate:
-    """How a macro-action holds a rope, in terms of the diagram it shows."""
+    """A macro-action in terms of the diagram that its rope shows."""
     target = places.arc(macro_action.target) if macro_action.target >= 0 else -1.0
-    return MacroTemplate(
-        macro_action.kind, macro_action.side, places.arc(macro_action.bead), target
-    )
+    bead = places.arc(macro_action.bead)
+    return MacroTemplate(macro_action.kind, macro_action.side, bead, target)
 
 
 def transformed(code: GaussCode, element: _Element) -> GaussCode:
-    """A code with chirality as shown by the rope walked the other way, switched over and under,
-    reflected; any element undoes itself.
-    """
+    """A code with chirality as the rope shows it after a symmetry element; each undoes itself."""
     reverse, switch, reflect = element
     code = code.reversed() if reverse else code
     code = code.mirrored() if switch else code
@@ -297,14 +280,16 @@ def transformed(code: GaussCode, element: _Element) -> GaussCode:
 
 
 def elements(code: GaussCode) -> Iterator[_Element]:
-    """Every way to bring a code to the member that stands for its class."""
+    """Every symmetry element that brings a code to its canonical form."""
     return iter(_elements(code, canonical_form(code)))
 
 
 @lru_cache(maxsize=200_000)
 def _elements(code: GaussCode, wanted: GaussCode) -> tuple[_Element, ...]:
     return tuple(
-        (how.reverse, how.switch, how.reflect) for shown, how in variants(code) if shown == wanted
+        (symmetry.reverse, symmetry.switch, symmetry.reflect)
+        for shown, symmetry in variants(code)
+        if shown == wanted
     )
 
 

@@ -1,4 +1,4 @@
-"""How far a code is from a goal, in macro_actions: shortest ways over the counted changes of codes.
+"""How far a code is from a goal, in macro-actions: shortest paths over counted changes of codes.
 
 A change that one macro-action in n makes costs n macro-actions, and more where few were tried. The
 distances of all codes to a goal come from Dijkstra's algorithm, run backwards from the goal; a code
@@ -15,15 +15,28 @@ from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
 
+from knotgym.configuration import check_numbers
 from knotgym.control.transition_counts import MacroTemplate, TransitionCounts, elements, transformed
 from knotgym.topology.diagrams import chiralities
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import canonical_form
 
-# failures added to those counted: a change seen in two of three macro-actions isn't taken at its
-# word
-DOUBT = 30.0
-STRANGE = 30.0  # macro-actions that a crossing too many or too few costs where nothing is known
+
+@dataclass(frozen=True, kw_only=True)
+class TransitionGraphConfig:
+    """How counts become distances.
+
+    Attributes:
+        doubt: failures added to those counted: a change seen in two of three macro-actions isn't
+            taken at its word.
+        strange: macro-actions that a crossing too many or too few costs where nothing is known.
+    """
+
+    doubt: float = 30.0
+    strange: float = 30.0
+
+    def __post_init__(self) -> None:
+        check_numbers(self, non_negative=("doubt", "strange"))
 
 
 class Step(NamedTuple):
@@ -44,11 +57,12 @@ class Step(NamedTuple):
 
 @dataclass
 class Distances:
-    """Manoeuvres to one goal.
+    """Macro-actions to one goal.
 
     Attributes:
         nx: its crossings.
         goals: the codes with chirality that show it.
+        strange: as of the graph's configuration.
         far: code -> expected macro-actions, for the codes known.
         hops: code -> changes of code on the way.
         beyond: what codes not in `far` are at least away.
@@ -56,46 +70,45 @@ class Distances:
 
     nx: int
     goals: frozenset[GaussCode]
+    strange: float
     far: dict[GaussCode, float] = field(default_factory=dict)
     hops: dict[GaussCode, int] = field(default_factory=dict)
     beyond: float = 0.0
 
     def __call__(self, code: GaussCode) -> float:
         """Expected macro-actions from a code with chirality."""
-        return self.far.get(code, self.beyond + STRANGE * max(1, abs(code.nx - self.nx)))
+        unknown = self.beyond + self.strange * max(1, abs(code.nx - self.nx))
+        return self.far.get(code, unknown)
 
 
 class TransitionGraph:
     """The graph of codes that transitions make, every symmetry used."""
 
-    def __init__(self, transitions: TransitionCounts) -> None:
-        self._transitions = transitions
-        self._after: dict[
-            GaussCode, list[tuple[GaussCode, float]]
-        ] = {}  # class -> changes out of it, with their chances
-        self._before: dict[
-            GaussCode, list[tuple[GaussCode, GaussCode, float]]
-        ] = {}  # class shown -> changes that lead to it
+    def __init__(self, transitions: TransitionCounts, config: TransitionGraphConfig) -> None:
+        self._transitions, self._config = transitions, config
+        # class -> changes out of it, with their chances
+        self._after: dict[GaussCode, list[tuple[GaussCode, float]]] = {}
+        # class shown -> changes that lead to it
+        self._before: dict[GaussCode, list[tuple[GaussCode, GaussCode, float]]] = {}
         for (before, after), seen in transitions.seen.items():
-            chance = seen / (transitions.tried[before] + DOUBT)
+            chance = seen / (transitions.tried[before] + config.doubt)
             self._after.setdefault(before, []).append((after, chance))
             self._before.setdefault(canonical_form(after), []).append((before, after, chance))
         self._known: dict[GaussCode, Distances] = {}
         self._backwards: dict[GaussCode, list[tuple[GaussCode, float]]] = {}
 
     def distances(self, goal: GaussCode) -> Distances:
-        """Distances of all codes to a goal, whose chirality is left open; kept, as they take about
-        a third of a second.
+        """Distances of all codes to a goal, whose chirality is left open.
+
+        They take about a third of a second and are kept.
         """
         if goal.plain not in self._known:
             self._known[goal.plain] = self._search(goal.plain)
         return self._known[goal.plain]
 
     def steps(self, code: GaussCode, distances: Distances) -> list[Step]:
-        """Changes out of a code that lead nearer to the goal, with chances and templates for a rope
-        that shows this very code.
-        """
-        out = []
+        """Changes out of a code that lead nearer to the goal, for a rope that shows this code."""
+        towards = []
         base, here, arcs = canonical_form(code), distances(code), 2 * code.nx + 1
         for element in elements(code):
             for shown, chance in self._after.get(base, []):
@@ -105,25 +118,25 @@ class TransitionGraph:
                         template.transformed(element, arcs)
                         for template in self._transitions.templates[base, shown]
                     )
-                    out.append(Step(after, chance, here - distances(after), templates))
-        return out
+                    towards.append(Step(after, chance, here - distances(after), templates))
+        return towards
 
     def _search(self, goal: GaussCode) -> Distances:
         goals = frozenset(GaussCode(goal.visits, letters) for letters in chiralities(goal))
-        out = Distances(goal.nx, goals)
+        distances = Distances(goal.nx, goals, self._config.strange)
         ties = itertools.count()
         queue: list[tuple[float, int, int, GaussCode]] = [
-            (0.0, next(ties), 0, code) for code in sorted(goals, key=lambda one: one.chiral)
+            (0.0, next(ties), 0, code) for code in sorted(goals, key=lambda code: code.chiral)
         ]
         while queue:
             far, _, hops, code = heapq.heappop(queue)
-            if code in out.far:
+            if code in distances.far:
                 continue
-            out.far[code], out.hops[code], out.beyond = far, hops, far
+            distances.far[code], distances.hops[code], distances.beyond = far, hops, far
             for before, chance in self._leading_to(code):
-                if before not in out.far:
+                if before not in distances.far:
                     heapq.heappush(queue, (far + 1 / chance, next(ties), hops + 1, before))
-        return out
+        return distances
 
     def _leading_to(self, code: GaussCode) -> list[tuple[GaussCode, float]]:
         """Codes from which a change leads to this one, with its chance."""
@@ -139,16 +152,18 @@ class TransitionGraph:
 
 
 @lru_cache(maxsize=200_000)
-def _between(one: GaussCode, other: GaussCode) -> tuple[tuple[bool, bool, bool], ...]:
-    """The elements that take one code to another of its class."""
-    each = (False, True)
+def _between(code: GaussCode, other: GaussCode) -> tuple[tuple[bool, bool, bool], ...]:
+    """The symmetry elements that take one code to another of its class."""
     return tuple(
-        (a, b, c) for a in each for b in each for c in each if transformed(one, (a, b, c)) == other
+        (reverse, switch, reflect)
+        for reverse, switch, reflect in itertools.product((False, True), repeat=3)
+        if transformed(code, (reverse, switch, reflect)) == other
     )
 
 
 @lru_cache(maxsize=4)
-def shipped_transition_graph() -> TransitionGraph:
-    """The graph that comes with the package; an empty one if it was left out."""
+def shipped_transition_graph(config: TransitionGraphConfig) -> TransitionGraph:
+    """The graph of the counts that come with the package; an empty one if they were left out."""
     path = Path(str(files("knotgym.control") / "data" / "transitions.h5"))
-    return TransitionGraph(TransitionCounts.load(path) if path.is_file() else TransitionCounts())
+    counts = TransitionCounts.load(path) if path.is_file() else TransitionCounts()
+    return TransitionGraph(counts, config)

@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.table import Table
 
 from knotgym.atomic_files import sha256
+from knotgym.configuration import from_json
 from knotgym.datasets.image_folder import WALKS_FORMAT, WALKS_VERSION, summary
 from knotgym.datasets.image_rows import labels, measures
 from knotgym.datasets.image_table import (
@@ -28,14 +29,14 @@ from knotgym.datasets.image_table import (
     read_table,
     shards,
 )
+from knotgym.datasets.label_limits import at_base, pressed_together, visits_too_close
 from knotgym.datasets.near_duplicates import NEAR, distances
-from knotgym.generate.images.selection import at_base
-from knotgym.generate.images.walks import CLEARANCE, VISITS, WALKS, retrace
-from knotgym.relaxation import relaxed
+from knotgym.generate.images.walks import WALKS, retrace
+from knotgym.relaxation import RelaxationConfig, relaxed
 from knotgym.rendering.appearance import Appearance, render
 from knotgym.rope import Array, Rope, RopeConfig
 from knotgym.runs.executors import executor
-from knotgym.topology.crossings import find_crossings, visit_spacing
+from knotgym.topology.crossings import find_crossings
 from knotgym.topology.reference_labeller import pyknotid_code
 from knotgym.topology.symmetry import Symmetry
 
@@ -49,6 +50,7 @@ class _Trip(NamedTuple):
     beads: np.ndarray
     forces: np.ndarray
     rows: list[tuple[str, int, dict[str, Any], Array]]
+    relaxation: RelaxationConfig
 
 
 def image_faults(path: str | Path, workers: int = 0) -> Iterator[str]:
@@ -133,9 +135,9 @@ def row_faults(row: dict[str, Any]) -> Iterator[str]:
     if row["split"] not in SPLITS or row["grade"] not in GRADES:
         yield f"split is {row['split']!r} and grade {row['grade']!r}"
     if (
-        visit_spacing(found, len(points)).visits < VISITS
+        visits_too_close(found, len(points))
         or at_base(found, len(points))
-        or right["quality"]["clearance"] < CLEARANCE
+        or pressed_together(right["quality"]["clearance"])
     ):
         yield (
             "the label is in doubt: crossings too close along the rope, at the base bead, or"
@@ -255,10 +257,21 @@ def _trips(folder: Path) -> tuple[list[_Trip], list[str]]:
             rows.setdefault(at // WALKS, []).append(
                 (f"row {source['row']}", at % WALKS, source, own)
             )
+    relaxation = _relaxation(folder)
     parts = [slice(part * WALKS, (part + 1) * WALKS) for part in sorted(rows)]
     return [
-        _Trip(states[part], beads[part], forces[part], rows[part.start // WALKS]) for part in parts
+        _Trip(states[part], beads[part], forces[part], rows[part.start // WALKS], relaxation)
+        for part in parts
     ], faults
+
+
+def _relaxation(folder: Path) -> RelaxationConfig:
+    """How the configurations of a folder were relaxed; as by default if its manifest can't say."""
+    try:
+        manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+        return from_json(RelaxationConfig, manifest["config"]["walk"]["relaxation"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return RelaxationConfig()
 
 
 def _trip_faults(trip: _Trip) -> list[str]:
@@ -266,7 +279,8 @@ def _trip_faults(trip: _Trip) -> list[str]:
     traces = retrace(trip.states, trip.beads, trip.forces)
     for where, place, source, stored in trip.rows:
         frame = traces[place, source["pulls"]]
-        points = relaxed(frame, source["rounds"], rope) if source["rounds"] else frame
+        rounds = source["rounds"]
+        points = relaxed(frame, rounds, rope, trip.relaxation) if rounds else frame
         moved = {name: source[name] for name in ("reflect", "switch", "reverse")}
         symmetry = Symmetry(**moved, base_shift=source["roll"])
         if points is None or not np.array_equal(symmetry.configuration(points), stored):

@@ -19,8 +19,7 @@ from typing import Any
 import numpy as np
 
 from knotgym.atomic_files import sha256
-from knotgym.configuration import updated
-from knotgym.control.policies import PolicyConfig
+from knotgym.configuration import from_json
 from knotgym.datasets import image_folder
 from knotgym.datasets.episode_reader import Chosen
 from knotgym.datasets.image_table import (
@@ -39,11 +38,11 @@ from knotgym.generate.episodes.collect import REPORT, CollectConfig, Tally, writ
 from knotgym.generate.states import state_folder as output
 from knotgym.generate.states.archive import Archive
 from knotgym.generate.states.curation import split
+from knotgym.generate.states.search import SearchSettings
 from knotgym.runs.engine import LISTED
 from knotgym.runs.shards import Shard
 from knotgym.runs.staging import Occupied, staging
 from knotgym.streams import Stream, generator
-from knotgym.tasks import TaskConfig
 from knotgym.topology.gauss import GaussCode
 
 _FORMATS = {
@@ -193,9 +192,9 @@ def _states(ordered: Sequence[ShardFolder], folder: Path) -> Path:
             folder / "minari",
             folder / "states.h5",
         )
-    _archive([Archive.load(shard.folder / "archive.h5") for shard in ordered]).save(
-        folder / "archive.h5"
-    )
+    archives = [Archive.load(shard.folder / "archive.h5") for shard in ordered]
+    search = from_json(SearchSettings, config["search"])
+    _archive(archives, search).save(folder / "archive.h5")
     report = _report_of_states([shard.said["report"] for shard in ordered], len(order) - len(kept))
     output.finish(folder, merged, report, request)
     return folder
@@ -223,16 +222,16 @@ def _rows(states: States, rows: np.ndarray) -> States:
     return replace(states, **columns, **groups)
 
 
-def _archive(archives: Sequence[Archive]) -> Archive:
+def _archive(archives: Sequence[Archive], search: SearchSettings) -> Archive:
     """What any of the searches found, their rounds one after another."""
     out = archives[0]
     for other in archives[1:]:
         for elites in other.niches.values():
             for elite in elites:
-                out.offer(elite)
+                out.offer(elite, search.archive)
         for niche, count in other.visits.items():
             out.visits[niche] = out.visits.get(niche, 0) + count
-        out.transitions.add(other.transitions)
+        out.transitions.add(other.transitions, search.most_templates)
         rounds, actions = len(out.growth), out.growth[-1]["actions"] if out.growth else 0
         out.growth += [
             {**row, "round": rounds + row["round"], "actions": actions + row["actions"]}
@@ -258,8 +257,7 @@ def _report_of_states(reports: Sequence[dict[str, Any]], near: int) -> dict[str,
 
 def _episodes(ordered: Sequence[ShardFolder], folder: Path) -> Path:
     request = _whole(ordered[0])
-    task = TaskConfig(**request["config"]["task"])
-    config = updated(CollectConfig(task=task, policy=PolicyConfig()), request["config"])
+    config = from_json(CollectConfig, request["config"])
     tally = sum((Tally(**shard.said["tally"]) for shard in ordered), Tally())
     sources = [shard.folder / "main_data.hdf5" for shard in ordered]
     return write_whole(config, sources, tally, folder, request, concatenate=True)

@@ -14,7 +14,11 @@ from knotgym.control.transition_counts import (
     TransitionCounts,
     transformed,
 )
-from knotgym.control.transition_graph import DOUBT, TransitionGraph, shipped_transition_graph
+from knotgym.control.transition_graph import (
+    TransitionGraph,
+    TransitionGraphConfig,
+    shipped_transition_graph,
+)
 from knotgym.episode_batch import Episodes
 from knotgym.generate.states.curation import codes_of
 from knotgym.rope import Rope
@@ -25,6 +29,7 @@ from knotgym.topology.gauss import GaussCode
 
 KINK = GaussCode.parse("1+a,1-a")
 FLAT = GaussCode.parse("")
+GRAPH = TransitionGraphConfig()
 
 
 def kinks() -> TransitionCounts:
@@ -34,9 +39,9 @@ def kinks() -> TransitionCounts:
         table.set_out(FLAT)
         table.set_out(KINK)
         if k % 2:
-            table.change(FLAT, KINK, MacroTemplate("curl", 1, 0.25, 0.5))
+            table.change(FLAT, KINK, MacroTemplate("curl", 1, 0.25, 0.5), 6)
         if k % 4 == 0:
-            table.change(KINK, FLAT, MacroTemplate("spread", 0, 1.5, -1.0))
+            table.change(KINK, FLAT, MacroTemplate("spread", 0, 1.5, -1.0), 6)
     return table
 
 
@@ -44,34 +49,36 @@ def kinks() -> TransitionCounts:
     st.sampled_from([code for nx in range(4) for code in codes_of("0_1", nx)]),
     st.tuples(*[st.booleans()] * 3),
 )
-def test_a_spin_undoes_itself(code: GaussCode, element: tuple[bool, bool, bool]) -> None:
+def test_a_symmetry_element_undoes_itself(
+    code: GaussCode, element: tuple[bool, bool, bool]
+) -> None:
     assert transformed(transformed(code, element), element) == code
 
 
 def test_changes_are_counted_alike_for_a_rope_and_its_mirror() -> None:
     table = kinks()
     table.set_out(FLAT)
-    table.change(FLAT, KINK.mirrored(), MacroTemplate("curl", -1, 0.25, 0.5))
+    table.change(FLAT, KINK.mirrored(), MacroTemplate("curl", -1, 0.25, 0.5), 6)
     assert sorted(table.seen.values()) == [2, 5]
 
 
 def test_the_distance_is_one_over_the_doubted_chance() -> None:
-    graph = TransitionGraph(kinks())
+    graph = TransitionGraph(kinks(), GRAPH)
     distances = graph.distances(GaussCode.parse("1+,1-"))
-    assert distances(FLAT) == pytest.approx((8 + DOUBT) / 4)
+    assert distances(FLAT) == pytest.approx((8 + GRAPH.doubt) / 4)
     assert distances(KINK) == 0
     assert distances(GaussCode.parse("1+a,1-a,2+c,2-c")) > distances(FLAT)
 
 
 def test_every_member_of_a_class_is_as_far_as_the_goal_turned_with_it() -> None:
-    graph = TransitionGraph(kinks())
+    graph = TransitionGraph(kinks(), GRAPH)
     assert graph.distances(GaussCode.parse("1-,1+"))(FLAT) == graph.distances(
         GaussCode.parse("1+,1-")
     )(FLAT)
 
 
-def test_steps_come_with_grips_turned_for_the_rope_at_hand() -> None:
-    graph = TransitionGraph(kinks())
+def test_steps_come_with_templates_turned_for_the_rope() -> None:
+    graph = TransitionGraph(kinks(), GRAPH)
     steps = graph.steps(FLAT, graph.distances(GaussCode.parse("1-,1+")))
     assert {str(step.after) for step in steps} == {"1-,1+"}
     held = {
@@ -105,7 +112,7 @@ def test_a_bead_is_found_again_by_its_arc(base_shift: int, rope: Rope, states_pa
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "said"),
+    ("before", "after", "expected"),
     [
         ("", "1+a,1-a", "R1+ pass"),
         ("1+a,1-a", "", "R1- pass"),
@@ -116,12 +123,12 @@ def test_a_bead_is_found_again_by_its_arc(base_shift: int, rope: Rope, states_pa
         ("1+a,1-a", "1+a,1-a", "none pass"),
     ],
 )
-def test_the_reason_names_the_move(before: str, after: str, said: str) -> None:
-    assert reason(GaussCode.parse(before), GaussCode.parse(after), "pass") == said
+def test_the_reason_names_the_move(before: str, after: str, expected: str) -> None:
+    assert reason(GaussCode.parse(before), GaussCode.parse(after), "pass") == expected
 
 
-def test_the_atlas_that_ships_knows_a_way_to_every_code_of_up_to_four_crossings() -> None:
-    graph = shipped_transition_graph()
+def test_the_graph_that_ships_has_a_path_to_every_code_of_up_to_four_crossings() -> None:
+    graph = shipped_transition_graph(GRAPH)
     some = {1: 1, 2: 1, 3: 8, 4: 90}  # every so many: a goal takes a tenth of a second
     lost = [
         str(code)
@@ -140,17 +147,17 @@ def test_a_plan_that_is_solved_ends_in_the_goal_when_acted_out(states_path: str)
     config = PlannerConfig(budget=2000, batch_size=4)
     start = episodes.simulation.states([0])[0]
     goal = GaussCode(())
-    found = plan(
+    planned = plan(
         Simulation(4),
         start,
         goal,
-        shipped_transition_graph(),
+        shipped_transition_graph(GRAPH),
         config,
         np.random.default_rng(0),
         steps=50,
     )
-    assert found.solved and len(found.actions) == len(found.moves) <= 50
-    for action in found.actions:
+    assert planned.solved and len(planned.actions) == len(planned.moves) <= 50
+    for action in planned.actions:
         episodes.simulation.act(action[None])
     assert label(episodes.simulation.points[0]).matches(goal)
 
@@ -172,38 +179,36 @@ def test_a_plan_holds_the_goal_as_long_as_asked(states_path: str) -> None:
 def test_without_counts_the_crossings_guide() -> None:
     simulation = Simulation(4)
     start = simulation.states([0])[0]
-    found = plan(
+    planned = plan(
         simulation,
         start,
         KINK.plain,
-        TransitionGraph(TransitionCounts()),
+        TransitionGraph(TransitionCounts(), GRAPH),
         PlannerConfig(budget=2000, batch_size=4),
         np.random.default_rng(0),
         steps=50,
     )
-    assert found.solved
+    assert planned.solved
 
 
 def test_planning_keeps_its_budget_and_says_what_it_spent() -> None:
     simulation = Simulation(4)
     goal = codes_of("0_1", 4)[0]
-    found = plan(
+    planned = plan(
         simulation,
         simulation.states([0])[0],
         goal,
-        shipped_transition_graph(),
+        shipped_transition_graph(GRAPH),
         PlannerConfig(budget=30, batch_size=4),
         np.random.default_rng(0),
         steps=50,
     )
-    assert not found.solved and found.spent == 28
+    assert not planned.solved and planned.spent == 28
 
 
 def test_with_its_budget_gone_the_expert_goes_on_without_looking_ahead(states_path: str) -> None:
-    episodes, expert = (
-        Episodes(TaskConfig(task="tie", nx=4, states=states_path, observation="state")),
-        Expert(PlannerConfig(budget=0)),
-    )
+    episodes = Episodes(TaskConfig(task="tie", nx=4, states=states_path, observation="state"))
+    expert = Expert(PlannerConfig(budget=0))
     episodes.begin(0, np.random.default_rng(0))
     expert.begin(episodes, 0, np.random.default_rng(1))
     choice = expert.act(episodes, np.array([0]))

@@ -1,5 +1,6 @@
-"""Policies from files: what a model says is what is done, for every kind of observation. Run with
--m clients, each where its library is.
+"""Policies from files: what a model says is what is done, for every kind of observation.
+
+Run with -m clients, each where its library is.
 """
 
 from __future__ import annotations
@@ -42,9 +43,10 @@ def chosen(path: Path, states_path: str, observation: str) -> tuple[NDArray[np.f
     ]
 
 
-def said(seen: Any) -> NDArray[np.float64]:
-    """What the models below do: of every part they see a hundredth of the first six numbers and of
-    the mean, added up.
+def expected(seen: Any) -> NDArray[np.float64]:
+    """What the models below do with an observation.
+
+    Of every part a hundredth of its first six numbers and of its mean, added up.
     """
     parts = seen.values() if isinstance(seen, dict) else [seen]
     return np.sum(
@@ -61,7 +63,7 @@ class TestTorchScript:
     ) -> None:
         import torch
 
-        class One(torch.nn.Module):
+        class OnePart(torch.nn.Module):
             def forward(self, seen: torch.Tensor) -> torch.Tensor:
                 flat = seen.reshape(len(seen), -1).float()
                 return (flat[:, :6] + flat.mean(1, keepdim=True)) / 100
@@ -69,19 +71,16 @@ class TestTorchScript:
         class Parts(torch.nn.Module):
             def __init__(self) -> None:
                 super().__init__()
-                self.one = One()
+                self.part = OnePart()
 
             def forward(self, seen: dict[str, torch.Tensor]) -> torch.Tensor:
-                return self.one(seen["pixels"]) + self.one(seen["state"])
+                return self.part(seen["pixels"]) + self.part(seen["state"])
 
-        torch.jit.script(Parts() if observation == "both" else One()).save(
-            str(tmp_path / "model.pt")
-        )
+        model = Parts() if observation == "both" else OnePart()
+        torch.jit.script(model).save(str(tmp_path / "model.pt"))
         actions, seen = chosen(tmp_path / "model.pt", states_path, observation)
-        assert (
-            np.allclose(actions, [said(one) for one in seen], atol=1e-6)
-            and np.abs(actions).max() > 0
-        )
+        wanted = [expected(observation) for observation in seen]
+        assert np.allclose(actions, wanted, atol=1e-6) and np.abs(actions).max() > 0
 
 
 class TestOnnx:
@@ -125,10 +124,8 @@ class TestOnnx:
             str(tmp_path / "model.onnx"),
         )
         actions, seen = chosen(tmp_path / "model.onnx", states_path, observation)
-        assert (
-            np.allclose(actions, [said(one) for one in seen], atol=1e-6)
-            and np.abs(actions).max() > 0
-        )
+        wanted = [expected(observation) for observation in seen]
+        assert np.allclose(actions, wanted, atol=1e-6) and np.abs(actions).max() > 0
 
 
 class TestStableBaselines3:

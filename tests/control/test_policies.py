@@ -7,8 +7,17 @@ import pytest
 from numpy.typing import NDArray
 
 from knotgym.cli.main import main
+from knotgym.control import policies
+from knotgym.control.basic_policies import RandomPolicy
 from knotgym.control.planner import PlannerConfig
-from knotgym.control.policies import MIXED, InvalidPolicy, PolicyConfig, make_policy
+from knotgym.control.policies import (
+    MIXED,
+    InvalidPolicy,
+    PolicyConfig,
+    make_policy,
+    policy_names,
+    register_policy,
+)
 from knotgym.episode_batch import Episodes
 from knotgym.tasks import TaskConfig
 
@@ -19,20 +28,18 @@ def act_once(
     config: PolicyConfig, states_path: str, seed: int, count: int = 3
 ) -> NDArray[np.float32]:
     """Two actions of each of `count` episodes: float32 (count, 2, 6)."""
-    episodes, policy = (
-        Episodes(TaskConfig(task="unknot", nx=2, states=states_path, observation="state"), count),
-        make_policy(config),
-    )
+    task = TaskConfig(task="unknot", nx=2, states=states_path, observation="state")
+    episodes, policy = Episodes(task, count), make_policy(config)
     for index in range(count):
         episodes.begin(index, np.random.default_rng([seed, index]))
         policy.begin(episodes, index, np.random.default_rng([seed, index, 1]))
-    out = []
+    actions = []
     for _ in range(2):
         choice = policy.act(episodes, np.arange(count))
         assert len(choice.moves) == count
         episodes.step(choice.actions, np.arange(count))
-        out.append(choice.actions)
-    return np.stack(out, axis=1)
+        actions.append(choice.actions)
+    return np.stack(actions, axis=1)
 
 
 @pytest.mark.parametrize("name", ["random", "scripted", "expert", "noisy-expert", "mixed"])
@@ -75,11 +82,8 @@ def test_a_noisy_expert_of_noise_one_is_never_the_expert(states_path: str) -> No
 def test_a_mixed_policy_with_one_share_is_that_policy(states_path: str) -> None:
     episodes = Episodes(TaskConfig(task="tie", nx=2, states=states_path, observation="state"))
     for name in MIXED:
-        policy = make_policy(
-            PolicyConfig(
-                policy="mixed", shares=tuple(float(one == name) for one in MIXED), planner=QUICK
-            )
-        )
+        shares = tuple(float(other == name) for other in MIXED)
+        policy = make_policy(PolicyConfig(policy="mixed", shares=shares, planner=QUICK))
         episodes.begin(0, np.random.default_rng(0))
         policy.begin(episodes, 0, np.random.default_rng(1))
         assert policy.name(0) == name
@@ -102,14 +106,8 @@ def test_a_function_of_the_user_is_a_policy_and_its_actions_are_cut(
         "own", (), {"away": staticmethod(away), "nothing": staticmethod(nothing), "three": 3}
     )
     monkeypatch.setitem(__import__("sys").modules, "own_policies", own)
-    assert act_once(PolicyConfig(policy="own_policies:away"), states_path, 0)[0, 0].tolist() == [
-        0,
-        0,
-        0,
-        1,
-        1,
-        1,
-    ]
+    actions = act_once(PolicyConfig(policy="own_policies:away"), states_path, 0)
+    assert actions[0, 0].tolist() == [0, 0, 0, 1, 1, 1]
     with pytest.raises(InvalidPolicy, match="6 finite numbers"):
         act_once(PolicyConfig(policy="own_policies:nothing"), states_path, 0)
     with pytest.raises(InvalidPolicy, match="must be a function"):
@@ -124,22 +122,11 @@ def test_a_function_is_found_in_the_folder_where_the_command_is_typed(
     )
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
-    words = [
-        "--task",
-        "unknot",
-        "--nx",
-        "1",
-        "--policy",
-        "left_alone:act",
-        "--states",
-        states_path,
-        "--horizon",
-        "2",
-        "--episodes",
-        "9",
-    ]
+    words = "--task unknot --nx 1 --policy left_alone:act --horizon 2 --episodes 9 --workers 2"
     with pytest.raises(SystemExit) as left:
-        main(["evaluate", *words, "--workers", "2", "--quiet", "--out", "result.json"])
+        main(
+            ["evaluate", *words.split(), "--states", states_path, "--quiet", "--out", "result.json"]
+        )
     assert left.value.code == 0
     assert json.loads((tmp_path / "result.json").read_text())["episodes"] == 9
 
@@ -166,3 +153,22 @@ def test_a_policy_that_is_not_there_is_refused_in_one_line(policy: str, says: st
 def test_settings_that_make_no_sense_are_refused(settings: dict[str, object]) -> None:
     with pytest.raises(InvalidPolicy):
         PolicyConfig(**settings)
+
+
+def test_a_registered_policy_is_made_by_its_name(
+    states_path: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(policies, "_constructors", dict(policies._constructors))
+    register_policy("restless", lambda config: RandomPolicy())
+    config = PolicyConfig(policy="restless")
+    assert config.short == "restless" and policy_names()[-1] == "restless"
+    expected = act_once(PolicyConfig(policy="random"), states_path, 0)
+    assert np.array_equal(act_once(config, states_path, 0), expected)
+    with pytest.raises(InvalidPolicy, match="mixed, restless, module:function"):
+        PolicyConfig(policy="genius")
+
+
+@pytest.mark.parametrize("name", ["expert", "", "module:function", "policy.zip"])
+def test_a_name_that_is_taken_or_reads_as_a_place_is_not_registered(name: str) -> None:
+    with pytest.raises(InvalidPolicy):
+        register_policy(name, lambda config: RandomPolicy())

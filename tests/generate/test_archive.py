@@ -7,12 +7,14 @@ import h5py
 import numpy as np
 import pytest
 
-from knotgym.control.macro_actions import ActionSequence
-from knotgym.generate.states.archive import KEPT, Archive, Elite, InvalidArchive
+from knotgym.configuration import InvalidConfig
+from knotgym.control.action_sequence import ActionSequence
+from knotgym.generate.states.archive import Archive, ArchiveConfig, Elite, InvalidArchive
 from knotgym.topology.diagrams import planar_codes
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import mirror_images
 
+CONFIG = ArchiveConfig()
 KINK = GaussCode.parse("1+a,1-a")
 
 
@@ -34,7 +36,9 @@ def elite(
 
 
 def kept(archive: Archive) -> list[tuple[int, float]]:
-    return [(len(one.sequence), one.objective) for one in archive.niches[mirror_images(KINK)[0]]]
+    return [
+        (len(elite.sequence), elite.objective) for elite in archive.niches[mirror_images(KINK)[0]]
+    ]
 
 
 @pytest.fixture
@@ -45,7 +49,7 @@ def saved(searched: Archive, tmp_path: Path) -> Path:
 
 def test_only_the_first_of_a_class_is_new() -> None:
     archive = Archive()
-    assert [archive.offer(elite(3, 1.0, code=code)) for code in mirror_images(KINK)] == [
+    assert [archive.offer(elite(3, 1.0, code=code), CONFIG) for code in mirror_images(KINK)] == [
         True,
         False,
         False,
@@ -53,11 +57,12 @@ def test_only_the_first_of_a_class_is_new() -> None:
     ]
 
 
-def test_the_shortest_ways_are_kept_and_the_best_looking_states() -> None:
+def test_the_shortest_sequences_are_kept_and_the_best_looking_states() -> None:
     archive = Archive()
     for length in range(1, 10):
-        archive.offer(elite(length, 10.0 - length))
-    assert KEPT == 2 and kept(archive) == [(1, 9.0), (2, 8.0), (9, 1.0), (8, 2.0)]
+        archive.offer(elite(length, 10.0 - length), CONFIG)
+    assert CONFIG.kept == 2
+    assert kept(archive) == [(1, 9.0), (2, 8.0), (9, 1.0), (8, 2.0)]
 
 
 def test_the_order_of_offers_does_not_matter_to_what_is_kept() -> None:
@@ -67,16 +72,16 @@ def test_the_order_of_offers_does_not_matter_to_what_is_kept() -> None:
     ]
     one, other = Archive(), Archive()
     for offer in offers:
-        one.offer(offer)
+        one.offer(offer, CONFIG)
     for offer in offers[::-1]:
-        other.offer(offer)
+        other.offer(offer, CONFIG)
     assert kept(one) == kept(other)
 
 
 def test_a_state_that_is_short_and_good_is_kept_once() -> None:
     archive = Archive()
     for length in (1, 2, 3, 4):
-        archive.offer(elite(length, float(length)))
+        archive.offer(elite(length, float(length)), CONFIG)
     assert kept(archive) == [(1, 1.0), (2, 2.0)]
 
 
@@ -88,33 +93,32 @@ def test_the_walk_along_the_beads_replaces_those_from_elsewhere_or_backwards() -
         elite(9, 3.0),
         elite(2, 0.1, base_shift=29),
     ):
-        archive.offer(offer)
+        archive.offer(offer, CONFIG)
     assert kept(archive) == [(9, 3.0)]
 
 
 def test_a_class_found_makes_all_its_codes_known() -> None:
     archive = Archive()
-    archive.offer(elite(1, 1.0))
+    archive.offer(elite(1, 1.0), CONFIG)
     assert set(archive.codes(1)) == set(planar_codes(1)) and archive.codes(2) == []
 
 
 def test_an_empty_archive_leads_nowhere() -> None:
-    assert Archive().leading_to(KINK) == [] and Archive().handed(KINK.plain) == []
+    assert Archive().leading_to(KINK) == [] and Archive().known_chiralities(KINK.plain) == []
 
 
-def test_every_code_known_has_a_hand_and_elites(searched: Archive) -> None:
+def test_every_code_known_has_a_chirality_and_elites(searched: Archive) -> None:
     for nx in range(4):
         for code in searched.codes(nx):
-            assert searched.handed(code) and all(
-                one.visits == code.visits and searched.leading_to(one)
-                for one in searched.handed(code)
-            )
+            chiral = searched.known_chiralities(code)
+            assert chiral and {known.visits for known in chiral} == {code.visits}
+            assert all(searched.leading_to(known) for known in chiral)
 
 
 def test_what_leads_to_a_code_has_it_among_its_mirror_images(searched: Archive) -> None:
     for code in searched.codes(2):
-        for one in searched.handed(code):
-            assert all(one in mirror_images(elite.code) for elite in searched.leading_to(one))
+        for known in searched.known_chiralities(code):
+            assert all(known in mirror_images(elite.code) for elite in searched.leading_to(known))
 
 
 def test_the_archive_comes_back_as_saved(searched: Archive, saved: Path) -> None:
@@ -125,22 +129,12 @@ def test_the_archive_comes_back_as_saved(searched: Archive, saved: Path) -> None
         and read.growth == searched.growth
     )
     for ours, theirs in zip(searched.niches.values(), read.niches.values(), strict=True):
-        for one, other in zip(ours, theirs, strict=True):
-            assert (one.code, one.base_shift, one.reverse, one.objective) == (
-                other.code,
-                other.base_shift,
-                other.reverse,
-                other.objective,
-            )
-            assert np.array_equal(one.state, other.state)
-            assert (
-                np.array_equal(one.sequence.beads, other.sequence.beads)
-                and one.sequence.beads.dtype == other.sequence.beads.dtype
-            )
-            assert (
-                np.array_equal(one.sequence.forces, other.sequence.forces)
-                and one.sequence.forces.dtype == other.sequence.forces.dtype
-            )
+        for saved_elite, elite in zip(ours, theirs, strict=True):
+            for name in ("code", "base_shift", "reverse", "objective", "state"):
+                assert np.array_equal(getattr(saved_elite, name), getattr(elite, name))
+            for name in ("beads", "forces"):
+                before, after = getattr(saved_elite.sequence, name), getattr(elite.sequence, name)
+                assert np.array_equal(before, after) and before.dtype == after.dtype
 
 
 def test_saving_again_gives_the_same_bytes(saved: Path, tmp_path: Path) -> None:
@@ -220,3 +214,16 @@ def test_a_column_that_is_missing_or_nonsense_is_refused(saved: Path, name: str)
 def test_elites_are_told_apart_by_what_they_are_not_by_how_they_look() -> None:
     one = elite(2, 1.0)
     assert one != replace(one) and one == one
+
+
+def test_as_many_elites_are_kept_as_asked_for() -> None:
+    archive = Archive()
+    for length in range(1, 10):
+        archive.offer(elite(length, 10.0 - length), ArchiveConfig(kept=1))
+    assert kept(archive) == [(1, 9.0), (9, 1.0)]
+
+
+@pytest.mark.parametrize("settings", [{"kept": 0}, {"kept": 1.5}, {"fair": 0.0}])
+def test_settings_that_make_no_sense_are_refused(settings: dict[str, object]) -> None:
+    with pytest.raises(InvalidConfig):
+        ArchiveConfig(**settings)

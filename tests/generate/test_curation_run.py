@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.control.macro_actions import ActionSequence, step_ropes
+from knotgym.control.action_sequence import ActionSequence, step_ropes
 from knotgym.control.planner import PlannerConfig
 from knotgym.generate.states import curation_run as curation
-from knotgym.generate.states.archive import Archive
+from knotgym.generate.states.archive import Archive, ArchiveConfig
 from knotgym.generate.states.candidates import Candidate, CandidateTask, make_candidate
-from knotgym.generate.states.code_frequencies import frequencies
+from knotgym.generate.states.code_frequencies import FrequencyConfig, frequencies
 from knotgym.generate.states.curation_run import CurationRun, search_config, start_of
 from knotgym.generate.states.generate_config import GenerateConfig, InvalidGenerateConfig
 from knotgym.generate.states.search import advance, new_archive
@@ -275,8 +275,8 @@ def test_codes_not_surely_known_are_aimed_at_those_aimed_at_least_first() -> Non
         job.aimed.values()
     ) == {2}
     for elite in reach(first[0]).elites:
-        job.archive.offer(elite)
-    assert job.archive.sure(next(iter(job.archive.handed(first[0].goal))))
+        job.archive.offer(elite, ArchiveConfig())
+    assert job.archive.sure(next(iter(job.archive.known_chiralities(first[0].goal))))
     assert first[0].goal not in [one.goal for one in curation._targets(job, search)]
 
 
@@ -289,9 +289,9 @@ def test_a_code_that_only_a_long_way_leads_to_is_aimed_at_after_those_that_lack_
     rests = ActionSequence(
         np.zeros(search.longest, dtype=np.int16), np.zeros((search.longest, 3), dtype=np.float32)
     )
-    job.archive.offer(replace(elite, sequence=elite.sequence + rests))
+    job.archive.offer(replace(elite, sequence=elite.sequence + rests), ArchiveConfig())
     job.accepted[2].append(replace(finished.accepted[1][0], code=elite.code))
-    assert any(map(job.archive.sure, job.archive.handed(code)))
+    assert any(map(job.archive.sure, job.archive.known_chiralities(code)))
     assert [one.goal for one in curation._targets(job, search)][-1] == code
 
 
@@ -300,7 +300,7 @@ def test_a_code_whose_instances_all_fail_is_aimed_at_again_and_they_set_out_from
     search, code = search_config(job.config), next(iter(job.shares[2]))
     shot = reach(curation._targets(job, search)[0])
     for elite in shot.elites:
-        job.archive.offer(elite)
+        job.archive.offer(elite, ArchiveConfig())
     assert code not in [one.goal for one in curation._targets(job, search)]
     job.tried[2][code] = 2 * SMALL.stuck
     assert code in [one.goal for one in curation._targets(job, search)]
@@ -335,12 +335,12 @@ def test_an_aim_that_fails_says_what_it_spent() -> None:
 
 
 def test_a_random_policy_meets_the_loop_at_once() -> None:
-    assert frequencies(0, 1, 0, RopeConfig()) == {GaussCode(): 64}
+    assert frequencies(0, 1, 0, RopeConfig(), FrequencyConfig()) == {GaussCode(): 64}
 
 
 @pytest.mark.slow
 def test_a_random_policy_meets_the_same_codes_again() -> None:
-    one, other = (frequencies(1, 60, 3, RopeConfig()) for _ in range(2))
+    one, other = (frequencies(1, 60, 3, RopeConfig(), FrequencyConfig()) for _ in range(2))
     assert one == other and one.total() >= 60 and {str(code) for code in one} <= {"1+,1-", "1-,1+"}
 
 

@@ -1,6 +1,4 @@
-"""Curves that begin a rope as a knot, by name and from files; a file without a closed curve is
-refused in one line.
-"""
+"""Curves that begin a rope as a knot, by name and from files; any other file is refused."""
 
 from pathlib import Path
 

@@ -42,7 +42,7 @@ from knotgym.generate.images.selection import _options
 from knotgym.loaders import MissingExtra
 from knotgym.loaders import images as load
 from knotgym.quality import UNITS, Limits, measure
-from knotgym.relaxation import relaxed
+from knotgym.relaxation import RelaxationConfig, relaxed
 from knotgym.rendering.appearance import VARIED, AppearanceConfig
 from knotgym.rope import Array, Rope
 from knotgym.runs.options import InvalidRun, RunOptions
@@ -327,9 +327,9 @@ def test_mirror_images_reversals_and_renumberings_are_one_family(rope: Rope) -> 
     assert families(np.stack([first, second, kin]), 2 * NEAR).tolist() in ([0, 1, 0], [1, 0, 1])
 
 
-def test_opening_up_keeps_the_code_and_the_rope(rope: Rope) -> None:
+def test_relaxation_keeps_the_code_and_the_rope(rope: Rope) -> None:
     points = rope.from_curve(curled(3, 0.3))
-    opened = relaxed(points, 10, rope)
+    opened = relaxed(points, 10, rope, RelaxationConfig())
     assert opened is not None and label(opened) == label(points)
     assert np.allclose(
         np.linalg.norm(np.roll(opened, -1, axis=0) - opened, axis=1), rope.config.bead_length
@@ -344,7 +344,7 @@ def test_a_grade_is_that_of_the_worst_measure(rope: Rope) -> None:
         assert grade(worse, limits) == name
 
 
-def test_bases_come_from_one_file(tmp_path: Path) -> None:
+def test_seed_states_come_from_one_file(tmp_path: Path) -> None:
     with pytest.raises(NoSeedStates):
         seed_states((1,), archive=tmp_path / "a.h5", states=tmp_path / "b.h5")
 

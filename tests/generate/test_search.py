@@ -1,6 +1,4 @@
-"""Rounds of the search come out the same however they are run, and whatever they find can be
-reached again.
-"""
+"""Rounds of the search come out the same however they are run; what they find is reached again."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -9,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from knotgym.control.macro_actions import step_ropes
+from knotgym.control.action_sequence import step_ropes
 from knotgym.generate.states.archive import Archive, Elite
 from knotgym.generate.states.search import SearchConfig, advance, new_archive
 from knotgym.quality import Limits, base_spacing, measure
@@ -39,23 +37,19 @@ def kept(archive: Archive, folder: Path) -> bytes:
 
 
 def elites(archive: Archive) -> list[Elite]:
-    return [one for niche in archive.niches.values() for one in niche]
+    return [elite for niche in archive.niches.values() for elite in niche]
 
 
 def test_a_new_archive_knows_the_plain_loop() -> None:
     archive = new_archive(SEARCH)
-    assert (
-        [str(code) for code in archive.codes(0)] == [""]
-        and len(archive.niches) == 1
-        and archive.growth == []
-    )
+    assert [str(code) for code in archive.codes(0)] == [""]
+    assert len(archive.niches) == 1 and archive.growth == []
 
 
 def test_a_new_archive_can_begin_at_a_knot(rope: Rope) -> None:
     archive = new_archive(SEARCH, rope.from_curve(trefoil()))
-    assert {knot_type(code) for code in archive.codes(3)} == {"3_1"} and archive.settings[
-        "start"
-    ] != "loop"
+    assert {knot_type(code) for code in archive.codes(3)} == {"3_1"}
+    assert archive.settings["start"] != "loop"
 
 
 def test_a_search_from_a_knot_keeps_the_knot(rope: Rope) -> None:
@@ -72,7 +66,7 @@ def test_everything_found_is_an_unknot(searched: Archive) -> None:
     assert all(is_unknot(niche) for niche in searched.niches)
 
 
-def test_rounds_are_the_same_bytes_in_shifts_of_any_size(searched: Archive, tmp_path: Path) -> None:
+def test_rounds_are_the_same_bytes_in_units_of_any_size(searched: Archive, tmp_path: Path) -> None:
     assert kept(grown(3, chunk=1), tmp_path) == kept(searched, tmp_path)
 
 
@@ -97,7 +91,7 @@ def test_another_seed_searches_elsewhere(searched: Archive, tmp_path: Path) -> N
     assert kept(grown(1, replace(SEARCH, seed=2)), tmp_path) != kept(grown(1), tmp_path)
 
 
-def test_every_way_from_the_plain_loop_ends_in_its_state_bit_for_bit(
+def test_every_sequence_from_the_plain_loop_ends_in_its_state_bit_for_bit(
     searched: Archive, rope: Rope
 ) -> None:
     simulation = Simulation(1, rope)
@@ -109,7 +103,9 @@ def test_every_way_from_the_plain_loop_ends_in_its_state_bit_for_bit(
         assert np.array_equal(simulation.states()[0], elite.state), elite.code.chiral
 
 
-def test_every_elite_shows_its_code_walked_from_its_roll(searched: Archive, rope: Rope) -> None:
+def test_every_elite_shows_its_code_walked_from_its_base_shift(
+    searched: Archive, rope: Rope
+) -> None:
     simulation = Simulation(1, rope)
     for elite in elites(searched):
         simulation.restore(elite.state[None])
@@ -121,7 +117,7 @@ def test_every_elite_shows_its_code_walked_from_its_roll(searched: Archive, rope
         )
 
 
-def test_the_badness_of_an_elite_is_that_of_its_state(searched: Archive, rope: Rope) -> None:
+def test_the_objective_of_an_elite_is_that_of_its_state(searched: Archive, rope: Rope) -> None:
     simulation = Simulation(1, rope)
     for elite in elites(searched)[:40]:
         simulation.restore(elite.state[None])
@@ -131,9 +127,9 @@ def test_the_badness_of_an_elite_is_that_of_its_state(searched: Archive, rope: R
         )
 
 
-def test_base_spacing_is_taken_from_the_roll(searched: Archive, rope: Rope) -> None:
+def test_base_spacing_is_taken_from_the_base_shift(searched: Archive, rope: Rope) -> None:
     simulation = Simulation(1, rope)
-    for elite in [one for one in elites(searched) if one.code.nx][:10]:
+    for elite in [elite for elite in elites(searched) if elite.code.nx][:10]:
         simulation.restore(elite.state[None])
         points = simulation.points[0]
         renumbered = np.roll(points, -elite.base_shift, axis=0)
@@ -146,8 +142,8 @@ def test_growth_has_one_row_a_round(searched: Archive) -> None:
     assert [row["round"] for row in searched.growth] == [0, 1, 2]
     assert searched.growth[-1]["classes"] == len(searched.niches)
     assert all(
-        one["actions"] < other["actions"] and one["classes"] <= other["classes"]
-        for one, other in pairwise(searched.growth)
+        row["actions"] < after["actions"] and row["classes"] <= after["classes"]
+        for row, after in pairwise(searched.growth)
     )
 
 
@@ -157,17 +153,17 @@ def test_a_round_says_how_many_classes_are_new() -> None:
     assert advance(archive, SEARCH, InProcess()) == len(archive.niches) - known
 
 
-def test_the_first_round_takes_every_pull_of_every_slot(searched: Archive) -> None:
+def test_the_first_round_takes_every_step_of_every_rope(searched: Archive) -> None:
     assert searched.growth[0]["actions"] == SEARCH.batch_size * SEARCH.steps
 
 
-def test_every_slot_counts_as_a_visit(searched: Archive) -> None:
+def test_every_rope_counts_as_a_visit(searched: Archive) -> None:
     assert sum(searched.visits.values()) == 3 * SEARCH.batch_size
 
 
-def test_no_way_is_longer_than_the_longest_allowed() -> None:
+def test_no_sequence_is_longer_than_the_longest_allowed() -> None:
     archive = grown(3, replace(SEARCH, seed=4, longest=12))
-    assert 8 < max(len(one.sequence) for one in elites(archive)) <= 12
+    assert 8 < max(len(elite.sequence) for elite in elites(archive)) <= 12
 
 
 def test_settings_tell_the_whole_search(searched: Archive) -> None:

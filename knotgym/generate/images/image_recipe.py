@@ -32,8 +32,8 @@ from knotgym.generate.images.images_config import (
     quotas,
 )
 from knotgym.generate.images.seed_states import SeedStates, seed_states
-from knotgym.generate.images.selection import Choice, Chooser
-from knotgym.generate.images.walks import WALKS, Frames, Unit, Walk, stir
+from knotgym.generate.images.selection import Chooser, ChosenFrame
+from knotgym.generate.images.walks import WALKS, Frames, Unit, Walk, make_walks
 from knotgym.runs.engine import Batch, run
 from knotgym.runs.options import NotEnough, RunOptions
 from knotgym.runs.progress import Status
@@ -95,7 +95,13 @@ class ImageRecipe:
                 f"shard {self.shard} has no picture to make: cut the run into fewer shards"
             )
         self.split = splits_of(config, start, set(quota))
-        self.chooser = Chooser(self.wanted, held_out(config, codes), start.points.shape[1])
+        self.chooser = Chooser(
+            self.wanted,
+            held_out(config, codes),
+            start.points.shape[1],
+            config.selection,
+            config.walk.limits,
+        )
         self.walked: list[Frames] = []
         self.frames = 0
         self.table = Path()
@@ -164,6 +170,7 @@ class ImageRecipe:
                     steps,
                     self.config.stride,
                     max(self.config.nx),
+                    self.config.walk,
                 )
                 path = folder / f"{len(self.walked) + len(units):06d}.npz"
                 units.append(_UnitFile(path, unit))
@@ -251,7 +258,7 @@ class _Provenance:
             for number, base in zip(frames.numbers.tolist(), frames.bases.tolist(), strict=True)
         }
 
-    def row(self, choice: Choice, number: int) -> Row:
+    def row(self, choice: ChosenFrame, number: int) -> Row:
         """Row `number` of the table; a walk from a plain loop is a family of its own."""
         start, walk = self._start, self._walk[choice.frame]
         base = self._base_of[walk]
@@ -371,7 +378,7 @@ def _walked(work: _UnitFile) -> Path:
     try:
         _load(work.path)  # the file has checksums
     except (OSError, ValueError, KeyError, EOFError, BadZipFile):
-        frames = stir(work.unit)
+        frames = make_walks(work.unit)
         with atomic_write(work.path) as temporary, open(temporary, "wb") as file:
             np.savez(file, **{**vars(frames), "dropped": np.array(json.dumps(frames.dropped))})
     return work.path

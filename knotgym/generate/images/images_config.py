@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from knotgym.errors import KnotgymError
+from knotgym.generate.images.selection import SelectionConfig
+from knotgym.generate.images.walks import WalkConfig
 from knotgym.rendering.appearance import AppearanceConfig
 from knotgym.streams import Stream, generator
 from knotgym.tasks import MAX_NX
@@ -33,6 +35,8 @@ class ImagesConfig:
             lost.
         stride: steps from one frame to the next.
         rows_per_file: pictures in a file of the table.
+        walk: how walks are made and which frames are kept.
+        selection: which of them become pictures.
         appearance: what varies between pictures.
         wave: units of walks in a wave, at most.
         idle: waves without one more picture after which nothing more is expected.
@@ -47,6 +51,8 @@ class ImagesConfig:
     steps: int = 12
     stride: int = 2
     rows_per_file: int = 500
+    walk: WalkConfig = WalkConfig()
+    selection: SelectionConfig = SelectionConfig()
     appearance: AppearanceConfig = AppearanceConfig()
     wave: int = 32
     idle: int = 6

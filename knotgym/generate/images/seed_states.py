@@ -1,5 +1,6 @@
-"""The states that perception pictures set out from: an archive's elites or curated states, grouped
-into families.
+"""Seed states: those that walks for pictures set out from, grouped into families.
+
+They are an archive's elites or curated states.
 
 States that are near-duplicates of each other, or of each other's mirror images, reversals or
 renumberings, are one family; a family belongs to one split, with everything that is made from it.
@@ -60,8 +61,12 @@ class SeedStates:
 def seed_states(
     nx: tuple[int, ...], archive: Path | None = None, states: Path | None = None
 ) -> SeedStates:
-    """Read the states with at most as many crossings as are wanted; the curated states that ship
-    unless another file is given.
+    """Read the states with at most as many crossings as are wanted.
+
+    Args:
+        nx: crossings wanted.
+        archive: of a search.
+        states: curated ones; those that ship if neither is given.
 
     Raises:
         NoSeedStates: both files were given, or nothing in them will do.
@@ -72,53 +77,24 @@ def seed_states(
             "set out from an archive or from states, not from both: give --archive or --states"
         )
     simulation = Simulation(1, Rope())
-    if archive:
-        elites = [
-            elite
-            for niche, elites in Archive.load(archive).niches.items()
-            for elite in elites
-            if niche.nx <= max(nx)
-        ]
-        rows = [
-            elite.state for elite in {elite.state.tobytes(): elite for elite in elites}.values()
-        ]
-        if rows and len(rows[0]) != simulation.states().shape[1]:
-            raise NoSeedStates(
-                f"{archive} was made with another rope: its states have {len(rows[0])} numbers,"
-                f" this rope's {simulation.states().shape[1]}"
-            )
-    else:
-        table = read_states(states or shipped(), images=False)
-        if table.attributes.get("rope") != simulation.rope.config.fingerprint:
-            raise NoSeedStates(
-                f"{states} was made with another rope, {table.attributes.get('rope')}; this one is"
-                f" {simulation.rope.config.fingerprint}"
-            )
-        rows = []
-        for qpos in table.qpos[table.nx <= max(nx)]:
-            simulation.lay(qpos[None])
-            rows.append(simulation.states()[0])
-    if not rows:
-        raise NoSeedStates(f"{archive or states} holds no state with at most {max(nx)} crossings")
-    points = []
-    for row in rows:
-        simulation.restore(row[None])
-        points.append(simulation.points[0].copy())
-    codes = [label(one) for one in points]
-    kinds = {
-        code: number
-        for number, code in enumerate(
-            sorted(
-                {canonical_form(code) for code in codes}, key=lambda code: (code.nx, code.chiral)
-            )
-        )
-    }
     path = archive or states or shipped()
+    read = _archived if archive else _curated
+    found = read(path, max(nx), simulation)
+    if not found:
+        raise NoSeedStates(f"{path} holds no state with at most {max(nx)} crossings")
+    points = []
+    for state in found:
+        simulation.restore(state[None])
+        points.append(simulation.points[0].copy())
+    codes = [label(configuration) for configuration in points]
+    classes = sorted(
+        {canonical_form(code) for code in codes}, key=lambda code: (code.nx, code.chiral)
+    )
     return SeedStates(
-        states=np.stack(rows),
+        states=np.stack(found),
         points=np.stack(points),
         nx=np.array([code.nx for code in codes], dtype=np.int64),
-        kind=np.array([kinds[canonical_form(code)] for code in codes], dtype=np.int64),
+        kind=np.array([classes.index(canonical_form(code)) for code in codes], dtype=np.int64),
         family=families(np.stack(points), NEAR),
         knots=tuple(sorted({knot_type(code) for code in codes})),
         source={
@@ -129,38 +105,65 @@ def seed_states(
     )
 
 
+def _archived(path: Path, max_nx: int, simulation: Simulation) -> list[Array]:
+    """The integration states of an archive's elites, each once."""
+    niches = Archive.load(path).niches
+    elites = [elite for niche, elites in niches.items() if niche.nx <= max_nx for elite in elites]
+    found = list({elite.state.tobytes(): elite.state for elite in elites}.values())
+    size = simulation.states().shape[1]
+    if found and len(found[0]) != size:
+        raise NoSeedStates(
+            f"{path} was made with another rope: its states have {len(found[0])} numbers, this"
+            f" rope's {size}"
+        )
+    return found
+
+
+def _curated(path: Path, max_nx: int, simulation: Simulation) -> list[Array]:
+    """The integration states of curated states, laid at rest."""
+    table, rope = read_states(path, images=False), simulation.rope.config.fingerprint
+    if table.attributes.get("rope") != rope:
+        raise NoSeedStates(
+            f"{path} was made with another rope, {table.attributes.get('rope')}; this one is {rope}"
+        )
+    found = []
+    for qpos in table.qpos[table.nx <= max_nx]:
+        simulation.lay(qpos[None])
+        found.append(simulation.states()[0])
+    return found
+
+
 def families(points: Array, within: float) -> NDArray[np.int64]:
-    """Number configurations so that those nearer than `within` in any of their symmetric forms
-    share a number.
+    """Number configurations so that those near each other in any symmetric form share a number.
 
     Args:
         points: float64 (n, beads, 3), metres.
         within: root mean square distance of the beads at the best turn, shift, reflection, switch,
             reversal and renumbering, metres.
     """
+    count, beads = points.shape[:2]
     centred = points - points.mean(axis=1, keepdims=True)
     flat, height = centred[..., 0] + 1j * centred[..., 1], centred[..., 2]
     square = (centred**2).sum(axis=(1, 2))
     # rms distance from the centre; differs by less than `within` between kin
-    size = np.sqrt(square / points.shape[1])
-    waves = np.fft.fft(flat), np.fft.fft(flat.conj()), np.fft.fft(height)
-    leader = np.arange(len(points))
-    for i in range(len(points)):
-        others = i + 1 + np.flatnonzero(np.abs(size[i + 1 :] - size[i]) < within)
+    size = np.sqrt(square / beads)
+    # correlations over all renumberings at once, by Fourier transforms
+    flat_wave, mirrored_wave = np.fft.fft(flat), np.fft.fft(flat.conj())
+    height_wave = np.fft.fft(height)
+    leader = np.arange(count)
+    for first in range(count):
+        others = first + 1 + np.flatnonzero(np.abs(size[first + 1 :] - size[first]) < within)
         if not len(others):
             continue
         best = np.full(len(others), -np.inf)
-        for backwards in (False, True):
-            own_flat, own_height = (
-                np.fft.fft(one[i, ::-1] if backwards else one[i]) for one in (flat, height)
-            )
-            tall = np.fft.ifft(
-                waves[2][others] * own_height.conj()
-            ).real  # over all renumberings at once
-            for wave in waves[:2]:
+        for direction in (1, -1):
+            own_flat = np.fft.fft(flat[first, ::direction])
+            own_height = np.fft.fft(height[first, ::direction])
+            tall = np.fft.ifft(height_wave[others] * own_height.conj()).real
+            for wave in (flat_wave, mirrored_wave):
                 agreement = np.abs(np.fft.ifft(wave[others] * own_flat.conj())) + np.abs(tall)
                 best = np.maximum(best, agreement.max(axis=1))
-        apart = np.sqrt(np.maximum(0.0, square[i] + square[others] - 2 * best) / points.shape[1])
-        for j in others[apart < within]:
-            leader[leader == leader[j]] = leader[i]
+        apart = np.sqrt(np.maximum(0.0, square[first] + square[others] - 2 * best) / beads)
+        for other in others[apart < within]:
+            leader[leader == leader[other]] = leader[first]
     return np.unique(leader, return_inverse=True)[1].astype(np.int64)

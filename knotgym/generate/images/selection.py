@@ -1,5 +1,6 @@
-"""Which frames become pictures, with which symmetry, in which split: even over codes, no two
-near-duplicates.
+"""Selection: which frames become pictures, with which symmetry, in which split.
+
+Pictures are even over codes, and no two are near-duplicates.
 
 A frame may be reflected, switched, walked the other way and renumbered to start at any bead: for a
 picture all of these are exact. So a frame with n crossings can show up to 8n codes (without
@@ -16,20 +17,34 @@ from typing import NamedTuple
 
 import numpy as np
 
+from knotgym.configuration import check_numbers
+from knotgym.datasets.label_limits import LabelLimits, at_base
 from knotgym.datasets.near_duplicates import NEAR
-from knotgym.generate.images.walks import BASE
+from knotgym.difficulty import grade_of
 from knotgym.rope import Array
 from knotgym.topology.crossings import Crossings, find_crossings
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry
 
-EXTREME = (
-    0.3  # share of each quota that may be graded "extreme" (see difficulty) but for its base bead
-)
 _BLOCK = 2048  # configurations compared at once
 
 
-class Choice(NamedTuple):
+@dataclass(frozen=True, kw_only=True)
+class SelectionConfig:
+    """What is selected.
+
+    Attributes:
+        extreme: share of each quota that may be graded "extreme", the base bead left out (see
+            `difficulty`).
+    """
+
+    extreme: float = 0.3
+
+    def __post_init__(self) -> None:
+        check_numbers(self, shares=("extreme",))
+
+
+class ChosenFrame(NamedTuple):
     """A frame chosen.
 
     Attributes:
@@ -49,9 +64,7 @@ class Choice(NamedTuple):
 
 @dataclass(frozen=True)
 class _Option:
-    """Start the walk between two visits, perhaps backwards, perhaps switched: the visits then
-    seen.
-    """
+    """Start the walk in gap `gap` between two visits: what is `shown` then."""
 
     gap: int
     reverse: bool
@@ -69,17 +82,26 @@ class Chooser:
     """
 
     def __init__(
-        self, quota: dict[tuple[str, int], int], held_out: frozenset[GaussCode], beads: int
+        self,
+        quota: dict[tuple[str, int], int],
+        held_out: frozenset[GaussCode],
+        beads: int,
+        config: SelectionConfig,
+        limits: LabelLimits,
     ) -> None:
-        """Begin with nothing; `held_out` are the codes, without chirality, that only "test-code"
-        may show.
+        """Begin with nothing.
+
+        Args:
+            quota: as above.
+            held_out: codes, without chirality, that only split "test-code" may show.
+            beads: of the rope.
+            config: what is selected.
+            limits: what a configuration keeps to.
         """
-        self.quota, self.chosen, self.refused = quota, list[Choice](), Counter[str]()
-        self._held_out, self._have, self._extreme = (
-            held_out,
-            Counter[tuple[str, int]](),
-            Counter[tuple[str, int]](),
-        )
+        self.quota, self.chosen, self.refused = quota, list[ChosenFrame](), Counter[str]()
+        self._held_out, self._config, self._limits = held_out, config, limits
+        self._have = Counter[tuple[str, int]]()
+        self._extreme = Counter[tuple[str, int]]()
         self._codes = Counter[tuple[str, GaussCode]]()
         self._waves = np.empty((_BLOCK, 2 * beads), dtype=np.complex128)
         self._squares = np.empty(_BLOCK)
@@ -95,28 +117,29 @@ class Chooser:
     def consider(
         self, points: Array, split: str, ease: float, frame: int, rng: np.random.Generator
     ) -> bool:
-        """Choose a frame (beads, 3) of a family that belongs to `split`, or not; says which."""
+        """Choose a frame (beads, 3) of a family that belongs to `split`, or not; say which."""
         crossings = find_crossings(points)
         key = split, crossings.nx
         if self.quota.get(key, 0) <= self._have[key]:
             return self._refuse("quota full")
-        if ease < 0.5 and self._extreme[key] >= EXTREME * self.quota[key]:
+        is_extreme = grade_of(ease) == "extreme"
+        if is_extreme and self._extreme[key] >= self._config.extreme * self.quota[key]:
             return self._refuse("extreme enough")
         symmetry = self._symmetry(crossings, len(points), split, rng)
         if symmetry is None:
             return self._refuse("no code wanted")
         moved = symmetry.configuration(points)
         shown = find_crossings(moved)
-        if at_base(shown, len(moved)):
+        if at_base(shown, len(moved), self._limits):
             return self._refuse("crossing at the base bead")
         if self._wrong(shown.code, split):  # rounding moved a crossing over a bead
             return self._refuse("code changed")
         if not self._apart(moved):
             return self._refuse("near-duplicate")
         self._have[key] += 1
-        self._extreme[key] += ease < 0.5
+        self._extreme[key] += is_extreme
         self._codes[split, shown.code.plain] += 1
-        self.chosen.append(Choice(moved, shown.code, split, symmetry, frame))
+        self.chosen.append(ChosenFrame(moved, shown.code, split, symmetry, frame))
         return True
 
     def _refuse(self, reason: str) -> bool:
@@ -129,9 +152,7 @@ class Chooser:
     def _symmetry(
         self, crossings: Crossings, beads: int, split: str, rng: np.random.Generator
     ) -> Symmetry | None:
-        """The symmetry that shows the code that is rarest so far, at a bead drawn from those that
-        do.
-        """
+        """The symmetry that shows the code rarest so far, at a bead drawn from those that do."""
         reflect, draws = bool(rng.random() < 0.5), rng.random(3)
         if crossings.nx == 0:
             return Symmetry(
@@ -141,7 +162,10 @@ class Chooser:
                 base_shift=int(draws[2] * beads),
             )
         places = np.sort(np.concatenate([crossings.over_place, crossings.under_place]))
-        gaps = [_inside(float(places[k - 1]), float(places[k]), beads) for k in range(len(places))]
+        gaps = [
+            _inside(before, after, beads, self._limits.base)
+            for before, after in zip(np.roll(places, 1).tolist(), places.tolist(), strict=True)
+        ]
         able = [
             option
             for option in _options(crossings.code)
@@ -149,10 +173,8 @@ class Chooser:
         ]
         if not able:
             return None
-        counts = [self._codes[split, option.shown] for option in able]
-        rarest = [
-            option for option, count in zip(able, counts, strict=True) if count == min(counts)
-        ]
+        fewest = min(self._codes[split, option.shown] for option in able)
+        rarest = [option for option in able if self._codes[split, option.shown] == fewest]
         option = rarest[int(draws[0] * len(rarest))]
         base = gaps[option.gap][int(draws[1] * len(gaps[option.gap]))]
         return Symmetry(
@@ -163,20 +185,17 @@ class Chooser:
         )
 
     def _apart(self, points: Array) -> bool:
-        """Whether nothing chosen is a near-duplicate; remembers the points if so. As
-        `datasets.near.distances`, kept in one array.
+        """Whether nothing chosen is a near-duplicate; remembers the points if so.
+
+        As `datasets.near_duplicates.distances`, everything chosen kept in one array.
         """
         n, beads = len(self.chosen), len(points)
         centred = points - points.mean(axis=0)
-        flat, height, square = (
-            centred[:, 0] + 1j * centred[:, 1],
-            centred[:, 2],
-            float((centred**2).sum()),
-        )
+        flat, height = centred[:, 0] + 1j * centred[:, 1], centred[:, 2]
+        square = float((centred**2).sum())
         if n:
-            like = np.flatnonzero(
-                np.abs(np.sqrt(self._squares[:n]) - np.sqrt(square)) < NEAR * np.sqrt(beads)
-            )
+            larger = np.abs(np.sqrt(self._squares[:n]) - np.sqrt(square))
+            like = np.flatnonzero(larger < NEAR * np.sqrt(beads))
             waves = self._waves[like]
             agreement = np.abs(waves[:, :beads] @ flat.conj()) + waves[:, beads:].real @ height
             if (square + self._squares[like] - 2 * agreement < NEAR**2 * beads).any():
@@ -188,34 +207,25 @@ class Chooser:
         return True
 
 
-def at_base(crossings: Crossings, beads: int) -> bool:
-    """Whether a crossing lies within BASE of the white bead, so that it is hard to say whether it
-    is counted first or last.
-    """
-    places = np.concatenate([crossings.over_place, crossings.under_place])
-    return bool(((places < 1 + BASE) | (places > beads - BASE)).any())
+def _inside(before: float, after: float, beads: int, base: float) -> list[int]:
+    """Beads that lie, all of them, at least `base` after one visit and before the next.
 
-
-def _inside(before: float, after: float, beads: int) -> list[int]:
-    """Beads that lie, all of them, at least BASE after one visit and before the next; the gap may
-    lie over bead 0.
+    The gap may lie over bead 0.
     """
     if after <= before:
         after += beads
-    first, last = int(np.ceil(before + BASE)), int(np.floor(after - 1 - BASE))
+    first, last = int(np.ceil(before + base)), int(np.floor(after - 1 - base))
     return [bead % beads for bead in range(first, last + 1)]
 
 
 @lru_cache(maxsize=100_000)
 def _options(code: GaussCode) -> tuple[_Option, ...]:
-    """Gap k lies just before visit k."""
-    out = []
+    """What a diagram can be made to show; gap k lies just before visit k."""
+    options = []
     for gap in range(2 * code.nx):
         forwards = code.plain.rebased(gap)
         for reverse in (False, True):
             walked = forwards.reversed() if reverse else forwards
-            out += [
-                _Option(gap, reverse, False, walked),
-                _Option(gap, reverse, True, walked.mirrored()),
-            ]
-    return tuple(out)
+            options.append(_Option(gap, reverse, False, walked))
+            options.append(_Option(gap, reverse, True, walked.mirrored()))
+    return tuple(options)

@@ -1,10 +1,9 @@
-"""Moving states about: walks in the simulator that pass through many configurations, of the code
-they began with and of others.
+"""Walks: seed states moved about in the simulator, through configurations of many codes.
 
 Most walks move single beads aside, which as a rule keeps the code; the others are led through
 macro-actions that pass strands over each other, as the search's are. Of the frames met, those are
-kept whose label is beyond doubt and whose picture shows it: as they are, opened up a little, and
-opened up much.
+kept whose label is beyond doubt and whose picture shows it: as they are, relaxed a little, and
+relaxed much.
 """
 
 from __future__ import annotations
@@ -17,29 +16,60 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.control.macro_actions import WaypointController, move_aside, propose, step_ropes
+from knotgym.configuration import InvalidConfig, check_numbers
+from knotgym.control.action_sequence import step_ropes
+from knotgym.control.macro_actions import (
+    MacroAction,
+    MacroActionConfig,
+    WaypointController,
+    move_aside,
+    propose,
+)
+from knotgym.datasets.label_limits import LabelLimits, pressed_together, visits_too_close
 from knotgym.difficulty import ease
 from knotgym.quality import Limits, measure
-from knotgym.relaxation import relaxed
+from knotgym.relaxation import RelaxationConfig, relaxed
 from knotgym.rope import Array, Rope
 from knotgym.simulation import Simulation
 from knotgym.streams import Stream, generator
-from knotgym.topology.crossings import count_crossings, find_crossings, visit_spacing
+from knotgym.topology.crossings import count_crossings, find_crossings
 from knotgym.topology.reference_labeller import pyknotid_code
 
 WALKS = 32  # in a unit
-GENTLE = 0.7  # share of walks that move beads aside
-ROUNDS = ((2, 8), (12, 31), (30, 81))  # of opening up: a little, much, very much
 
-# What a frame must keep to, lest its label be in doubt or its picture untrue.
-VISITS = 0.25  # beads along the rope between two visits, 3 mm; rounding moves them by 1e-12 of that
-BASE = 0.25  # beads from either end of the white base bead to the nearest visit outside it: 3 mm
-# millimetres between the axes at a crossing, from which the order of painting is true (see picture)
-CLEARANCE = 7.0
+
+@dataclass(frozen=True, kw_only=True)
+class WalkConfig:
+    """How walks are made and which frames are kept.
+
+    Attributes:
+        gentle: share of walks that move beads aside; the others are led through any macro-actions.
+        spread: share of a gentle walk's macro-actions that lead outwards; the others lead anywhere.
+        relaxations: rounds of relaxation, from and to, for each picture that is made of a frame
+            beside the frame as it is: a little, much, very much.
+        limits: what a frame keeps to.
+        relaxation: what a round does.
+        macro_actions: how they are drawn and carried out.
+    """
+
+    gentle: float = 0.7
+    spread: float = 0.6
+    relaxations: tuple[tuple[int, int], ...] = ((2, 7), (12, 30), (30, 80))
+    limits: LabelLimits = LabelLimits()
+    relaxation: RelaxationConfig = RelaxationConfig()
+    macro_actions: MacroActionConfig = MacroActionConfig()
+
+    def __post_init__(self) -> None:
+        check_numbers(self, shares=("gentle", "spread"))
+        if not all(1 <= least <= most for least, most in self.relaxations):
+            raise InvalidConfig(
+                "relaxations must be pairs of at least 1 round, the smaller number first; got"
+                f" {self.relaxations}"
+            )
 
 
 class Walk(NamedTuple):
-    """One to be made: from base `base`, drawing from stream IMAGE_WALK."""
+    """One to be made: from row `base` of the seed states, drawing from stream IMAGE_WALK."""
 
     number: int
     base: int
@@ -52,10 +82,11 @@ class Unit:
     Attributes:
         walks: which.
         states: float64 (walks, nstate), where they begin.
-        seed: of the job.
-        pulls: that a walk makes.
-        stride: pulls from one frame looked at to the next.
+        seed: of the run.
+        steps: that a walk takes.
+        stride: steps from one frame looked at to the next.
         max_nx: crossings above which a frame is dropped.
+        config: how they are made.
     """
 
     walks: tuple[Walk, ...]
@@ -64,6 +95,7 @@ class Unit:
     steps: int
     stride: int
     max_nx: int
+    config: WalkConfig
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,12 +105,12 @@ class Frames:
     Attributes:
         points: float64 (m, beads, 3), metres.
         walk: int64 (m,), number of the walk.
-        pulls: int64 (m,), after how many pulls.
-        rounds: int64 (m,), of `relax.relaxed` then; 0 for the frame as it was.
+        steps: int64 (m,), after how many steps.
+        rounds: int64 (m,), of `relaxation.relaxed` then; 0 for the frame as it was.
         ease: float64 (m,), see `difficulty.ease`, the base bead left out.
         numbers, bases: int64 (w,), of all walks of the unit.
-        beads: int16 (w, pulls), pulled.
-        forces: float32 (w, pulls, 3), in units of the largest force.
+        beads: int16 (w, steps), that each step moves.
+        forces: float32 (w, steps, 3), in units of the largest force.
         dropped: reason -> frames.
     """
 
@@ -94,60 +126,59 @@ class Frames:
     dropped: dict[str, int]
 
 
-def stir(unit: Unit) -> Frames:
-    """Make the walks of a unit; what one does depends on its number, its base and the seed
-    alone.
-    """
-    count = len(unit.walks)
+class _Met(NamedTuple):
+    """A frame worth keeping: of which walk of the unit, after how many steps and rounds."""
+
+    row: int
+    steps: int
+    rounds: int
+    ease: float
+    points: Array
+
+
+def make_walks(unit: Unit) -> Frames:
+    """Make the walks of a unit; each depends on its number, its seed state and the seed alone."""
+    count, config = len(unit.walks), unit.config
     simulation, ids = _simulation(), np.arange(count)
     simulation.restore(unit.states, ids)
     rngs = [generator(Stream.IMAGE_WALK, unit.seed, walk.number) for walk in unit.walks]
-    gentle = [bool(rng.random() < GENTLE) for rng in rngs]
-    controller, alive = WaypointController(count), np.ones(count, dtype=bool)
-    beads, forces = (
-        np.zeros((count, unit.steps), dtype=np.int16),
-        np.zeros((count, unit.steps, 3), dtype=np.float32),
-    )
-    met: list[tuple[int, int, int, float, Array]] = []
+    gentle = [bool(rng.random() < config.gentle) for rng in rngs]
+    controller = WaypointController(count, config.macro_actions)
+    alive = np.ones(count, dtype=bool)
+    beads = np.zeros((count, unit.steps), dtype=np.int16)
+    forces = np.zeros((count, unit.steps, 3), dtype=np.float32)
+    met: list[_Met] = []
     dropped: Counter[str] = Counter()
     for step in range(unit.steps):
-        now = simulation.points[:count]
-        controller.advance(now)
-        for row in np.flatnonzero(controller.idle):
-            rng = rngs[row]
-            if gentle[row]:
-                kind = "spread" if rng.random() < 0.6 else "shift"
-                macro_action = move_aside(
-                    now[row], kind, int(rng.integers(now.shape[1])), int(rng.choice((-1, 1))), rng
-                )
-            else:
-                macro_action = propose(now[row], rng)
-            controller.begin(int(row), macro_action)
-        controller.advance(now)
-        beads[:, step], forces[:, step] = controller.beads, controller.forces(now)
+        points = simulation.points[:count]
+        controller.advance(points)
+        for row in np.flatnonzero(controller.idle).tolist():
+            draw = _gentle_action if gentle[row] else _any_action
+            controller.begin(row, draw(points[row], rngs[row], config))
+        controller.advance(points)
+        beads[:, step], forces[:, step] = controller.beads, controller.forces(points)
         _, held = step_ropes(simulation, beads[:, step], forces[:, step], ids)
         alive &= held
         if (step + 1) % unit.stride:
             continue
-        for row in np.flatnonzero(alive):
+        for row in np.flatnonzero(alive).tolist():
             frame = simulation.points[row].copy()
             if count_crossings(frame) > unit.max_nx:
                 dropped["crossings"] += 1
                 continue
-            for rounds in (0, *(int(rngs[row].integers(*some)) for some in ROUNDS)):
-                points: Array | None = relaxed(frame, rounds, simulation.rope) if rounds else frame
-                fault, easy = ("can't be opened up", 0.0) if points is None else judged(points)
-                if points is None or fault:
+            for rounds in _rounds(rngs[row], config):
+                fault, legible, shown = _shown(frame, rounds, simulation.rope, config)
+                if fault:
                     dropped[fault] += 1
                 else:
-                    met.append((int(row), step + 1, rounds, easy, points))
-    met.sort(key=lambda one: one[:3])
+                    met.append(_Met(row, step + 1, rounds, legible, shown))
+    met.sort(key=lambda frame: (frame.row, frame.steps, frame.rounds))
     return Frames(
-        points=np.array([one[4] for one in met]).reshape(-1, *simulation.points.shape[1:]),
-        walk=np.array([unit.walks[one[0]].number for one in met], dtype=np.int64),
-        steps=np.array([one[1] for one in met], dtype=np.int64),
-        rounds=np.array([one[2] for one in met], dtype=np.int64),
-        ease=np.array([one[3] for one in met]),
+        points=np.array([frame.points for frame in met]).reshape(-1, *simulation.points.shape[1:]),
+        walk=np.array([unit.walks[frame.row].number for frame in met], dtype=np.int64),
+        steps=np.array([frame.steps for frame in met], dtype=np.int64),
+        rounds=np.array([frame.rounds for frame in met], dtype=np.int64),
+        ease=np.array([frame.ease for frame in met]),
         numbers=np.array([walk.number for walk in unit.walks], dtype=np.int64),
         bases=np.array([walk.base for walk in unit.walks], dtype=np.int64),
         beads=beads,
@@ -156,21 +187,46 @@ def stir(unit: Unit) -> Frames:
     )
 
 
-def judged(points: Array) -> tuple[str, float]:
-    """Why a configuration (beads, 3) can't be shown with its label, "" if it can, and its ease; the
-    base bead, chosen later, left out.
+def _gentle_action(points: Array, rng: np.random.Generator, config: WalkConfig) -> MacroAction:
+    """A macro-action that moves a bead aside, which as a rule keeps the code."""
+    kind = "spread" if rng.random() < config.spread else "shift"
+    bead, side = int(rng.integers(len(points))), int(rng.choice((-1, 1)))
+    return move_aside(points, kind, bead, side, rng, config.macro_actions)
+
+
+def _any_action(points: Array, rng: np.random.Generator, config: WalkConfig) -> MacroAction:
+    return propose(points, rng, config.macro_actions)
+
+
+def _rounds(rng: np.random.Generator, config: WalkConfig) -> list[int]:
+    """Rounds of relaxation for each picture of a frame; the first shows it as it is."""
+    return [0, *(int(rng.integers(least, most + 1)) for least, most in config.relaxations)]
+
+
+def _shown(frame: Array, rounds: int, rope: Rope, config: WalkConfig) -> tuple[str, float, Array]:
+    """A frame relaxed: what is wrong with it, "" for nothing, its ease, and the points."""
+    points = relaxed(frame, rounds, rope, config.relaxation) if rounds else frame
+    if points is None:
+        return "can't be relaxed", 0.0, frame
+    return *judged(points, config.limits), points
+
+
+def judged(points: Array, limits: LabelLimits) -> tuple[str, float]:
+    """Why a configuration (beads, 3) can't be shown with its label, "" if it can; and its ease.
+
+    The base bead, chosen later, is left out.
     """
-    found = find_crossings(points)
-    if visit_spacing(found, len(points)).visits < VISITS:
+    crossings = find_crossings(points)
+    if visits_too_close(crossings, len(points), limits):
         return "visits too close", 0.0
-    quality = replace(measure(points, found, quick=True), base_spacing=float("inf"))
-    if quality.clearance < CLEARANCE:
+    quality = replace(measure(points, crossings, quick=True), base_spacing=float("inf"))
+    if pressed_together(quality.clearance, limits):
         return "strands pressed together", 0.0
     if quality.margin < 0:
         return "out of the picture", 0.0
-    return "" if pyknotid_code(points) == found.code else "labellers disagree", ease(
-        quality, Limits()
-    )
+    if pyknotid_code(points) != crossings.code:
+        return "labellers disagree", 0.0
+    return "", ease(quality, Limits())
 
 
 def retrace(states: Array, beads: NDArray[np.int16], forces: NDArray[np.float32]) -> Array:

@@ -1,11 +1,10 @@
-"""The archive of the search: for every class of Gauss codes the shortest ways there and the
-best-looking states.
+"""The archive of the search: for every class of Gauss codes its shortest and best-looking states.
 
 Quality-diversity search in the line of MAP-Elites (niches) and Go-Explore (return, then explore). A
 niche is a class of codes, chirality kept, under the symmetries that carry rope motions over exactly
 (`symmetry.mirror_images`): what is found for one code is found for all of its class. A state fills
-a niche for each sub-chain that the walk may start at, and for each way round; those other than its
-own hold nearly, until the search has led a rope there.
+a niche for each sub-chain that the walk may start at, and for each direction of the walk; those
+other than its own hold nearly, until the search has led a rope there.
 """
 
 from __future__ import annotations
@@ -20,7 +19,8 @@ import h5py
 import numpy as np
 
 from knotgym.atomic_files import atomic_write, new_hdf5
-from knotgym.control.macro_actions import ActionSequence
+from knotgym.configuration import check_numbers
+from knotgym.control.action_sequence import ActionSequence
 from knotgym.control.transition_counts import TransitionCounts
 from knotgym.errors import KnotgymError, MissingFile
 from knotgym.rope import Array
@@ -30,16 +30,28 @@ from knotgym.topology.symmetry import mirror_images
 
 FORMAT = "knotgym-archive"
 FORMAT_VERSION = 3
+_COMPRESSED = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 _OLD = {"base_shift": "roll", "objective": "badness"}  # what version 2, read too, calls them
-FAIR = 50  # actions that 1 of objective is worth
-KEPT = 2  # elites kept for their short way, and as many for their looks
-
-
-_SQUEEZED = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 
 
 class InvalidArchive(KnotgymError, ValueError):
     """A file that isn't an archive this version can read."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArchiveConfig:
+    """Which elites are kept.
+
+    Attributes:
+        kept: elites of a class kept for their short sequence, and as many for their looks.
+        fair: actions that 1 of objective is worth when looks are compared.
+    """
+
+    kept: int = 2
+    fair: float = 50.0
+
+    def __post_init__(self) -> None:
+        check_numbers(self, counts=("kept",), positive=("fair",))
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +60,11 @@ class Elite:
 
     Attributes:
         code: what it shows, with chirality, walked from vertex `base_shift`, the other way if
-        `reverse`.
+            `reverse`.
         base_shift: a vertex where a sub-chain starts.
         reverse: the walk runs towards falling index.
-        way: from the plain loop at rest, beads numbered as there.
-        state: MuJoCo integration state at the end of the way, float64.
+        sequence: of actions from the plain loop at rest, beads numbered as there.
+        state: MuJoCo integration state at the end of the sequence, float64.
         objective: how far from legible, see `Limits.objective`.
     """
 
@@ -74,10 +86,10 @@ class Archive:
     """Elites by class, and how they came to be.
 
     Attributes:
-        niches: class -> elites, the shortest way first.
+        niches: class -> elites, the shortest sequence first.
         visits: class -> how often the search set out from it.
         growth: one row a round: actions taken so far, classes known by then.
-        settings: of the search, JSON-able; a resumed search must agree with them.
+        settings: of the search that began it, JSON-able.
         transitions: what the macro-actions of the search did to codes.
     """
 
@@ -87,54 +99,56 @@ class Archive:
     settings: dict[str, object] = field(default_factory=dict)
     transitions: TransitionCounts = field(default_factory=TransitionCounts)
 
-    def offer(self, elite: Elite) -> bool:
-        """Keep an elite if it is among the KEPT shortest or the KEPT best-looking of its class; say
-        whether the class is new.
+    def offer(self, elite: Elite, config: ArchiveConfig) -> bool:
+        """Keep an elite if it is among the shortest or best-looking of its class.
 
-        Looks are paid for with actions: FAIR of them for 1 of objective.
+        Looks are paid for with actions, as the configuration says.
+
+        Returns:
+            Whether the class is new.
         """
+
+        def by_length(elite: Elite) -> tuple[float, float]:
+            return len(elite.sequence), elite.objective
+
+        def by_looks(elite: Elite) -> tuple[float, float]:
+            return elite.objective + len(elite.sequence) / config.fair, len(elite.sequence)
+
         niche = mirror_images(elite.code)[0]
-        new = niche not in self.niches
-        pool = [*self.niches.get(niche, []), elite]
-        if any(
-            one.exact for one in pool
-        ):  # a way that holds for this very base bead beats those that hold nearly
-            pool = [one for one in pool if one.exact]
-        short = sorted(pool, key=lambda one: (len(one.sequence), one.objective))[:KEPT]
-        pretty = sorted(
-            pool, key=lambda one: (one.objective + len(one.sequence) / FAIR, len(one.sequence))
-        )[:KEPT]
-        self.niches[niche] = short + [
-            one for one in pretty if not any(one is other for other in short)
-        ]
-        return new
+        is_new = niche not in self.niches
+        rivals = [*self.niches.get(niche, []), elite]
+        # what holds for this very base bead beats what holds nearly
+        rivals = [rival for rival in rivals if rival.exact] or rivals
+        short = sorted(rivals, key=by_length)[: config.kept]
+        good_looking = sorted(rivals, key=by_looks)[: config.kept]
+        # elites are the same only if they are one object
+        self.niches[niche] = short + [elite for elite in good_looking if elite not in short]
+        return is_new
 
     def codes(self, nx: int) -> list[GaussCode]:
         """Every code with nx crossings, without chirality, of the classes known; in order."""
-        found = {
-            member.plain
-            for niche in self.niches
-            if niche.nx == nx
-            for member in mirror_images(niche)
-        }
-        return sorted(found, key=lambda code: code.visits)
+        niches = [niche for niche in self.niches if niche.nx == nx]
+        known = {image.plain for niche in niches for image in mirror_images(niche)}
+        return sorted(known, key=lambda code: code.visits)
 
-    def handed(self, code: GaussCode) -> list[GaussCode]:
+    def known_chiralities(self, code: GaussCode) -> list[GaussCode]:
         """The codes with chirality that show the visits of `code` and are known."""
-        return [
-            one
-            for letters in chiralities(code)
-            if mirror_images(one := GaussCode(code.visits, letters))[0] in self.niches
-        ]
+        chiral = [GaussCode(code.visits, letters) for letters in chiralities(code)]
+        return [code for code in chiral if mirror_images(code)[0] in self.niches]
 
     def sure(self, code: GaussCode, longest: float = float("inf")) -> bool:
-        """Whether an elite with a way of at most `longest` shows a mirror image of `code`, which
-        has its chirality, as the rope is numbered.
+        """Whether an elite shows a mirror image of `code` as the rope is numbered.
+
+        Args:
+            code: with chirality.
+            longest: sequence that the elite may have.
         """
-        return any(one.exact and len(one.sequence) <= longest for one in self.leading_to(code))
+        return any(
+            elite.exact and len(elite.sequence) <= longest for elite in self.leading_to(code)
+        )
 
     def leading_to(self, code: GaussCode) -> list[Elite]:
-        """Elites whose mirror images show `code`, which has its chirality."""
+        """Elites whose mirror images show `code`, given with chirality."""
         return list(self.niches.get(mirror_images(code)[0], []))
 
     def save(self, path: str | os.PathLike[str], compress: bool = True) -> None:
@@ -148,27 +162,18 @@ class Archive:
             file["visits"] = json.dumps(
                 {niche.chiral: count for niche, count in self.visits.items()}
             )
-            squeezed = dict(_SQUEEZED) if compress else {}
-            file.create_dataset(
-                "code",
-                data=[elite.code.chiral for elite in elites],
-                dtype=h5py.string_dtype("utf-8"),
-            )
-            file.create_dataset("base_shift", data=[elite.base_shift for elite in elites])
-            file.create_dataset("reverse", data=[elite.reverse for elite in elites])
-            file.create_dataset("objective", data=[elite.objective for elite in elites])
-            file.create_dataset("length", data=[len(elite.sequence) for elite in elites])
-            file.create_dataset(
-                "beads", data=np.concatenate([elite.sequence.beads for elite in elites]), **squeezed
-            )
-            file.create_dataset(
-                "forces",
-                data=np.concatenate([elite.sequence.forces for elite in elites]),
-                **squeezed,
-            )
-            file.create_dataset(
-                "state", data=np.stack([elite.state for elite in elites]), **squeezed
-            )
+            codes = [elite.code.chiral for elite in elites]
+            file.create_dataset("code", data=codes, dtype=h5py.string_dtype("utf-8"))
+            file["base_shift"] = [elite.base_shift for elite in elites]
+            file["reverse"] = [elite.reverse for elite in elites]
+            file["objective"] = [elite.objective for elite in elites]
+            file["length"] = [len(elite.sequence) for elite in elites]
+            for name, column in {
+                "beads": np.concatenate([elite.sequence.beads for elite in elites]),
+                "forces": np.concatenate([elite.sequence.forces for elite in elites]),
+                "state": np.stack([elite.state for elite in elites]),
+            }.items():
+                file.create_dataset(name, data=column, **(_COMPRESSED if compress else {}))
             self.transitions.write(file.create_group("transitions"))
 
     @classmethod

@@ -1,9 +1,8 @@
-"""Candidates: one concrete rope state that shows one Gauss code, made from an archived way by a
-symmetry.
+"""Candidates: one concrete rope state that shows one Gauss code, made from an elite by a symmetry.
 
-A fresh plain loop, noised, turned, renumbered, is led down the way, opened up, left to come to
-rest, and judged. What comes out is a state with everything that makes it again bit for bit, or the
-reason why it was rejected.
+A fresh plain loop, noised, turned, renumbered, is led through the elite's action sequence, made
+legible by a random walk and a hill climb, left to come to rest, and judged. What comes out is a
+state with everything that makes it again bit for bit, or the reason why it was rejected.
 """
 
 from __future__ import annotations
@@ -16,10 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.control.macro_actions import NO_ACTIONS, ActionSequence, step_ropes
+from knotgym.configuration import check_numbers
+from knotgym.control.action_sequence import NO_ACTIONS, ActionSequence, resting, step_ropes
 from knotgym.generate.states.archive import Elite
 from knotgym.generate.states.hill_climb import HillClimbConfig, hill_climb
-from knotgym.generate.states.search import JITTER, readings, simulation_of
+from knotgym.generate.states.search import readings, simulation_of
 from knotgym.quality import Limits, Quality, measure, noise_survival
 from knotgym.rope import Array, Rope, RopeConfig, noised
 from knotgym.simulation import Simulation
@@ -29,13 +29,7 @@ from knotgym.topology.gauss import GaussCode
 from knotgym.topology.reference_labeller import pyknotid_code
 from knotgym.topology.symmetry import Symmetry, mirrorings
 
-GAIN = (
-    0.05  # objective by which a candidate must be better than the archive to be handed back to it
-)
-ROUNDS = 2  # of opening up and coming to rest
-REST = 3  # pulls of no force at the end: the rope is slower than 1 mm/s after two
-STILL = ActionSequence(np.zeros(REST, dtype=np.int16), np.zeros((REST, 3), dtype=np.float32))
-ONE = np.array([0])  # the rope that is led; the others try what may open it up
+ONE = np.array([0])  # the rope that is led; the others try what may make it legible
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,30 +38,59 @@ class CandidateConfig:
 
     Attributes:
         limits: of accepted states.
-        opening: how hard to open them up.
-        start_noise: of the plain loop each begins as, as `rope.noised`; a tenth of a degree loses
-            three ways in ten.
-        stir: random pulls after the way at most, so that two candidates of one way lie differently;
-            one that changes the code is taken back.
-        stir_loop: the same for plain loops, which have no way.
-        longest: ways of more actions aren't handed back to the archive.
+        hill_climb: how hard to make them legible.
+        start_noise: of the plain loop each begins as, as `rope.noised`; a tenth of a degree makes
+            three sequences in ten miss their code.
+        best_share: of candidates made from the best-looking elite of their code; the others are
+            made from any.
+        jitter: of sequences that hold nearly, at most (see `ActionSequence.jittered`).
+        walk_steps: random steps after the sequence at most, so that two candidates of one elite
+            lie differently; one that changes the code is taken back.
+        loop_walk_steps: the same for plain loops, which have no sequence.
+        walk_force: of a random step, from and to, in units of the largest.
+        rounds: of hill climb and rest, at most.
+        rest: steps of no force at the end; the rope is slower than 1 mm/s after two.
+        gain: objective by which a candidate must be better than the archive to go back into it.
+        longest: sequence that goes back into the archive.
         reset_noise: that accepted states must survive.
         rope: its physics.
     """
 
     limits: Limits = Limits()
-    opening: HillClimbConfig = HillClimbConfig()
+    hill_climb: HillClimbConfig = HillClimbConfig()
     start_noise: float = 0.0
-    stir: int = 3
-    stir_loop: int = 12
+    best_share: float = 0.5
+    jitter: float = 0.04
+    walk_steps: int = 3
+    loop_walk_steps: int = 12
+    walk_force: tuple[float, float] = (0.3, 1.0)
+    rounds: int = 2
+    rest: int = 3
+    gain: float = 0.05
     longest: int = 120
     reset_noise: float = 0.015
     rope: RopeConfig = RopeConfig()
 
+    def __post_init__(self) -> None:
+        check_numbers(
+            self,
+            counts=("rounds", "rest"),
+            whole=("walk_steps", "loop_walk_steps", "longest"),
+            non_negative=("start_noise", "jitter", "gain", "reset_noise"),
+            shares=("best_share",),
+            ranges=("walk_force",),
+        )
+
 
 class CandidateTask(NamedTuple):
-    """One candidate to make: of `code`, which has its chirality, from one of `elites`, drawing from
-    the stream of the key `seed`.
+    """One candidate to make.
+
+    Attributes:
+        config: how.
+        code: that it shall show, with chirality.
+        elites: that lead there; it is made from one of them.
+        start: configuration (beads, 3) that it begins as.
+        seed: key of the stream that it draws from.
     """
 
     config: CandidateConfig
@@ -87,11 +110,11 @@ class Candidate:
         seed: of the task.
         start_qpos: float64 (nq,), laid at rest.
         actions: float32 (T, 6), from there.
-        points: float64 (T + 1, beads, 3), metres, the configurations on the way.
+        points: float64 (T + 1, beads, 3), metres, the configurations before and after each.
         qpos: float64 (nq,), after the last action.
         quality: of the last state.
-        pulls: actions taken to make it, all that was tried included.
-        elites: readings of this state for the archive, if it is better than what the order had,
+        steps: actions taken to make it, all that was tried included.
+        elites: readings of this state for the archive, if it is better than what the task had,
             reached from the archive's start.
     """
 
@@ -108,8 +131,8 @@ class Candidate:
 
 
 def make_candidate(task: CandidateTask) -> Candidate:
-    """Make a candidate; the same order gives the same bytes."""
-    simulation = simulation_of(task.config.opening.tries, task.config.rope)
+    """Make a candidate; the same task gives the same bytes."""
+    simulation = simulation_of(task.config.hill_climb.tries, task.config.rope)
     before = simulation.steps_taken
     candidate = _made(task, simulation)
     return replace(candidate, steps=simulation.steps_taken - before)
@@ -118,8 +141,8 @@ def make_candidate(task: CandidateTask) -> Candidate:
 def _made(task: CandidateTask, simulation: Simulation) -> Candidate:
     config, rng, rope = task.config, generator_of(task.seed), simulation.rope
     elite = task.elites[int(rng.integers(len(task.elites)))]
-    if rng.random() < 0.5:
-        elite = min(task.elites, key=lambda one: one.objective)
+    if rng.random() < config.best_share:
+        elite = min(task.elites, key=lambda elite: elite.objective)
     symmetry = _symmetry(elite, task.code, rng)
     start_qpos = rope.qpos(symmetry.configuration(noised(task.start, config.start_noise, rng)))
     simulation.lay(start_qpos[None], ONE)
@@ -128,12 +151,13 @@ def _made(task: CandidateTask, simulation: Simulation) -> Candidate:
         symmetry.vectors(elite.sequence.forces.astype(np.float64)).astype(np.float32),
     )
     if not elite.exact:
-        sequence = sequence.jittered(rng.uniform(0, JITTER), rng)
+        sequence = sequence.jittered(rng.uniform(0, config.jitter), rng)
     if _follow(simulation, sequence) is None:
         return _rejected("simulation failed", task, rope)
     if label(simulation.points[0]) != task.code:
-        return _rejected("way missed the code", task, rope)
-    sequence += _opening(simulation, task, rng, at_rest=not sequence.forces[-REST:].any())
+        return _rejected("sequence missed the code", task, rope)
+    at_rest = not sequence.forces[-config.rest :].any()
+    sequence += _make_legible(simulation, task, rng, at_rest)
     simulation.lay(start_qpos[None], ONE)
     followed = _follow(simulation, sequence)
     if followed is None:
@@ -143,25 +167,12 @@ def _made(task: CandidateTask, simulation: Simulation) -> Candidate:
     crossings = find_crossings(last)
     quality = measure(last, crossings)
     elites: tuple[Elite, ...] = ()
-    if crossings.code == task.code and len(sequence) <= config.longest:
-        best = min((one.objective for one in task.elites if one.exact), default=np.inf)
-        if (
-            config.limits.objective(replace(quality, excess_crossing_number=np.nan), crossings.nx)
-            < best - GAIN
-        ):
-            elites = _home(simulation, task, symmetry, sequence)
+    if crossings.code == task.code and _is_better(quality, sequence, task):
+        elites = _from_start(simulation, task, symmetry, sequence)
     quality = replace(quality, noise_survival=noise_survival(last, config.reset_noise, rng))
-    faults = config.limits.faults(quality, crossings.nx)
-    if crossings.code != task.code:
-        faults.append("code lost at rest")
-    elif pyknotid_code(last) != crossings.code:
-        faults.append("labellers disagree")
-    elif not _shown_longest_last(points, crossings.code):
-        # an episode that ends when the code has been held so long would end there
-        faults.append("code shown longer before")
     return Candidate(
         crossings.code,
-        tuple(faults),
+        tuple(_faults(quality, points, task)),
         task.seed,
         start_qpos,
         actions,
@@ -172,23 +183,47 @@ def _made(task: CandidateTask, simulation: Simulation) -> Candidate:
     )
 
 
+def _is_better(quality: Quality, sequence: ActionSequence, task: CandidateTask) -> bool:
+    """Whether the archive would rather have this state than the elites of the task."""
+    config = task.config
+    if len(sequence) > config.longest:
+        return False
+    best = min((elite.objective for elite in task.elites if elite.exact), default=np.inf)
+    comparable = replace(quality, excess_crossing_number=np.nan)  # as an archive's elites have it
+    return config.limits.objective(comparable, task.code.nx) < best - config.gain
+
+
+def _faults(quality: Quality, points: Array, task: CandidateTask) -> list[str]:
+    """Why a candidate with configurations (T + 1, beads, 3) is rejected, if it is."""
+    code = label(points[-1])
+    faults = task.config.limits.faults(quality, code.nx)
+    if code != task.code:
+        faults.append("code lost at rest")
+    elif pyknotid_code(points[-1]) != code:
+        faults.append("labellers disagree")
+    elif not _shown_longest_last(points, code):
+        # an episode that ends when the code has been held so long would end there
+        faults.append("code shown longer before")
+    return faults
+
+
 def _shown_longest_last(points: Array, code: GaussCode) -> bool:
-    """Whether the configurations (T + 1, beads, 3) show `code`, chirality aside, nowhere after the
-    first for as long as at the end.
+    """Whether a code, chirality aside, is shown for longer at the end than ever before.
+
+    The first of the configurations (T + 1, beads, 3) doesn't count.
     """
-    runs = [
-        len(list(run))
-        for shown, run in groupby(one.matches(code) for one in label_many(points[1:]))
-        if shown
-    ]
+    matching = (shown.matches(code) for shown in label_many(points[1:]))
+    runs = [len(list(run)) for matches, run in groupby(matching) if matches]
     return not runs or max(runs[:-1], default=0) < runs[-1]
 
 
 def _follow(
     simulation: Simulation, sequence: ActionSequence
 ) -> tuple[NDArray[np.float32], Array] | None:
-    """Lead rope 0 down a way; actions (T, 6) and configurations (T + 1, beads, 3), or None if the
-    simulation failed.
+    """Lead rope 0 through a sequence.
+
+    Returns:
+        Actions (T, 6) and configurations (T + 1, beads, 3); None if the simulation failed.
     """
     actions, points = np.empty((len(sequence), 6), dtype=np.float32), [simulation.points[0].copy()]
     for step, (bead, force) in enumerate(zip(sequence.beads, sequence.forces, strict=True)):
@@ -199,40 +234,68 @@ def _follow(
     return actions, np.stack(points)
 
 
-def _opening(
+def _make_legible(
     simulation: Simulation, task: CandidateTask, rng: np.random.Generator, at_rest: bool
 ) -> ActionSequence:
-    """Stir rope 0, open it up and let it come to rest, and once more if it doesn't do yet; the way
-    from where it lies.
+    """Walk rope 0 about, climb to a legible state and rest, and again if that won't do yet.
+
+    Returns:
+        The actions from where the rope lies.
     """
     config, sequence, state = task.config, NO_ACTIONS, simulation.states(ONE)
+    rest = resting(config.rest)
     if not at_rest:
-        if _follow(simulation, STILL) and label(simulation.points[0]) == task.code:
-            sequence = STILL
-        else:  # what shows the code in motion alone may be opened up in motion
+        if _follow(simulation, rest) and label(simulation.points[0]) == task.code:
+            sequence = rest
+        else:  # what shows the code in motion alone may be made legible in motion
             simulation.restore(state, ONE)
-    state, stirring = _stir(
-        simulation, int(rng.integers(config.stir + 1)) if task.code.nx else config.stir_loop, rng
-    )
-    sequence += stirring
-    for _ in range(ROUNDS):
-        state, opening = hill_climb(simulation, state, config.limits, config.opening, rng)
-        sequence += opening + STILL
+    if task.code.nx:
+        walk_steps = int(rng.integers(config.walk_steps + 1))
+    else:
+        walk_steps = config.loop_walk_steps
+    state, walked = _random_walk(simulation, walk_steps, config.walk_force, rng)
+    sequence += walked
+    for _ in range(config.rounds):
+        state, climbed = hill_climb(simulation, state, config.limits, config.hill_climb, rng)
+        sequence += climbed + rest
         simulation.restore(state[None], ONE)
-        _follow(simulation, STILL)
+        _follow(simulation, rest)
         state, crossings = simulation.states(ONE)[0], find_crossings(simulation.points[0])
-        if crossings.code != task.code or not config.limits.faults(
-            measure(simulation.points[0], crossings, quick=True), crossings.nx
-        ):
+        if crossings.code != task.code:
+            break
+        quality = measure(simulation.points[0], crossings, quick=True)
+        if not config.limits.faults(quality, crossings.nx):
             break
     return sequence
 
 
-def _home(
+def _random_walk(
+    simulation: Simulation, steps: int, force: tuple[float, float], rng: np.random.Generator
+) -> tuple[Array, ActionSequence]:
+    """Move rope 0 about at random without changing what it shows.
+
+    Returns:
+        The integration state reached, and the actions that led there.
+    """
+    code, sequence, state = label(simulation.points[0]), NO_ACTIONS, simulation.states(ONE)
+    for _ in range(steps):
+        bead = rng.integers(simulation.rope.config.beads, size=1)
+        heading, strength = rng.uniform(-np.pi, np.pi), rng.uniform(*force)
+        direction = np.array([[np.cos(heading), np.sin(heading), 0.0]])
+        forces = (strength * direction).astype(np.float32)
+        _, held = step_ropes(simulation, bead, forces, ONE)
+        if held.all() and label(simulation.points[0]) == code:
+            state = simulation.states(ONE)
+            sequence += ActionSequence(bead.astype(np.int16), forces)
+        else:
+            simulation.restore(state, ONE)
+    return state[0], sequence
+
+
+def _from_start(
     simulation: Simulation, task: CandidateTask, symmetry: Symmetry, sequence: ActionSequence
 ) -> tuple[Elite, ...]:
-    """Follow a candidate's way once more from where the archive's ways begin; what the rope shows
-    there.
+    """Follow a candidate's sequence once more from the archive's start; what the rope shows there.
 
     The plain loop is had back exactly whatever was done to it; another start only if it wasn't
     renumbered.
@@ -244,64 +307,34 @@ def _home(
         return ()
     else:
         back = symmetry.undone()
-    home = ActionSequence(
-        sequence.beads, back.vectors(sequence.forces.astype(np.float64)).astype(np.float32)
-    )
+    forces = back.vectors(sequence.forces.astype(np.float64)).astype(np.float32)
+    from_start = ActionSequence(sequence.beads, forces)
     simulation.lay(rope.qpos(task.start)[None], ONE)
-    if _follow(simulation, home) is None:
+    if _follow(simulation, from_start) is None:
         return ()
     state = simulation.states(ONE)[0]
-    return tuple(
-        reading.elite(home, state)
-        for reading in readings(simulation.points[0], task.config.limits, task.config.rope)
-    )
-
-
-def _stir(
-    simulation: Simulation, steps: int, rng: np.random.Generator
-) -> tuple[Array, ActionSequence]:
-    """Pull rope 0 about at random without changing what it shows; the state reached and the way
-    there.
-    """
-    code, sequence, state = label(simulation.points[0]), NO_ACTIONS, simulation.states(ONE)
-    for _ in range(steps):
-        bead, heading, strength = (
-            rng.integers(simulation.rope.config.beads, size=1),
-            rng.uniform(-np.pi, np.pi),
-            rng.uniform(0.3, 1.0),
-        )
-        force = (strength * np.array([[np.cos(heading), np.sin(heading), 0.0]])).astype(np.float32)
-        _, held = step_ropes(simulation, bead, force, ONE)
-        if held.all() and label(simulation.points[0]) == code:
-            state, sequence = (
-                simulation.states(ONE),
-                sequence + ActionSequence(bead.astype(np.int16), force),
-            )
-        else:
-            simulation.restore(state, ONE)
-    return state[0], sequence
+    shown = readings(simulation.points[0], task.config.limits, task.config.rope)
+    return tuple(reading.elite(from_start, state) for reading in shown)
 
 
 def _symmetry(elite: Elite, code: GaussCode, rng: np.random.Generator) -> Symmetry:
     """A random symmetry that takes what the elite shows to `code`."""
     fitting = [symmetry for shown, symmetry in mirrorings(elite.code) if shown == code]
     symmetry = fitting[rng.integers(len(fitting))]
-    turn, base_shift = (
-        float(rng.uniform(-np.pi, np.pi)),
-        -elite.base_shift if elite.reverse else elite.base_shift,
-    )
+    turn = float(rng.uniform(-np.pi, np.pi))
+    base_shift = -elite.base_shift if elite.reverse else elite.base_shift
     return replace(symmetry, turn=turn, reverse=elite.reverse, base_shift=base_shift)
 
 
 def _rejected(fault: str, task: CandidateTask, rope: Rope) -> Candidate:
-    nothing = np.zeros((0, 6), dtype=np.float32)
+    """A candidate that led nowhere."""
     return Candidate(
         task.code,
         (fault,),
         task.seed,
-        np.zeros(rope.nq),
-        nothing,
-        task.start[None],
-        np.zeros(rope.nq),
-        measure(task.start),
+        start_qpos=np.zeros(rope.nq),
+        actions=np.zeros((0, 6), dtype=np.float32),
+        points=task.start[None],
+        qpos=np.zeros(rope.nq),
+        quality=measure(task.start),
     )

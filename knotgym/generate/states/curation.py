@@ -1,6 +1,6 @@
 """Curation: which accepted states make a set, and which of them are for training.
 
-A set holds no two near-duplicates (`datasets.near`), so none straddle its splits.
+A set holds no two near-duplicates (`datasets.near_duplicates`).
 """
 
 from __future__ import annotations

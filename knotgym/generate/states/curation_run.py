@@ -169,7 +169,7 @@ class CurationRun:
             def absorb(target: Target, found: TargetPlan) -> None:
                 self.actions += found.spent
                 for elite in found.elites:
-                    self.archive.offer(elite)
+                    self.archive.offer(elite, search.archive)
                     if elite.exact:
                         fresh[target.goal] = elite
 
@@ -197,58 +197,51 @@ class CurationRun:
 
 
 def _rounds(run: CurationRun) -> int:
-    """Rounds of the search in the next cycle: one, and up to more_rounds more the more of the codes
-    still lacking aren't known either.
+    """Rounds of the search in the next cycle.
+
+    One, and up to `more_rounds` more the more of the codes that lack states aren't known either.
     """
     missing = [0.0]
     for nx in run.config.nx:
-        lacking = run.wanted_codes(nx) - len({one.code.plain for one in run.accepted[nx]})
+        shown = {candidate.code.plain for candidate in run.accepted[nx]}
+        lacking = run.wanted_codes(nx) - len(shown)
         unknown = run.wanted_codes(nx) - len(run.archive.codes(nx))
         missing.append(min(1.0, max(0, unknown) / max(1, lacking)))
     return 1 + round(run.config.more_rounds * max(missing)) if max(run.config.nx) else 0
 
 
 def _targets(run: CurationRun, search: SearchConfig) -> list[Target]:
-    """Codes that no way short enough to go on with is sure to lead to, or whose candidates are
-    stuck.
+    """Codes that no sequence short enough is sure to lead to, or whose candidates are stuck.
 
-    Those that lack states come first, then those aimed at least, then the unknown.
+    Those that lack states come first, then those searched for least, then the unknown.
     """
-    config, start, lacking = run.config, start_of(run.config), []
+    config, start = run.config, start_of(run.config)
+    ranked: list[tuple[tuple[bool, int, bool, int], Target]] = []
     for nx, shares in run.shares.items():
         have = Counter(candidate.code.plain for candidate in run.accepted[nx])
-        stuck = {
-            code
-            for code in shares
-            if have[code] < shares[code]
-            and run.tried[nx][code] >= config.stuck * (1 + run.aimed[code])
-        }
-        sure = {
-            code
-            for code in shares
-            if any(run.archive.sure(one, search.longest) for one in run.archive.handed(code))
-        } - stuck
-        if not nx or len(run.accepted[nx]) >= run.wanted(nx) or len(sure) >= run.wanted_codes(nx):
+        uncertain = [code for code in shares if _is_target(run, nx, code, have[code], search)]
+        sure = len(shares) - len(uncertain)
+        if not nx or len(run.accepted[nx]) >= run.wanted(nx) or sure >= run.wanted_codes(nx):
             continue
-        for index, code in enumerate(shares):
-            if code not in sure:
-                aimed = run.aimed[code]
-                target = Target(
-                    search,
-                    config.planner,
-                    start,
-                    code,
-                    key(Stream.TARGETED_SEARCH, search.seed, nx, index, aimed),
-                )
-                lacking.append(
-                    (
-                        (have[code] >= shares[code], aimed, bool(run.archive.handed(code)), index),
-                        target,
-                    )
-                )
-    chosen = [target for _, target in sorted(lacking, key=lambda one: one[0])[: config.targets]]
+        index_of = {code: index for index, code in enumerate(shares)}
+        for code in uncertain:
+            index, times = index_of[code], run.aimed[code]
+            seed = key(Stream.TARGETED_SEARCH, search.seed, nx, index, times)
+            known = bool(run.archive.known_chiralities(code))
+            target = Target(search, config.planner, start, code, seed)
+            ranked.append(((have[code] >= shares[code], times, known, index), target))
+    ranked.sort(key=lambda pair: pair[0])
+    chosen = [target for _, target in ranked[: config.targets]]
     run.aimed.update(target.goal for target in chosen)
     return chosen
+
+
+def _is_target(run: CurationRun, nx: int, code: GaussCode, have: int, search: SearchConfig) -> bool:
+    """Whether a code is not surely known, or lacks states and nothing comes of its candidates."""
+    stuck = run.tried[nx][code] >= run.config.stuck * (1 + run.aimed[code])
+    known = run.archive.known_chiralities(code)
+    sure = any(run.archive.sure(chiral, search.longest) for chiral in known)
+    return not sure or (stuck and have < run.shares[nx][code])
 
 
 def search_config(config: GenerateConfig, shard: Shard | None = None) -> SearchConfig:
@@ -257,7 +250,7 @@ def search_config(config: GenerateConfig, shard: Shard | None = None) -> SearchC
     if shard is not None and not shard.is_whole:
         seed = derived_seed(Stream.SHARD, config.seed, shard.number)
     most = max(*config.nx, label(start_of(config)).nx)
-    return SearchConfig(max_nx=most, seed=seed, rope=config.candidate.rope)
+    return SearchConfig(**vars(config.search), max_nx=most, seed=seed, rope=config.candidate.rope)
 
 
 def start_of(config: GenerateConfig) -> Array:
@@ -289,7 +282,9 @@ def _shares(config: GenerateConfig, knot: str, nx: int) -> dict[GaussCode, int]:
             raise InvalidGenerateConfig(
                 f"empirical balance is known for ropes that start as a plain loop, not as {knot}"
             )
-        return empirical_shares(nx, config.count, config.seed, config.candidate.rope)
+        return empirical_shares(
+            nx, config.count, config.seed, config.candidate.rope, config.frequencies
+        )
     return dict.fromkeys(known, -(-config.count // len(known)))
 
 
@@ -307,42 +302,49 @@ def _dealt(
 
 
 def _tasks(run: CurationRun, fresh: dict[GaussCode, Elite]) -> list[tuple[int, CandidateTask]]:
-    """A wave: codes that lack states, those tried least first, in an order that the seed decides;
-    those just aimed at set out from there.
+    """A wave of candidates, each with its nx: codes that lack states, those tried least first.
+
+    Candidates of codes just found by a targeted search set out from what it found, `fresh`.
     """
-    config = run.config
-    start = start_of(config)
-    out: list[tuple[int, CandidateTask]] = []
+    config, start = run.config, start_of(run.config)
+    wave: list[tuple[int, CandidateTask]] = []
     open_nx = [nx for nx in config.nx if len(run.accepted[nx]) < run.wanted(nx)]
     for nx in open_nx:
-        have = Counter(candidate.code.plain for candidate in run.accepted[nx])
-        share = list(run.shares[nx])
-        ranked = [
-            share[k] for k in generator(Stream.CODE_ORDER, config.seed, nx).permutation(len(share))
-        ]
-        if (
-            not config.every_code
-        ):  # of more codes than are wanted, a quarter more are tried; the window widens with time
-            ranked = ranked[: run.wanted_codes(nx) + 2 * run.cycle]
-        lacking = [
-            (code, known)
-            for code in ranked
-            if have[code] < run.shares[nx][code] and (known := run.archive.handed(code))
-        ]
-        lacking.sort(key=lambda one: run.tried[nx][one[0]])
-        for k in range(-(-config.wave // len(open_nx)) if lacking else 0):
-            code, known = lacking[k % len(lacking)]
-            number, index = run.tried[nx][code], share.index(code)
-            if number % 3:  # the chiralities that an exact way leads to, two times of three
-                known = [one for one in known if run.archive.sure(one)] or known
+        lacking = _lacking(run, nx)
+        index_of = {code: index for index, code in enumerate(run.shares[nx])}
+        for turn in range(-(-config.wave // len(open_nx)) if lacking else 0):
+            code = lacking[turn % len(lacking)]
+            known = run.archive.known_chiralities(code)
+            number, index = run.tried[nx][code], index_of[code]
+            if number % 3:  # the chiralities that an exact sequence leads to, two times of three
+                known = [chiral for chiral in known if run.archive.sure(chiral)] or known
             run.tried[nx][code] += 1
             # not all begin with the same handedness
             first = int(generator(Stream.CHIRALITY, config.seed, nx, index).integers(2**nx))
             target = fresh[code].code if code in fresh else known[(number + first) % len(known)]
             elites = (fresh[code],) if code in fresh else tuple(run.archive.leading_to(target))
             seed = key(Stream.CANDIDATE, config.seed, nx, index, run.shard.first + number)
-            out.append((nx, CandidateTask(config.candidate, target, elites, start, seed)))
-    return out
+            wave.append((nx, CandidateTask(config.candidate, target, elites, start, seed)))
+    return wave
+
+
+def _lacking(run: CurationRun, nx: int) -> list[GaussCode]:
+    """The known codes that lack states, those tried least first, in an order the seed decides.
+
+    Of more codes than are wanted a quarter more are tried; the window widens with time.
+    """
+    codes = list(run.shares[nx])
+    order = generator(Stream.CODE_ORDER, run.config.seed, nx).permutation(len(codes))
+    ranked = [codes[k] for k in order]
+    if not run.config.every_code:
+        ranked = ranked[: run.wanted_codes(nx) + 2 * run.cycle]
+    have = Counter(candidate.code.plain for candidate in run.accepted[nx])
+    lacking = [
+        code
+        for code in ranked
+        if have[code] < run.shares[nx][code] and run.archive.known_chiralities(code)
+    ]
+    return sorted(lacking, key=lambda code: run.tried[nx][code])
 
 
 def _judge(run: CurationRun, nx: int, candidate: Candidate) -> None:
@@ -355,7 +357,7 @@ def _judge(run: CurationRun, nx: int, candidate: Candidate) -> None:
     ):
         reasons = ["near-duplicate"]
     for elite in candidate.elites:
-        run.archive.offer(elite)
+        run.archive.offer(elite, run.config.search.archive)
     candidate = replace(candidate, elites=())
     same = sum(one.code.plain == candidate.code.plain for one in run.accepted[nx])
     if reasons:

@@ -43,8 +43,10 @@ KNOTS: dict[str, Callable[[], Array]] = {
 
 
 def knot_curve(knot: str) -> Array:
-    """A closed curve (n, 3) of a knot type, named ("3_1") or from a file (.npy, or text with three
-    numbers a line).
+    """A closed curve (n, 3) of a knot type.
+
+    Args:
+        knot: its name ("3_1"), or a file: .npy, or text with three numbers a line.
 
     Raises:
         InvalidCurveFile: neither.
@@ -59,15 +61,14 @@ def knot_curve(knot: str) -> Array:
         )
     try:
         with warnings.catch_warnings(action="error"):  # NumPy only warns of a text without numbers
-            curve = (
-                np.load(path, allow_pickle=False)
-                if path.suffix == ".npy"
-                else np.loadtxt(path, delimiter="," if path.suffix == ".csv" else None)
-            )
-        if not isinstance(curve, np.ndarray) or curve.dtype.kind not in "fiu":
-            raise ValueError("it isn't one array of real numbers")
+            if path.suffix == ".npy":
+                curve = np.load(path, allow_pickle=False)
+            else:
+                curve = np.loadtxt(path, delimiter="," if path.suffix == ".csv" else None)
     except (ValueError, OSError, EOFError, UserWarning) as error:
         raise InvalidCurveFile(f"{path} holds no curve: {' '.join(str(error).split())}") from error
+    if not isinstance(curve, np.ndarray) or curve.dtype.kind not in "fiu":
+        raise InvalidCurveFile(f"{path} holds no curve: it isn't one array of real numbers")
     return np.asarray(curve, dtype=np.float64)
 
 

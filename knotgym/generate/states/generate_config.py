@@ -8,6 +8,8 @@ from knotgym.configuration import as_json, differences
 from knotgym.control.planner import PlannerConfig
 from knotgym.errors import KnotgymError
 from knotgym.generate.states.candidates import CandidateConfig
+from knotgym.generate.states.code_frequencies import FrequencyConfig
+from knotgym.generate.states.search import SearchSettings
 from knotgym.rope import RopeConfig
 from knotgym.tasks import MAX_NX
 
@@ -37,6 +39,8 @@ class GenerateConfig:
         wave: candidates made in a cycle.
         candidate: how they are made and judged.
         planner: what is spent on a targeted search.
+        search: how codes are searched for.
+        frequencies: how codes are counted for the empirical balance.
         more_rounds: of search in a cycle, at most, while none of what lacks is known.
         targets: codes that a cycle searches for with the planner, where its search found fewer new
             classes than that.
@@ -56,6 +60,8 @@ class GenerateConfig:
     wave: int = 48
     candidate: CandidateConfig = CandidateConfig()
     planner: PlannerConfig = PlannerConfig(budget=3000)
+    search: SearchSettings = SearchSettings()
+    frequencies: FrequencyConfig = FrequencyConfig()
     more_rounds: int = 4
     targets: int = 8
     stuck: int = 48

@@ -1,9 +1,10 @@
 """Search of the space of Gauss codes, round by round.
 
-A round sets out from states in the archive, one a slot, and leads each rope through random
-macro-actions for a fixed number of pulls; every state that shows few enough crossings is offered to
-the archive, in the order of slots. What a slot does depends on the archive at the start of the
-round, the seed, the round and the slot alone: rounds come out the same on any workers.
+A round sets out from states in the archive, one for each rope of a batch, and leads the ropes
+through random macro-actions for a fixed number of steps; every state that shows few enough
+crossings is offered to the archive, in the order of the batch. What a rope does depends on the
+archive at the start of the round, the seed, the round and the rope's index alone: rounds come out
+the same on any workers.
 """
 
 from __future__ import annotations
@@ -15,15 +16,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.control.macro_actions import (
-    NO_ACTIONS,
-    ActionSequence,
-    WaypointController,
-    propose,
-    step_ropes,
-)
+from knotgym.configuration import InvalidConfig, check_numbers
+from knotgym.control.action_sequence import NO_ACTIONS, ActionSequence, step_ropes
+from knotgym.control.macro_actions import MacroActionConfig, WaypointController, propose
 from knotgym.control.transition_counts import TransitionCounts, TransitionRecorder
-from knotgym.generate.states.archive import Archive, Elite
+from knotgym.generate.states.archive import Archive, ArchiveConfig, Elite
 from knotgym.quality import Limits, base_spacing, measure
 from knotgym.rope import Array, Rope, RopeConfig, base_shifts
 from knotgym.runs.engine import Batch
@@ -34,32 +31,70 @@ from knotgym.topology.crossings import find_crossings, label_many
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry, mirror_images, shifted_base
 
-JITTER = 0.04  # of ways that hold nearly: the same way would miss again
+
+@dataclass(frozen=True, kw_only=True)
+class SearchSettings:
+    """How codes are searched for.
+
+    Attributes:
+        batch_size: ropes in a round.
+        steps: that a rope takes in a round.
+        longest: actions of a sequence that leads to an elite, at most.
+        room: actions that must be left up to there for a round to set out from an elite.
+        replay_share: of the batch size, sequences that a round replays for the rope renumbered.
+        jitter: of what is so replayed, at most: the same sequence would miss again (see
+            `ActionSequence.jittered`).
+        most_templates: examples kept of what macro-actions did to codes, for each change.
+        archive: which elites are kept.
+        macro_actions: how they are drawn and carried out.
+    """
+
+    batch_size: int = 64
+    steps: int = 12
+    longest: int = 48
+    room: int = 4
+    replay_share: float = 0.5
+    jitter: float = 0.04
+    most_templates: int = 6
+    archive: ArchiveConfig = ArchiveConfig()
+    macro_actions: MacroActionConfig = MacroActionConfig()
+
+    def __post_init__(self) -> None:
+        check_numbers(
+            self,
+            counts=("batch_size", "steps"),
+            whole=("longest", "room", "most_templates"),
+            non_negative=("jitter",),
+            shares=("replay_share",),
+        )
+        if self.longest < self.room:
+            raise InvalidConfig(
+                f"longest must be at least room, {self.room}, for a round to set out from anywhere;"
+                f" got {self.longest}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
-class SearchConfig:
+class SearchConfig(SearchSettings):
     """What is searched and how.
 
     Attributes:
         max_nx: crossings above which a state isn't kept.
         seed: rope i of round r draws from stream SEARCH_ROPE with counters (r, i).
-        batch_size: ropes in a round.
-        pulls: that a rope makes in a round.
-        longest: ways longer than this are not gone on with.
         rope: its physics.
     """
 
     max_nx: int = 4
     seed: int = 0
-    batch_size: int = 64
-    steps: int = 12
-    longest: int = 48
     rope: RopeConfig = RopeConfig()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_numbers(self, whole=("max_nx", "seed"))
 
 
 class SearchUnit(NamedTuple):
-    """A share of a round: slots `slots`, from states (len(slots), nstate)."""
+    """A share of a round: ropes `indices` of the batch, from states (len(indices), nstate)."""
 
     config: SearchConfig
     round: int
@@ -68,7 +103,7 @@ class SearchUnit(NamedTuple):
 
 
 class Replay(NamedTuple):
-    """Ways to follow from the plain loop."""
+    """Action sequences to follow from the plain loop."""
 
     config: SearchConfig
     sequences: tuple[ActionSequence, ...]
@@ -83,26 +118,17 @@ class Reading(NamedTuple):
     objective: float
 
     def elite(self, sequence: ActionSequence, state: Array) -> Elite:
-        """The state with this reading, reached by `way`."""
+        """The state with this reading, reached by `sequence`."""
         return Elite(self.code, self.base_shift, self.reverse, sequence, state, self.objective)
 
 
 class Discovery(NamedTuple):
-    """A state met: by which slot, after how many pulls."""
+    """A state met: by which rope of the batch, or sequence of a replay, after how many steps."""
 
     batch_index: int
     steps: int
     reading: Reading
     state: Array
-
-
-Played = tuple[
-    list[Discovery],
-    NDArray[np.int16],
-    NDArray[np.float32],
-    NDArray[np.int64],
-    TransitionCounts,
-]
 
 
 def new_archive(config: SearchConfig, start: Array | None = None) -> Archive:
@@ -111,14 +137,10 @@ def new_archive(config: SearchConfig, start: Array | None = None) -> Archive:
     simulation = Simulation(1, rope)
     points = rope.loop() if start is None else start
     simulation.lay(rope.qpos(points)[None])
-    archive = Archive(
-        settings={
-            **asdict(config),
-            "start": "loop" if start is None else np.asarray(points).tolist(),
-        }
-    )
+    origin = "loop" if start is None else np.asarray(points).tolist()
+    archive = Archive(settings={**asdict(config), "start": origin})
     for reading in readings(rope.points(simulation.qpos()[0]), Limits(), config.rope):
-        archive.offer(reading.elite(NO_ACTIONS, simulation.states()[0]))
+        archive.offer(reading.elite(NO_ACTIONS, simulation.states()[0]), config.archive)
     return archive
 
 
@@ -163,21 +185,21 @@ def search_round(archive: Archive, config: SearchConfig, chunk: int = 16) -> Ite
     def absorb_replay(replay: Replay, discoveries: list[Discovery]) -> None:
         nonlocal actions
         actions += sum(len(sequence) for sequence in replay.sequences)
-        for find in discoveries:
-            archive.offer(find.reading.elite(replay.sequences[find.batch_index], find.state))
+        for discovery in discoveries:
+            sequence = replay.sequences[discovery.batch_index]
+            archive.offer(discovery.reading.elite(sequence, discovery.state), config.archive)
 
     def absorb_unit(unit: SearchUnit, played: Played) -> None:
         nonlocal actions
-        discoveries, beads, forces, taken, transitions = played
-        archive.transitions.add(transitions)
-        actions += int(taken.sum())
-        for find in discoveries:
-            row = find.batch_index - unit.indices.start
-            sequence = parents[find.batch_index].sequence + ActionSequence(
-                beads[row, : find.steps], forces[row, : find.steps]
+        archive.transitions.add(played.transitions, config.most_templates)
+        actions += int(played.taken.sum())
+        for discovery in played.discoveries:
+            row, steps = discovery.batch_index - unit.indices.start, discovery.steps
+            sequence = parents[discovery.batch_index].sequence + ActionSequence(
+                played.beads[row, :steps], played.forces[row, :steps]
             )
             if len(sequence) <= config.longest:
-                archive.offer(find.reading.elite(sequence, find.state))
+                archive.offer(discovery.reading.elite(sequence, discovery.state), config.archive)
 
     yield Batch(confirm, replays, absorb_replay)
     yield Batch(play, units, absorb_unit)
@@ -185,72 +207,68 @@ def search_round(archive: Archive, config: SearchConfig, chunk: int = 16) -> Ite
 
 
 def confirm(replay: Replay) -> list[Discovery]:
-    """Follow each way from the plain loop; what it shows at its end, `Discovery.slot` counting the
-    ways.
-    """
-    simulation = simulation_of(len(replay.sequences), replay.config.rope)
+    """Follow each sequence from the plain loop: what the ropes show at their ends."""
+    sequences, config = replay.sequences, replay.config
+    simulation = simulation_of(len(sequences), config.rope)
     rope = simulation.rope
-    simulation.lay(np.repeat(rope.qpos(rope.loop())[None], len(replay.sequences), axis=0))
-    alive = np.ones(len(replay.sequences), dtype=bool)
-    for step in range(max(len(sequence) for sequence in replay.sequences)):
-        ids = np.array(
-            [
-                row
-                for row, sequence in enumerate(replay.sequences)
-                if alive[row] and step < len(sequence)
-            ]
-        )
+    simulation.lay(np.repeat(rope.qpos(rope.loop())[None], len(sequences), axis=0))
+    alive = np.ones(len(sequences), dtype=bool)
+    lengths = np.array([len(sequence) for sequence in sequences])
+    for step in range(max(lengths)):
+        ids = np.flatnonzero(alive & (step < lengths))
         if len(ids):
-            _, held = step_ropes(
-                simulation,
-                np.array([replay.sequences[i].beads[step] for i in ids]),
-                np.stack([replay.sequences[i].forces[step] for i in ids]),
-                ids,
-            )
-            alive[ids] = held
-    out: list[Discovery] = []
-    for row in np.flatnonzero(alive):
-        for reading in readings(simulation.points[row], Limits(), replay.config.rope):
-            if reading.code.nx <= replay.config.max_nx:
-                out.append(
-                    Discovery(
-                        int(row),
-                        len(replay.sequences[row]),
-                        reading,
-                        simulation.states([int(row)])[0],
-                    )
-                )
-    return out
+            beads = np.array([sequences[row].beads[step] for row in ids])
+            forces = np.stack([sequences[row].forces[step] for row in ids])
+            _, alive[ids] = step_ropes(simulation, beads, forces, ids)
+    return [
+        Discovery(row, len(sequences[row]), reading, simulation.states([row])[0])
+        for row in np.flatnonzero(alive).tolist()
+        for reading in readings(simulation.points[row], Limits(), config.rope)
+        if reading.code.nx <= config.max_nx
+    ]
+
+
+class Played(NamedTuple):
+    """What came of a unit.
+
+    Attributes:
+        discoveries: by rope and then by step.
+        beads: int16 (ropes, steps), of every step.
+        forces: float32 (ropes, steps, 3), likewise.
+        taken: int (ropes,), steps that each took before it broke.
+        transitions: what the macro-actions did to codes.
+    """
+
+    discoveries: list[Discovery]
+    beads: NDArray[np.int16]
+    forces: NDArray[np.float32]
+    taken: NDArray[np.int64]
+    transitions: TransitionCounts
 
 
 def play(unit: SearchUnit) -> Played:
-    """Lead the ropes of a unit through macro_actions.
-
-    Returns:
-        The discoveries, by slot and then by pull; beads int16 (slots, pulls) and forces float32
-        (slots, pulls, 3) of every pull; how many pulls each slot made before its rope broke, int
-        (slots,); and what the macro-actions did to codes.
-    """
+    """Lead the ropes of a unit through macro-actions."""
     config, count = unit.config, len(unit.indices)
     simulation = simulation_of(count, config.rope)
     simulation.restore(unit.states)
     rngs = [generator(Stream.SEARCH_ROPE, config.seed, unit.round, index) for index in unit.indices]
-    controller, limits = WaypointController(count), Limits()
+    controller = WaypointController(count, config.macro_actions)
     beads = np.zeros((count, config.steps), dtype=np.int16)
     forces = np.zeros((count, config.steps, 3), dtype=np.float32)
     taken = np.full(count, config.steps)
     alive = np.ones(count, dtype=bool)
     last = label_many(simulation.points)
     discoveries: list[Discovery] = []
-    watches = [
-        TransitionRecorder(base_shifts(config.rope), config.rope.beads) for _ in unit.indices
+    shifts = base_shifts(config.rope)
+    recorders = [
+        TransitionRecorder(shifts, config.rope.beads, config.most_templates) for _ in unit.indices
     ]
     for step in range(config.steps):
         controller.advance(simulation.points)
-        for row in np.flatnonzero(controller.idle):
-            macro_action = propose(simulation.points[row], rngs[row])
-            controller.begin(int(row), macro_action)
-            watches[row].set_out(find_crossings(simulation.points[row]), macro_action)
+        for row in np.flatnonzero(controller.idle).tolist():
+            macro_action = propose(simulation.points[row], rngs[row], config.macro_actions)
+            controller.begin(row, macro_action)
+            recorders[row].set_out(find_crossings(simulation.points[row]), macro_action)
         controller.advance(simulation.points)
         beads[:, step] = controller.beads
         forces[:, step] = controller.forces(simulation.points)
@@ -258,68 +276,57 @@ def play(unit: SearchUnit) -> Played:
         taken[alive & ~held] = step
         alive &= held
         controller.advance(simulation.points)
-        ended = controller.idle
+        ended = controller.idle | (step == config.steps - 1)
         codes = label_many(simulation.points)
-        for row in np.flatnonzero(alive):
-            if codes[row] != last[row]:
-                watches[row].show(find_crossings(simulation.points[row]))
-            if codes[row].nx <= config.max_nx and (
-                codes[row] != last[row] or ended[row] or step == config.steps - 1
-            ):
-                state = simulation.states([int(row)])[0]
+        for row in np.flatnonzero(alive).tolist():
+            is_new = codes[row] != last[row]
+            if is_new:
+                recorders[row].show(find_crossings(simulation.points[row]))
+            if codes[row].nx <= config.max_nx and (is_new or ended[row]):
+                state = simulation.states([row])[0]
                 discoveries += [
                     Discovery(unit.indices[row], step + 1, reading, state)
-                    for reading in readings(simulation.points[row], limits, config.rope)
+                    for reading in readings(simulation.points[row], Limits(), config.rope)
                 ]
         last = codes
+    discoveries.sort(key=_place)
     transitions = TransitionCounts()
-    for watch in watches:
-        transitions.add(watch.transitions)
-    return (
-        sorted(
-            discoveries,
-            key=lambda find: (
-                find.batch_index,
-                find.steps,
-                find.reading.base_shift,
-                find.reading.reverse,
-            ),
-        ),
-        beads,
-        forces,
-        taken,
-        transitions,
-    )
+    for recorder in recorders:
+        transitions.add(recorder.transitions, config.most_templates)
+    return Played(discoveries, beads, forces, taken, transitions)
+
+
+def _place(discovery: Discovery) -> tuple[int, int, int, bool]:
+    """What the discoveries of a unit are ordered by."""
+    reading = discovery.reading
+    return discovery.batch_index, discovery.steps, reading.base_shift, reading.reverse
 
 
 def readings(points: Array, limits: Limits, rope: RopeConfig) -> list[Reading]:
-    """What one state shows walked from each sub-chain, either way; of several readings of one code
-    the exact one, or the best.
+    """What one state shows, walked from each sub-chain in either direction.
+
+    Of several readings of one code it is the exact one, or the best.
     """
     crossings = find_crossings(points)
     quality = measure(points, crossings, quick=True)
-    found: dict[GaussCode, Reading] = {}
+    best: dict[GaussCode, Reading] = {}
     for base_shift in base_shifts(rope):
         code = shifted_base(crossings, base_shift)
-        objective = limits.objective(
-            replace(quality, base_spacing=base_spacing(points, crossings, base_shift)), code.nx
-        )
+        seen = replace(quality, base_spacing=base_spacing(points, crossings, base_shift))
+        objective = limits.objective(seen, code.nx)
         for reverse in (False, True):
             reading = Reading(code.reversed() if reverse else code, base_shift, reverse, objective)
-            known = found.setdefault(reading.code, reading)
+            known = best.setdefault(reading.code, reading)
             if objective < known.objective and (known.base_shift or known.reverse):
-                found[reading.code] = reading
-    return list(found.values())
+                best[reading.code] = reading
+    return list(best.values())
 
 
 def _unconfirmed(archive: Archive, config: SearchConfig, number: int) -> list[ActionSequence]:
-    """Ways for the rope renumbered, to codes that no elite shows as it is numbered; half as many as
-    slots.
+    """Sequences for the rope renumbered, to codes that no elite shows as it is numbered.
 
-    Codes of which no chirality is shown so come first.
-
-    The plain loop, renumbered, is the plain loop again once it is turned back, or seen in a mirror
-    where it is walked the other way.
+    Codes of which no chirality is shown so come first. The plain loop, renumbered, is the plain
+    loop again once it is turned back, or seen in a mirror where it is walked the other way.
     """
     if archive.settings["start"] != "loop":
         return []
@@ -336,8 +343,9 @@ def _unconfirmed(archive: Archive, config: SearchConfig, number: int) -> list[Ac
         if 0 < niche.nx <= config.max_nx and not archive.sure(niche)
     ]
     drawn = [near[pick] for pick in rng.permutation(len(near))]
+    drawn.sort(key=lambda niche: niche.plain in sure)
     sequences = []
-    for niche in sorted(drawn, key=lambda one: one.plain in sure)[: config.batch_size // 2]:
+    for niche in drawn[: int(config.replay_share * config.batch_size)]:
         elites = archive.niches[niche]
         elite = elites[rng.integers(len(elites))]
         renumbered = Symmetry(
@@ -349,25 +357,22 @@ def _unconfirmed(archive: Archive, config: SearchConfig, number: int) -> list[Ac
         sequence = ActionSequence(
             beads, back.vectors(elite.sequence.forces.astype(np.float64)).astype(np.float32)
         )
-        sequences.append(sequence.jittered(rng.uniform(0, JITTER), rng))
+        sequences.append(sequence.jittered(rng.uniform(0, config.jitter), rng))
     return sequences
 
 
 def _parents(archive: Archive, config: SearchConfig, number: int) -> list[Elite]:
-    """Draw where the slots set out from: classes seldom set out from more often, then any elite
-    whose way isn't too long.
-    """
+    """Draw what the ropes set out from: seldom visited classes first, then any elite with room."""
     rng = generator(Stream.SEARCH_PARENTS, config.seed, number)
     near = {niche: elites for niche, elites in archive.niches.items() if niche.nx <= config.max_nx}
     able = {
-        niche: [one for one in elites if len(one.sequence) + 4 <= config.longest]
+        niche: [elite for elite in elites if len(elite.sequence) + config.room <= config.longest]
         for niche, elites in near.items()
     }
     niches = [niche for niche, elites in able.items() if elites]
     weights = np.array([1 / np.sqrt(1 + archive.visits.get(niche, 0)) for niche in niches])
-    chosen = [
-        niches[i] for i in rng.choice(len(niches), config.batch_size, p=weights / weights.sum())
-    ]
+    picks = rng.choice(len(niches), config.batch_size, p=weights / weights.sum())
+    chosen = [niches[pick] for pick in picks]
     for niche in chosen:
         archive.visits[niche] = archive.visits.get(niche, 0) + 1
     return [able[niche][rng.integers(len(able[niche]))] for niche in chosen]

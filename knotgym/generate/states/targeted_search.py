@@ -1,5 +1,6 @@
-"""Aimed search: the planner leads a rope from the start to a code that the search has not met, or
-not as the rope is numbered.
+"""Targeted search: the planner leads a rope to a code that the search hasn't met.
+
+Or that it has met, but not as the rope is numbered.
 """
 
 from __future__ import annotations
@@ -8,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from knotgym.control.macro_actions import ActionSequence, step_ropes
+from knotgym.control.action_sequence import ActionSequence, step_ropes
 from knotgym.control.planner import PlannerConfig, plan
 from knotgym.control.transition_graph import shipped_transition_graph
 from knotgym.generate.states.archive import Elite
@@ -30,8 +31,11 @@ class Target(NamedTuple):
 
 
 class TargetPlan(NamedTuple):
-    """What came of a target: states for the archive, none if the planner failed; and simulated
-    actions spent.
+    """What came of a target.
+
+    Attributes:
+        elites: for the archive, none if the planner failed.
+        spent: simulated actions.
     """
 
     elites: tuple[Elite, ...]
@@ -39,32 +43,31 @@ class TargetPlan(NamedTuple):
 
 
 def reach(target: Target) -> TargetPlan:
-    """Plan a way to a target that the search could have gone, and act it out."""
+    """Plan a sequence to a target that the search could have found, and act it out."""
     search, planner = target.search, target.planner
     simulation = simulation_of(planner.batch_size, search.rope)
     rope = simulation.rope
     simulation.lay(rope.qpos(target.start)[None], [0])
     state = simulation.states([0])[0]
-    found = plan(
+    planned = plan(
         simulation,
         state,
         target.goal,
-        shipped_transition_graph(),
+        shipped_transition_graph(planner.graph),
         planner,
         generator_of(target.seed),
         steps=search.longest,
     )
-    if not found.solved:
-        return TargetPlan((), found.spent)
+    if not planned.solved:
+        return TargetPlan((), planned.spent)
     simulation.restore(state[None], [0])
-    beads, forces = (
-        np.zeros(len(found.actions), dtype=np.int16),
-        np.zeros((len(found.actions), 3), dtype=np.float32),
-    )
-    for step, action in enumerate(found.actions):
+    beads = np.zeros(len(planned.actions), dtype=np.int16)
+    forces = np.zeros((len(planned.actions), 3), dtype=np.float32)
+    for step, action in enumerate(planned.actions):
         (beads[step],), force = simulation.read_actions(action[None], [0])
         forces[step] = force[0] / rope.config.max_force
         step_ropes(simulation, beads[[step]], forces[[step]], [0])
     end, sequence = simulation.states([0])[0], ActionSequence(beads, forces)
     shown = readings(simulation.points[0], Limits(), search.rope)
-    return TargetPlan(tuple(one.elite(sequence, end) for one in shown), found.spent + len(sequence))
+    elites = tuple(reading.elite(sequence, end) for reading in shown)
+    return TargetPlan(elites, planned.spent + len(sequence))

@@ -1,0 +1,115 @@
+"""Policies that need neither plan nor model, and those that put others together."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.control.macro_actions import MacroActionConfig, WaypointController, propose
+from knotgym.control.policy import Choice, Effort, PlanningPolicy, Policy, UnplannedPolicy
+from knotgym.episode_batch import Episodes
+
+
+class RandomPolicy(UnplannedPolicy):
+    """Uniform actions."""
+
+    def __init__(self) -> None:
+        super().__init__("random")
+
+    def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
+        actions = np.stack([uniform_action(self._rngs[int(index)]) for index in ids])
+        return Choice(actions, [""] * len(ids))
+
+
+class ScriptedPolicy(UnplannedPolicy):
+    """One macro-action after the other, any that may change something."""
+
+    def __init__(self, config: MacroActionConfig) -> None:
+        super().__init__("scripted")
+        self._config = config
+        self._controller = WaypointController(0, config)
+        self._kinds: dict[int, str] = {}
+
+    def begin(self, episodes: Episodes, index: int, rng: np.random.Generator) -> None:
+        super().begin(episodes, index, rng)
+        if len(self._controller.beads) != episodes.count:
+            self._controller = WaypointController(episodes.count, self._config)
+        self._controller.release(index)
+
+    def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
+        simulation = episodes.simulation
+        self._controller.advance(simulation.points)
+        idle = self._controller.idle
+        for index in ids.tolist():
+            if idle[index]:
+                points = simulation.points[index]
+                macro_action = propose(points, self._rngs[index], self._config)
+                self._kinds[index] = macro_action.kind
+                self._controller.begin(index, macro_action)
+        self._controller.advance(simulation.points)
+        forces = self._controller.forces(simulation.points)[ids] * simulation.rope.config.max_force
+        actions = simulation.actions(self._controller.beads[ids], forces, ids)
+        return Choice(actions, [self._kinds[index] for index in ids.tolist()])
+
+
+class NoisyPolicy(UnplannedPolicy):
+    """A planning policy, now and then replaced by a uniform action, after which it plans anew."""
+
+    def __init__(self, name: str, inner: PlanningPolicy, noise: float) -> None:
+        super().__init__(name)
+        self._inner, self._noise = inner, noise
+
+    def begin(self, episodes: Episodes, index: int, rng: np.random.Generator) -> None:
+        noise_rng, inner_rng = rng.spawn(2)
+        super().begin(episodes, index, noise_rng)
+        self._inner.begin(episodes, index, inner_rng)
+
+    def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
+        noisy = np.array([self._rngs[int(index)].random() < self._noise for index in ids])
+        actions, moves = np.zeros((len(ids), 6), dtype=np.float32), ["noise"] * len(ids)
+        planned = np.flatnonzero(~noisy)
+        if len(planned):
+            actions[planned], reasons = self._inner.act(episodes, ids[planned])
+            for row, reason in zip(planned, reasons, strict=True):
+                moves[row] = reason
+        for row in np.flatnonzero(noisy):
+            index = int(ids[row])
+            self._inner.replan(index)
+            actions[row] = uniform_action(self._rngs[index])
+        return Choice(actions, moves)
+
+    def effort(self, index: int) -> Effort:
+        return self._inner.effort(index)
+
+
+class MixedPolicy:
+    """One of several policies for each episode, drawn when it begins."""
+
+    def __init__(self, policies: list[Policy], shares: tuple[float, ...]) -> None:
+        self._policies, self._shares = policies, np.array(shares) / sum(shares)
+        self._chosen: dict[int, Policy] = {}
+
+    def begin(self, episodes: Episodes, index: int, rng: np.random.Generator) -> None:
+        self._chosen[index] = self._policies[rng.choice(len(self._policies), p=self._shares)]
+        self._chosen[index].begin(episodes, index, rng)
+
+    def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
+        actions, moves = np.zeros((len(ids), 6), dtype=np.float32), [""] * len(ids)
+        for policy in self._policies:
+            own = np.flatnonzero([self._chosen[int(index)] is policy for index in ids])
+            if len(own):
+                actions[own], reasons = policy.act(episodes, ids[own])
+                for row, reason in zip(own, reasons, strict=True):
+                    moves[row] = reason
+        return Choice(actions, moves)
+
+    def name(self, index: int) -> str:
+        return self._chosen[index].name(index)
+
+    def effort(self, index: int) -> Effort:
+        return self._chosen[index].effort(index)
+
+
+def uniform_action(rng: np.random.Generator) -> NDArray[np.float32]:
+    """A uniform action, float32 (6,)."""
+    return rng.uniform(-1, 1, 6).astype(np.float32)

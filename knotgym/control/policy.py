@@ -1,0 +1,74 @@
+"""What a policy is: one interface for a batch of ropes, every draw from a generator handed in."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.episode_batch import Episodes
+from knotgym.errors import KnotgymError
+
+
+class InvalidPolicy(KnotgymError, ValueError):
+    """There is no such policy, or it doesn't do what a policy does."""
+
+
+class Choice(NamedTuple):
+    """What a policy does in n episodes.
+
+    Attributes:
+        actions: float32 (n, 6), in [-1, 1].
+        moves: why, a word or two each, "" where the policy gives no reasons.
+    """
+
+    actions: NDArray[np.float32]
+    moves: list[str]
+
+
+class Effort(NamedTuple):
+    """What planning an episode took: simulated actions, and seconds of wall time."""
+
+    actions: int = 0
+    seconds: float = 0.0
+
+
+class Policy(Protocol):
+    """Acts in any of the episodes of one batch, each from its own generator."""
+
+    def begin(self, episodes: Episodes, index: int, rng: np.random.Generator) -> None:
+        """Episode `index` has begun; every draw for it comes from `rng`."""
+
+    def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
+        """Decide for the episodes `ids`, in rising order."""
+
+    def name(self, index: int) -> str:
+        """Who acts in episode `index`."""
+
+    def effort(self, index: int) -> Effort:
+        """What planning took in episode `index` so far."""
+
+
+class PlanningPolicy(Policy, Protocol):
+    """A policy that can be told that its plan no longer holds."""
+
+    def replan(self, index: int) -> None:
+        """Plan anew before the next action."""
+
+
+class UnplannedPolicy:
+    """What policies without plans share: a name, and a generator for each episode."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._rngs: dict[int, np.random.Generator] = {}
+
+    def begin(self, episodes: Episodes, index: int, rng: np.random.Generator) -> None:
+        self._rngs[index] = rng
+
+    def name(self, index: int) -> str:
+        return self._name
+
+    def effort(self, index: int) -> Effort:
+        return Effort()
