@@ -1,10 +1,10 @@
-"""Opening a configuration up without physics: strands part in the picture, bends ease, and the
-Gauss code stays.
+"""Relaxing a configuration without physics: strands part, bends ease, and the Gauss code stays.
 
-A thousandth of the cost of opening up in the simulator (`generate.opening`), for pictures, which
-need a rope that could lie so and no way there. Each iteration pushes apart vertices whose strands
-come near in the picture, straightens bends, lifts the strands at crossings apart, and gives every
-bead its length again (position-based dynamics, Müller et al., 2007).
+A thousandth of the cost of hill climbing in the simulator (`generate.states.hill_climb`), for
+pictures, which need a rope that could lie so and no actions that lead there. Each iteration pushes
+apart vertices whose strands come near in the picture, straightens bends, lifts the strands at
+crossings apart, and gives every bead its length again (position-based dynamics, Müller et al.,
+2007).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ HEIGHT = 0.0125  # metres that crossing strands' axes are brought apart
 
 
 def relaxed(points: Array, rounds: int, rope: Rope) -> Array | None:
-    """Open a configuration up.
+    """Relax a configuration.
 
     Args:
         points: float64 (beads, 3), metres; left alone.
@@ -66,9 +66,7 @@ def _iterate(p: Array, length: float, iterations: int) -> None:
                 apart = np.sqrt(x * x + y * y)
                 if apart >= REACH:
                     continue
-                if (
-                    apart < 1.5 * length
-                ):  # they cross, or nearly: over and under keep their distance
+                if apart < 1.5 * length:  # they cross, or nearly: over and under keep apart
                     z = p[i, 2] - p[j, 2]
                     lack = HEIGHT - abs(z)
                     if lack > 0:

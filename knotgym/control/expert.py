@@ -18,7 +18,7 @@ from knotgym.control.macro_actions import WaypointController
 from knotgym.control.planner import REST, Plan, PlannerConfig, guided, plan
 from knotgym.control.policies import Choice, Effort
 from knotgym.control.transition_graph import TransitionGraph, shipped_transition_graph
-from knotgym.episode_batch import Episodes
+from knotgym.episode_batch import EpisodeBatch
 from knotgym.simulation import Simulation
 
 BLIND = "blind"  # begins the reason of a pull without a plan
@@ -52,13 +52,13 @@ class Expert:
         self._minds: dict[int, _Mind] = {}
         self._controller = WaypointController(0)
 
-    def begin(self, episodes: Episodes, index: int, rng: np.random.Generator) -> None:
+    def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
         if len(self._controller.beads) != episodes.count:
             self._controller = WaypointController(episodes.count)
         self._controller.release(index)
         self._minds[index] = _Mind(rng)
 
-    def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
+    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
         actions, moves = np.zeros((len(ids), 6), dtype=np.float32), []
         for k, i in enumerate(ids.tolist()):
             mind = self._minds[i]
@@ -88,7 +88,7 @@ class Expert:
         mind = self._minds[index]
         return Effort(mind.spent, mind.seconds)
 
-    def _planned(self, episodes: Episodes, index: int, mind: _Mind) -> Plan:
+    def _planned(self, episodes: EpisodeBatch, index: int, mind: _Mind) -> Plan:
         if self._simulation is None:
             self._simulation = Simulation(self.config.batch_size, episodes.simulation.rope)
         state = episodes.simulation.states([index])[0]
@@ -111,7 +111,7 @@ class Expert:
             budget=budget,
         )
 
-    def _blind(self, episodes: Episodes, index: int, mind: _Mind) -> NDArray[np.float32]:
+    def _blind(self, episodes: EpisodeBatch, index: int, mind: _Mind) -> NDArray[np.float32]:
         simulation = episodes.simulation
         points = simulation.points
         if episodes.codes[index].matches(episodes.goals[index]):

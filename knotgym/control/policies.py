@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from knotgym.control.macro_actions import WaypointController, propose
 from knotgym.control.planner import PlannerConfig
-from knotgym.episode_batch import Episodes
+from knotgym.episode_batch import EpisodeBatch
 from knotgym.errors import KnotgymError
 
 NAMED = ("random", "scripted", "expert", "noisy-expert", "mixed")
@@ -59,12 +59,12 @@ class Effort(NamedTuple):
 
 
 class Policy(Protocol):
-    """Acts in any of the episodes of one `Episodes`, each from its own generator."""
+    """Acts in any of the episodes of one `EpisodeBatch`, each from its own generator."""
 
-    def begin(self, episodes: Episodes, index: int, rng: np.random.Generator) -> None:
+    def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
         """Episode `index` has begun; every draw for it comes from `rng`."""
 
-    def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
+    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
         """Decide for the episodes `ids`, in rising order."""
 
     def name(self, index: int) -> str:
@@ -153,7 +153,7 @@ class _Plain:
         self._name = name
         self._rngs: dict[int, np.random.Generator] = {}
 
-    def begin(self, episodes: Episodes, index: int, rng: np.random.Generator) -> None:
+    def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
         self._rngs[index] = rng
 
     def name(self, index: int) -> str:
@@ -169,7 +169,7 @@ class Random(_Plain):
     def __init__(self) -> None:
         super().__init__("random")
 
-    def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
+    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
         return Choice(np.stack([uniform(self._rngs[int(i)]) for i in ids]), [""] * len(ids))
 
 
@@ -181,13 +181,13 @@ class Scripted(_Plain):
         self._controller = WaypointController(0)
         self._kinds: dict[int, str] = {}
 
-    def begin(self, episodes: Episodes, index: int, rng: np.random.Generator) -> None:
+    def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
         super().begin(episodes, index, rng)
         if len(self._controller.beads) != episodes.count:
             self._controller = WaypointController(episodes.count)
         self._controller.release(index)
 
-    def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
+    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
         simulation = episodes.simulation
         self._controller.advance(simulation.points)
         idle = self._controller.idle
@@ -218,12 +218,12 @@ class Noisy(_Plain):
         super().__init__("noisy-expert")
         self._inner, self._noise = inner, noise
 
-    def begin(self, episodes: Episodes, index: int, rng: np.random.Generator) -> None:
+    def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
         noise, inner = rng.spawn(2)
         super().begin(episodes, index, noise)
         self._inner.begin(episodes, index, inner)
 
-    def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
+    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
         noisy = np.array([self._rngs[int(i)].random() < self._noise for i in ids])
         actions, moves = np.zeros((len(ids), 6), dtype=np.float32), ["noise"] * len(ids)
         sober = np.flatnonzero(~noisy)
@@ -247,11 +247,11 @@ class Mixed:
         self._policies, self._shares = policies, np.array(shares) / sum(shares)
         self._chosen: dict[int, Policy] = {}
 
-    def begin(self, episodes: Episodes, index: int, rng: np.random.Generator) -> None:
+    def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
         self._chosen[index] = self._policies[rng.choice(len(self._policies), p=self._shares)]
         self._chosen[index].begin(episodes, index, rng)
 
-    def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
+    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
         actions, moves = np.zeros((len(ids), 6), dtype=np.float32), [""] * len(ids)
         for policy in self._policies:
             own = np.array(
@@ -279,7 +279,7 @@ class Own(_Plain):
         super().__init__(name)
         self._function = function
 
-    def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
+    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
         return _checked(
             [
                 self._function(
@@ -298,7 +298,7 @@ class Learned(_Plain):
         super().__init__(name)
         self._model = model
 
-    def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
+    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
         seen = [episodes.observation(int(i)) for i in ids]
         batch = (
             {name: np.stack([one[name] for one in seen]) for name in seen[0]}

@@ -15,7 +15,7 @@ import numpy as np
 
 from knotgym.control.policies import Effort, Policy
 from knotgym.datasets.trajectory import Episode
-from knotgym.episode_batch import Episodes
+from knotgym.episode_batch import EpisodeBatch
 from knotgym.streams import Stream, derived_seed, generator
 from knotgym.tasks import TaskConfig
 
@@ -70,7 +70,7 @@ def rollout(task: TaskConfig, policy: Policy, numbers: Sequence[int], seed: int)
         numbers: which episodes of the run, at least one.
         seed: of the run.
     """
-    episodes = Episodes(task, len(numbers))
+    episodes = EpisodeBatch(task, len(numbers))
     tracks = []
     for index, number in enumerate(numbers):
         episodes.begin(index, np.random.default_rng(episode_seed(seed, number)))

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from knotgym.errors import KnotgymError
 from knotgym.rendering.picture import RGB, PictureConfig, draw, project, rope_colours
-from knotgym.rope import Array
 from knotgym.streams import Stream, generator
+
+Array = NDArray[np.float64]
 
 VARIED = ("colours", "width", "background", "turn", "zoom", "noise", "blur")
 SIZES = (64, 512)  # pixels, smallest and largest

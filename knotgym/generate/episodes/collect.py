@@ -23,9 +23,9 @@ import knotgym
 from knotgym.atomic_files import atomic_write, sha256
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import rollout
-from knotgym.datasets.episode_reader import minari_root
-from knotgym.datasets.episode_writer import EpisodeWriter, merge
+from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
+from knotgym.datasets.minari_folder import minari_root
 from knotgym.datasets.states import states_file
 from knotgym.errors import KnotgymError
 from knotgym.rope import RopeConfig
@@ -201,7 +201,7 @@ def collect(
         )
         if not shard.is_whole:
             made.mkdir()
-            merge([shard.path for shard in shards], made / "main_data.hdf5")
+            merge_episodes([shard.path for shard in shards], made / "main_data.hdf5")
             _report(
                 made / REPORT, settings, tally, {"main_data.hdf5": sha256(made / "main_data.hdf5")}
             )

@@ -25,7 +25,8 @@ from rich.console import Console
 from knotgym.atomic_files import atomic_write
 from knotgym.datasets.image_folder import finish
 from knotgym.datasets.image_rows import Row, TableFile, write_table_file
-from knotgym.datasets.image_table import SPLITS, arrow, shard_name
+from knotgym.datasets.image_table import arrow, shard_name
+from knotgym.datasets.splits import IMAGE_SPLITS
 from knotgym.errors import KnotgymError
 from knotgym.generate.images.seed_states import SeedStates, seed_states
 from knotgym.generate.images.selection import Chooser
@@ -189,7 +190,7 @@ def make(
             "dropped": dict(sorted(dropped.items())),
             "refused": dict(sorted(chooser.refused.items())),
         }
-        finish(partial / out.name, written, asked, {**report, **counts}, start, walks)
+        finish(partial / out.name, written, asked, {**report, **counts}, start.states, walks)
         (partial / out.name).rename(out)
         shutil.rmtree(partial)
     tell(f"{out}: {len(chooser.chosen)} pictures in {time.perf_counter() - began:.0f} s", now=True)
@@ -422,7 +423,7 @@ def _draw(
     }
     work: list[TableFile] = []
     number = config.shard.first
-    for place, split in enumerate(SPLITS):
+    for place, split in enumerate(IMAGE_SPLITS):
         mine = [choice for choice in chooser.chosen if choice.split == split]
         order = generator(Stream.IMAGE_ORDER, config.seed, place).permutation(len(mine))
         count = -(-len(mine) // config.rows_per_file)

@@ -16,8 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from knotgym.datasets.label_limits import BASE, at_base
 from knotgym.datasets.near_duplicates import NEAR
-from knotgym.generate.images.walks import BASE
 from knotgym.rope import Array
 from knotgym.topology.crossings import Crossings, find_crossings
 from knotgym.topology.gauss import GaussCode
@@ -29,7 +29,7 @@ EXTREME = (
 _BLOCK = 2048  # configurations compared at once
 
 
-class Choice(NamedTuple):
+class ChosenFrame(NamedTuple):
     """A frame chosen.
 
     Attributes:
@@ -74,7 +74,7 @@ class Chooser:
         """Begin with nothing; `held_out` are the codes, without chirality, that only "test-code"
         may show.
         """
-        self.quota, self.chosen, self.refused = quota, list[Choice](), Counter[str]()
+        self.quota, self.chosen, self.refused = quota, list[ChosenFrame](), Counter[str]()
         self._held_out, self._have, self._extreme = (
             held_out,
             Counter[tuple[str, int]](),
@@ -116,7 +116,7 @@ class Chooser:
         self._have[key] += 1
         self._extreme[key] += ease < 0.5
         self._codes[split, shown.code.plain] += 1
-        self.chosen.append(Choice(moved, shown.code, split, symmetry, frame))
+        self.chosen.append(ChosenFrame(moved, shown.code, split, symmetry, frame))
         return True
 
     def _refuse(self, reason: str) -> bool:
@@ -186,14 +186,6 @@ class Chooser:
             self._squares = np.concatenate([self._squares, np.empty_like(self._squares)])
         self._waves[n, :beads], self._waves[n, beads:], self._squares[n] = flat, height, square
         return True
-
-
-def at_base(crossings: Crossings, beads: int) -> bool:
-    """Whether a crossing lies within BASE of the white bead, so that it is hard to say whether it
-    is counted first or last.
-    """
-    places = np.concatenate([crossings.over_place, crossings.under_place])
-    return bool(((places < 1 + BASE) | (places > beads - BASE)).any())
 
 
 def _inside(before: float, after: float, beads: int) -> list[int]:

@@ -11,31 +11,25 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.control.macro_actions import WaypointController, move_aside, propose, step_ropes
+from knotgym.datasets.label_limits import pressed_together, visits_too_close
 from knotgym.difficulty import ease
 from knotgym.quality import Limits, measure
 from knotgym.relaxation import relaxed
-from knotgym.rope import Array, Rope
-from knotgym.simulation import Simulation
+from knotgym.rope import Array, RopeConfig
+from knotgym.simulation_pool import simulation_of
 from knotgym.streams import Stream, generator
-from knotgym.topology.crossings import count_crossings, find_crossings, visit_spacing
+from knotgym.topology.crossings import count_crossings, find_crossings
 from knotgym.topology.reference_labeller import pyknotid_code
 
 WALKS = 32  # in a unit
 GENTLE = 0.7  # share of walks that move beads aside
 ROUNDS = ((2, 8), (12, 31), (30, 81))  # of opening up: a little, much, very much
-
-# What a frame must keep to, lest its label be in doubt or its picture untrue.
-VISITS = 0.25  # beads along the rope between two visits, 3 mm; rounding moves them by 1e-12 of that
-BASE = 0.25  # beads from either end of the white base bead to the nearest visit outside it: 3 mm
-# millimetres between the axes at a crossing, from which the order of painting is true (see picture)
-CLEARANCE = 7.0
 
 
 class Walk(NamedTuple):
@@ -99,7 +93,7 @@ def stir(unit: Unit) -> Frames:
     alone.
     """
     count = len(unit.walks)
-    simulation, ids = _simulation(), np.arange(count)
+    simulation, ids = simulation_of(WALKS, RopeConfig()), np.arange(count)
     simulation.restore(unit.states, ids)
     rngs = [generator(Stream.IMAGE_WALK, unit.seed, walk.number) for walk in unit.walks]
     gentle = [bool(rng.random() < GENTLE) for rng in rngs]
@@ -161,35 +155,13 @@ def judged(points: Array) -> tuple[str, float]:
     base bead, chosen later, left out.
     """
     found = find_crossings(points)
-    if visit_spacing(found, len(points)).visits < VISITS:
+    if visits_too_close(found, len(points)):
         return "visits too close", 0.0
     quality = replace(measure(points, found, quick=True), base_spacing=float("inf"))
-    if quality.clearance < CLEARANCE:
+    if pressed_together(quality.clearance):
         return "strands pressed together", 0.0
     if quality.margin < 0:
         return "out of the picture", 0.0
     return "" if pyknotid_code(points) == found.code else "labellers disagree", ease(
         quality, Limits()
     )
-
-
-def retrace(states: Array, beads: NDArray[np.int16], forces: NDArray[np.float32]) -> Array:
-    """Make walks again: float64 (walks, pulls + 1, beads, 3), metres, where they were after each
-    pull.
-
-    Args:
-        states: float64 (walks, nstate), at most WALKS; where they begin.
-        beads, forces: as in Frames.
-    """
-    simulation, ids = _simulation(), np.arange(len(states))
-    simulation.restore(states, ids)
-    out = [simulation.points[ids].copy()]
-    for step in range(beads.shape[1]):
-        step_ropes(simulation, beads[:, step], forces[:, step], ids)
-        out.append(simulation.points[ids].copy())
-    return np.stack(out, axis=1)
-
-
-@lru_cache(maxsize=1)
-def _simulation() -> Simulation:
-    return Simulation(WALKS, Rope())

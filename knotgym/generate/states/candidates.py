@@ -19,10 +19,12 @@ from numpy.typing import NDArray
 from knotgym.control.macro_actions import NO_ACTIONS, ActionSequence, step_ropes
 from knotgym.generate.states.archive import Elite
 from knotgym.generate.states.hill_climb import HillClimbConfig, hill_climb
-from knotgym.generate.states.search import JITTER, readings, simulation_of
+from knotgym.generate.states.search import JITTER, readings
 from knotgym.quality import Limits, Quality, measure, noise_survival
-from knotgym.rope import Array, Rope, RopeConfig, noised
+from knotgym.reset_noise import noised
+from knotgym.rope import Array, Rope, RopeConfig
 from knotgym.simulation import Simulation
+from knotgym.simulation_pool import simulation_of
 from knotgym.streams import generator_of
 from knotgym.topology.crossings import find_crossings, label, label_many
 from knotgym.topology.gauss import GaussCode
@@ -45,8 +47,8 @@ class CandidateConfig:
     Attributes:
         limits: of accepted states.
         opening: how hard to open them up.
-        start_noise: of the plain loop each begins as, as `rope.noised`; a tenth of a degree loses
-            three ways in ten.
+        start_noise: of the plain loop each begins as, as `reset_noise.noised`; a tenth of a degree
+            loses three ways in ten.
         stir: random pulls after the way at most, so that two candidates of one way lie differently;
             one that changes the code is taken back.
         stir_loop: the same for plain loops, which have no way.
