@@ -26,7 +26,7 @@ from rich.table import Table
 
 import knotgym
 from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.datasets.episode_writer import EpisodeWriter, merge
+from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
 from knotgym.loaders import torch_dataset
 from knotgym.tasks import TaskConfig
 
@@ -116,7 +116,7 @@ def main() -> None:
                 writer.add(episode)
         sizes = {}
         for stored in STORED:
-            merge([room / "few.h5"], room / f"{stored}.h5", store=stored)
+            merge_episodes([room / "few.h5"], room / f"{stored}.h5", store=stored)
             sizes[stored] = stored_bytes(room / f"{stored}.h5")
         copies = -(-arguments.frames // (EPISODES * (STEPS + 1)))
         results: dict[str, Any] = {}
@@ -126,7 +126,7 @@ def main() -> None:
             ("state", "state", "state"),
         ):
             many = room / "many.h5"
-            merge([room / f"{stored}.h5"] * copies, many, concatenate=True)
+            merge_episodes([room / f"{stored}.h5"] * copies, many, concatenate=True)
             results[name] = {
                 **random_access(many, arguments.reads, rng, observation=observation),
                 "frames_per_s": rate(many, arguments.workers, 60, observation=observation),

@@ -25,7 +25,7 @@ from pulled import EPISODES, STEPS, pulled_about
 from rich.console import Console
 from rich.table import Table
 
-from knotgym.datasets.episode_writer import EpisodeWriter, merge
+from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
 from knotgym.loaders import Transitions
 from knotgym.tasks import TaskConfig
 
@@ -39,7 +39,7 @@ def source(path: Path) -> None:
 
 def write(few: Path, many: Path, frames: int) -> dict[str, float]:
     copies = -(-frames // (EPISODES * (STEPS + 1)))
-    merge([few] * copies, many, concatenate=True)
+    merge_episodes([few] * copies, many, concatenate=True)
     return {
         "frames": copies * EPISODES * (STEPS + 1),
         "bytes_per_frame": many.stat().st_size / (copies * EPISODES * (STEPS + 1)),

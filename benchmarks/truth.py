@@ -18,7 +18,8 @@ import numpy as np
 from rope_states import tangled
 
 from knotgym.errors import KnotgymError
-from knotgym.rendering.picture import PictureConfig, draw, shown_strands
+from knotgym.rendering.picture import PictureConfig, draw
+from knotgym.rendering.picture_check import shown_strands
 from knotgym.topology.crossings import find_crossings
 
 

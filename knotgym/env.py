@@ -1,6 +1,4 @@
-"""The environments: `KnotEnv` for one rope, `KnotVectorEnv` for many in one batched simulation on
-all cores.
-"""
+"""The environments: `KnotEnv` for one rope, `KnotVectorEnv` for many in one simulation."""
 
 from __future__ import annotations
 
@@ -15,7 +13,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from knotgym.episode_batch import Episodes
+from knotgym.episode_batch import EpisodeBatch
 from knotgym.simulation import InvalidAction
 from knotgym.tasks import InvalidSetting, TaskConfig
 
@@ -35,21 +33,19 @@ def observation_space(config: TaskConfig, beads: int = 100) -> spaces.Space[Any]
 
 
 def action_space() -> spaces.Space[NDArray[np.float32]]:
-    """(x, y, z, fx, fy, fz): the bead nearest to the scaled point is pulled with the scaled
-    force.
-    """
+    """(x, y, z, fx, fy, fz), see `knotgym.actions`."""
     return cast("spaces.Space[NDArray[np.float32]]", spaces.Box(-1.0, 1.0, (6,), np.float32))
 
 
 class KnotEnv(gym.Env[Any, NDArray[np.float32]]):
-    """One rope; see `TaskConfig` for the keywords and `Episodes.info` for what `info` holds."""
+    """One rope; see `TaskConfig` for the keywords and `EpisodeBatch.info` for what `info` holds."""
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": _FPS}
 
     def __init__(self, task: str, render_mode: str | None = "rgb_array", **settings: Any) -> None:
         self.config = _config(task, settings)
         self.render_mode = _checked(render_mode)
-        self.episodes = Episodes(self.config)
+        self.episodes = EpisodeBatch(self.config)
         self.observation_space = observation_space(
             self.config, self.episodes.simulation.rope.config.beads
         )
@@ -64,8 +60,11 @@ class KnotEnv(gym.Env[Any, NDArray[np.float32]]):
         return self.episodes.observation(0), self.episodes.info(0)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Pull once; raises InvalidAction for NaN or numbers outside [-1, 1], and then nothing has
-        moved.
+        """Take one action.
+
+        Raises:
+            InvalidAction: NaN or a number outside [-1, 1]; nothing has moved.
+            gymnasium.error.ResetNeeded: before the first reset.
         """
         _require_reset(self.episodes)
         reward, terminated, truncated = self.episodes.step(np.asarray(action)[None], np.array([0]))
@@ -115,7 +114,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         self.num_envs = num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
-        self.episodes = Episodes(self.config, num_envs, threads)
+        self.episodes = EpisodeBatch(self.config, num_envs, threads)
         self.single_observation_space = observation_space(
             self.config, self.episodes.simulation.rope.config.beads
         )
@@ -131,9 +130,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Any, dict[str, Any]]:
-        """Start over; options as KnotEnv's, and Gymnasium's `reset_mask`, bool (num_envs,), for
-        which ropes.
-        """
+        """Start over; options as KnotEnv's, and Gymnasium's `reset_mask`, bool (num_envs,)."""
         wanted = dict(options or {})
         mask = np.asarray(wanted.pop("reset_mask", np.ones(self.num_envs, dtype=bool)))
         if mask.shape != (self.num_envs,) or mask.dtype != bool:
@@ -160,7 +157,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
     def step(
         self, actions: NDArray[np.float32]
     ) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Pull every rope once; ended episodes start over as `autoreset_mode` says."""
+        """Take one action with every rope; ended episodes start over as `autoreset_mode` says."""
         _require_reset(self.episodes)
         done = self._done.copy()
         actions = np.asarray(actions)
@@ -174,10 +171,8 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
                 " reset_mask) before the next step"
             )
         rewards = np.zeros(self.num_envs)
-        terminated, truncated = (
-            np.zeros(self.num_envs, dtype=bool),
-            np.zeros(self.num_envs, dtype=bool),
-        )
+        terminated = np.zeros(self.num_envs, dtype=bool)
+        truncated = np.zeros(self.num_envs, dtype=bool)
         go_on = np.flatnonzero(~done)
         if len(go_on):
             rewards[go_on], terminated[go_on], truncated[go_on] = self.episodes.step(
@@ -202,16 +197,14 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """One picture a rope, uint8 (size, 2 size, 3) each."""
-        return (
-            tuple(self.episodes.picture(i) for i in range(self.num_envs))
-            if self.render_mode == "rgb_array"
-            else None
-        )
+        if self.render_mode != "rgb_array":
+            return None
+        return tuple(self.episodes.picture(i) for i in range(self.num_envs))
 
     def _observations(self) -> Any:
         each = [self.episodes.observation(i) for i in range(self.num_envs)]
         if isinstance(each[0], dict):
-            return {name: np.stack([one[name] for one in each]) for name in each[0]}
+            return {name: np.stack([seen[name] for seen in each]) for name in each[0]}
         return np.stack(each)
 
     def _infos(self, each: dict[int, dict[str, Any]]) -> dict[str, Any]:
@@ -232,7 +225,7 @@ def _config(task: str, settings: dict[str, Any]) -> TaskConfig:
     return TaskConfig(task=task, **settings)
 
 
-def _require_reset(episodes: Episodes) -> None:
+def _require_reset(episodes: EpisodeBatch) -> None:
     if episodes.goal_row.min() < 0:
         raise ResetNeeded("reset the environment before its first step")
 

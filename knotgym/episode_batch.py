@@ -1,6 +1,6 @@
 """Episodes of one task, many at once: what the single and the vector environment share.
 
-Rows are drawn from the state file, laid with noise that keeps their Gauss code, pulled, labelled,
+Rows are drawn from the state file, laid with noise that keeps their Gauss code, stepped, labelled,
 rewarded and shown here; `env.py` only dresses this in Gymnasium's two interfaces.
 """
 
@@ -17,16 +17,16 @@ from numpy.typing import ArrayLike, NDArray
 from knotgym.datasets.states import States, read_states, shipped, states_file
 from knotgym.rendering.observations import picture_config, pixels, state
 from knotgym.rendering.picture import draw
-from knotgym.rope import Array, Rope, RopeConfig, clearance, noised
+from knotgym.reset_noise import start_qpos
+from knotgym.reward import Outcome
+from knotgym.rope import Array, Rope, RopeConfig
 from knotgym.simulation import Simulation
 from knotgym.tasks import InvalidSetting, TaskConfig
-from knotgym.topology.crossings import label, label_many
+from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
 
-NOISE_DRAWS = 20  # at full scale; then the scale halves with every further draw
 
-
-class Episodes:
+class EpisodeBatch:
     """`count` episodes side by side; episode i is never touched by what the others do.
 
     Attributes:
@@ -79,7 +79,12 @@ class Episodes:
         code = GaussCode.parse(str(start_states.gauss_code_chiral[start]))
         self.simulation.lay(
             start_qpos(
-                self.simulation.rope, start_states, start, code, self.config.reset_noise, rng
+                self.simulation.rope,
+                start_states.qpos[start],
+                start_states.points[start],
+                code,
+                self.config.reset_noise,
+                rng,
             ),
             [index],
         )
@@ -89,16 +94,12 @@ class Episodes:
         self.failed[index] = False
         self.beads[index], self.forces[index] = -1, 0.0
 
-    def step(
-        self, actions: ArrayLike, ids: NDArray[np.int64]
-    ) -> tuple[Array, NDArray[np.bool_], NDArray[np.bool_]]:
-        """Take one action in each episode of `ids`.
+    def step(self, actions: ArrayLike, ids: NDArray[np.int64]) -> Outcome:
+        """Take one action in each episode of `ids`; see `reward` for what it pays.
 
-        Returns:
-            reward float64, terminated bool, truncated bool, each (len(ids),). A rope whose
-            simulation blew up stays where it was, is truncated with reward 0, and `failed` says so.
+        A rope whose simulation blew up stays where it was, is truncated, and `failed` says so.
         """
-        simulation, config = self.simulation, self.config
+        simulation = self.simulation
         self.beads[ids], self.forces[ids] = simulation.read_actions(actions, ids)
         self.failed[ids] = ~simulation.step(self.beads[ids], self.forces[ids], ids)
         for index, code in zip(ids, label_many(simulation.points[ids]), strict=True):
@@ -108,14 +109,7 @@ class Episodes:
         )
         self.steps[ids] += 1
         self.held[ids] = np.where(reached, self.held[ids] + 1, 0)
-        terminated = (self.held[ids] >= config.hold) & ~self.failed[ids]
-        late = (self.steps[ids] >= config.horizon) & ~terminated
-        reward = np.where(
-            terminated,
-            config.success_reward,
-            np.where(late & ~self.failed[ids], config.failure_reward, 0.0),
-        )
-        return reward, terminated, late | self.failed[ids]
+        return self.config.reward_rule.outcome(self.held[ids], self.steps[ids], self.failed[ids])
 
     def picture(self, index: int) -> NDArray[np.uint8]:
         """The rope now, left, and its goal, right: uint8 (size, 2 size, 3)."""
@@ -147,9 +141,7 @@ class Episodes:
         return {"pixels": self.picture(index), "state": self.state(index)}
 
     def info(self, index: int) -> dict[str, Any]:
-        """Labels and bookkeeping of episode `index`, the same keys at every step; arrays are
-        copies.
-        """
+        """Labels and counts of episode `index`, the same keys at every step; arrays are copies."""
         code, goal = self.codes[index], self.goals[index]
         return {
             "gauss_code": str(code),
@@ -181,39 +173,19 @@ class Episodes:
         return int(row), side
 
 
-def start_qpos(
-    rope: Rope, states: States, row: int, code: GaussCode, scale: float, rng: np.random.Generator
-) -> Array:
-    """A row's generalized positions with reset noise that keeps its Gauss code, chirality included.
-
-    A draw that changes the code, or presses two beads more than 1 mm further into each other than
-    the row has them, is drawn again; after NOISE_DRAWS draws the noise shrinks, and ends at none.
-    """
-    if scale == 0:
-        return states.qpos[row].copy()
-    points = states.points[row]
-    least = min(clearance(points), 2 * rope.config.radius) - 0.001
-    for draw_number in range(NOISE_DRAWS + 20):
-        moved = noised(points, scale * 0.5 ** max(0, draw_number - NOISE_DRAWS + 1), rng)
-        if clearance(moved) >= least and label(moved) == code:
-            return rope.qpos(moved)
-    return states.qpos[row].copy()
-
-
 def _side(config: TaskConfig, nx: int) -> States:
-    """The states that a side of the task draws from: the file asked for, or for want of rows the
-    one that ships.
+    """The states that a side of the task draws from.
+
+    They come from the file asked for, or for want of rows there from the one that ships.
     """
     paths = [shipped()] if config.states is None else [states_file(config.states), shipped()]
     for path in paths:
         states = _read(path, path.stat().st_mtime_ns if path.exists() else 0)
-        made_for = states.attributes.get("rope")
-        if (
-            made_for != RopeConfig().fingerprint
-        ):  # however finely an action is integrated: a configuration at rest fits
+        # the usual rope's, however finely an action is integrated: a configuration at rest fits
+        made_for, ours = states.attributes.get("rope"), RopeConfig().fingerprint
+        if made_for != ours:
             raise InvalidSetting(
-                f"{path} was made for rope model {made_for}, this version has"
-                f" {RopeConfig().fingerprint}"
+                f"{path} was made for rope model {made_for}, this version has {ours}"
             )
         if len(states.rows(nx, config.split)):
             return states
@@ -225,9 +197,7 @@ def _side(config: TaskConfig, nx: int) -> States:
 
 @lru_cache(maxsize=4)
 def _read(path: Path, written: int) -> States:
-    """States without pictures, read once for all the episodes of a process; again when the file was
-    `written` anew.
-    """
+    """States without pictures, read once a process, and again when the file was `written` anew."""
     return read_states(path, images=False)
 
 

@@ -1,13 +1,12 @@
 """How well a rope state can be read off its picture, and how far from over-twisted it is.
 
-Every measure has a unit that a person can check with a ruler. Pixels are those of the 128 x 128
-picture, 5.2 mm each; the rope is two of them wide. `Limits` holds what a curated state must keep
-to, each with its reason.
+What the measures are, their units, and the limits that curated states keep to stand in
+`quality_limits`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -16,149 +15,33 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike
 
+from knotgym.quality_limits import FACE, UNITS, Limits, Quality
 from knotgym.rendering.picture import DEFAULT, PictureConfig, project
-from knotgym.rope import Array, noised
+from knotgym.reset_noise import noised
+from knotgym.rope import Array
 from knotgym.topology.crossings import Crossings, find_crossings, label_many
 from knotgym.topology.diagrams import faces
 from knotgym.topology.gauss import GaussCode
 
-UNITS = {
-    "crossing_angle": "degrees",
-    "crossing_spacing": "pixels",
-    "base_spacing": "pixels",
-    "strand_spacing": "pixels",
-    "smallest_region": "square pixels",
-    "smallest_face": "square pixels",
-    "margin": "pixels",
-    "clearance": "millimetres",
-    "excess_crossing_number": "crossings",
-    "total_curvature": "turns",
-    "writhe": "crossings",
-    "noise_survival": "share",
-}
+__all__ = [
+    "FACE",
+    "NOISE_DRAWS",
+    "UNITS",
+    "WALK",
+    "Limits",
+    "Quality",
+    "Spots",
+    "base_spacing",
+    "measure",
+    "noise_survival",
+    "spots_of",
+    "tightest_spot",
+]
 
 # pixels of walk along the drawn rope, crossings may be turned at, beyond which two places are
 # different strands
 WALK = 12.0
 NOISE_DRAWS = 64
-# square pixels inside the axes of an eye that shows some background; where none is shown it says
-# which way is better
-FACE = 20.0
-
-
-@dataclass(frozen=True)
-class Quality:
-    """The measures of one state; where there is no crossing, those about crossings have the value
-    of a perfect one.
-
-    Attributes:
-        crossing_angle: smallest angle at which two strands cross in the picture, degrees in [0,
-            90].
-        crossing_spacing: smallest distance between two crossings, pixels, at most the picture's
-            side.
-        base_spacing: from the white base bead along the rope to the nearest crossing, pixels, at
-            most the picture's side.
-        strand_spacing: smallest distance in the picture between the axes of two places more than
-            WALK pixels of walk apart.
-        smallest_region: background of the smallest region that the drawn rope encloses, square
-            pixels; 0 if the picture doesn't show the nx + 2 regions, the outside among them, that a
-            diagram with nx crossings has.
-        smallest_face: of the regions that the rope's axis encloses, had the rope no width, square
-            pixels.
-        margin: from the rope's edge to the edge of the picture, pixels; negative if the rope leaves
-            it.
-        clearance: smallest height of an over strand's axis above the under strand's, millimetres;
-            two beads that touch have 10.
-        excess_crossing_number: average crossing number over all directions of view minus the
-            crossings seen from above: turns of the rope about itself that this picture doesn't
-            show.
-        total_curvature: total turning of the rope's direction, in full turns; a flat loop has 1.
-        writhe: sum of the crossing signs.
-        noise_survival: share of NOISE_DRAWS draws of reset noise that keep the Gauss code; NaN
-            until measured.
-    """
-
-    crossing_angle: float
-    crossing_spacing: float
-    base_spacing: float
-    strand_spacing: float
-    smallest_region: float
-    smallest_face: float
-    margin: float
-    clearance: float
-    excess_crossing_number: float
-    total_curvature: float
-    writhe: float
-    noise_survival: float = float("nan")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Limits:
-    """What an accepted state keeps to.
-
-    Attributes:
-        crossing_angle: at least; under 25 degrees the two strands share more than five pixels of
-            their width.
-        crossing_spacing: at least; three widths of the rope leave a rope's width of background
-            between two crossings.
-        base_spacing: at least; a crossing nearer to the base bead could be counted first or last.
-        strand_spacing: at least; half again the rope's width, so that a dark pixel parts two
-            strands.
-        smallest_region: at least; a kink's eye three pixels wide is the least that a person finds
-            without looking for it.
-        margin: at least; the rope stays in the picture after reset noise, which moves no bead by
-            more than three pixels as a rule.
-        clearance: at least, millimetres; beads that are pressed into each other spring apart when
-            the episode begins.
-        excess_crossing_number: at most; a coil seen end-on hides about one crossing a turn, and two
-            turns of it still read well.
-        total_curvature: at most, turns, per crossing and one more for the loop itself.
-        noise_survival: at least.
-    """
-
-    crossing_angle: float = 25.0
-    crossing_spacing: float = 6.0
-    base_spacing: float = 3.0
-    strand_spacing: float = 3.0
-    smallest_region: float = 9.0
-    margin: float = 3.0
-    clearance: float = 8.0
-    excess_crossing_number: float = 2.5
-    total_curvature: float = 2.0
-    noise_survival: float = 0.95
-
-    def faults(self, quality: Quality, nx: int) -> list[str]:
-        """Names of the measures that miss their limit; an unmeasured noise_survival passes."""
-        missed = []
-        for limit in fields(self):
-            value, bound = getattr(quality, limit.name), getattr(self, limit.name)
-            if limit.name == "excess_crossing_number":
-                short = value > bound
-            elif limit.name == "total_curvature":
-                short = value > bound * (nx + 1)
-            else:
-                short = value < bound
-            if short:
-                missed.append(limit.name)
-        return missed
-
-    def objective(self, quality: Quality, nx: int) -> float:
-        """How far from comfortable: nothing for a measure twice as good as its limit, 1 for each
-        one just at it, more beyond.
-        """
-        total = max(0.0, 2 - quality.smallest_face / FACE) ** 2
-        for limit in fields(self):
-            value, bound = getattr(quality, limit.name), getattr(self, limit.name)
-            if value != value:
-                continue
-            if limit.name in ("excess_crossing_number", "total_curvature"):
-                allowed = bound if limit.name == "excess_crossing_number" else bound * (nx + 1)
-                total += max(0.0, 2 * value / allowed - 1)
-            elif limit.name == "clearance":
-                total += max(0.0, 1 - (value - bound)) if value < bound + 1 else 0.0
-            else:
-                total += max(0.0, 2 - value / bound) ** 2
-        return total
 
 
 @dataclass(frozen=True, eq=False)

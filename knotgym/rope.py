@@ -27,6 +27,10 @@ Array = NDArray[np.float64]
 ROPE_FORMAT = 1  # raised whenever the same configuration would move differently
 
 
+class InvalidRope(KnotgymError, ValueError):
+    """Numbers that no rope can have."""
+
+
 class InvalidCurve(KnotgymError, ValueError):
     """A curve the rope cannot take the shape of."""
 
@@ -73,39 +77,32 @@ class RopeConfig:
     def __post_init__(self) -> None:
         for name in ("beads", "sub_chains", "frame_skip"):
             if type(getattr(self, name)) is not int:
-                raise ValueError(f"{name} must be a whole number, got {getattr(self, name)!r}")
-        for name in (
-            "length",
-            "radius",
-            "density",
-            "medium_density",
-            "timestep",
-            "max_force",
-            "reach",
-        ):
+                raise InvalidRope(f"{name} must be a whole number, got {getattr(self, name)!r}")
+        positive = ("length", "radius", "density", "medium_density", "timestep")
+        for name in (*positive, "max_force", "reach"):
             if not 0 < getattr(self, name) < np.inf:
-                raise ValueError(f"{name} must be above 0 and finite, got {getattr(self, name)}")
+                raise InvalidRope(f"{name} must be above 0 and finite, got {getattr(self, name)}")
         for name, size in (("closure_solref", 2), ("closure_solimp", 5)):
             values = tuple(getattr(self, name))  # JSON has lists
             if len(values) != size or not np.isfinite(values).all():
-                raise ValueError(f"{name} must be {size} finite numbers, got {values}")
+                raise InvalidRope(f"{name} must be {size} finite numbers, got {values}")
             object.__setattr__(self, name, values)
         if self.sub_chains < 2 or self.beads < 3 * self.sub_chains:
-            raise ValueError(
+            raise InvalidRope(
                 f"a rope needs 2 sub-chains of 3 beads each at least, got {self.beads} beads in"
                 f" {self.sub_chains} sub-chains"
             )
         if 2 * self.radius >= self.bead_length:
-            raise ValueError(
+            raise InvalidRope(
                 f"a bead must be longer than wide, got length {self.bead_length:.3g} and radius"
                 f" {self.radius:.3g}"
             )
         if self.frame_skip < 1:
-            raise ValueError(f"frame_skip must be at least 1 step, got {self.frame_skip}")
+            raise InvalidRope(f"frame_skip must be at least 1 step, got {self.frame_skip}")
         if self.rooted not in ("middle", "start"):
-            raise ValueError(f'rooted must be "middle" or "start", got {self.rooted!r}')
+            raise InvalidRope(f'rooted must be "middle" or "start", got {self.rooted!r}')
         if not 0 <= self.joint_damping < np.inf:
-            raise ValueError(
+            raise InvalidRope(
                 f"joint_damping must be at least 0 and finite, got {self.joint_damping}"
             )
 
@@ -144,9 +141,8 @@ class Rope:
         )
         self._qpos_at = self.model.jnt_qposadr[joints].astype(np.int64)
         self._dof_at = self.model.jnt_dofadr[joints].astype(np.int64)
-        self._rest = self.model.body_quat[
-            self.bodies
-        ].copy()  # orientation to the parent at zero joint angle
+        # orientation to the parent at zero joint angle
+        self._rest = self.model.body_quat[self.bodies].copy()
         self._next_in_chain = np.ones(beads, dtype=bool)
         self._next_in_chain[[last for _, last in sub_chains(self.config)]] = False
 
@@ -167,8 +163,10 @@ class Rope:
         return self.points_and_gaps(qpos)[0]
 
     def points_and_gaps(self, qpos: ArrayLike) -> tuple[Array, Array]:
-        """As `points`, with how far apart the joined ends of the sub-chains stand at most: float64
-        (...), metres.
+        """As `points`, and how far apart the joined ends of sub-chains stand at most.
+
+        Returns:
+            float64 (..., beads, 3) and float64 (...), metres.
         """
         q = np.ascontiguousarray(qpos, dtype=np.float64)
         rows = q.reshape(-1, self.nq)
@@ -186,8 +184,7 @@ class Rope:
         return points.reshape(*q.shape[:-1], self.config.beads, 3), gaps.reshape(q.shape[:-1])
 
     def qpos(self, points: ArrayLike) -> Array:
-        """Generalized positions of a configuration, the twist about the rope's axis left at its
-        smallest.
+        """Generalized positions of a configuration, with the smallest twist about the rope's axis.
 
         Args:
             points: float64 (beads, 3), neighbours one bead length apart inside each sub-chain.
@@ -198,9 +195,9 @@ class Rope:
         p = np.ascontiguousarray(points, dtype=np.float64)
         along = np.roll(p, -1, axis=0) - p
         along /= np.linalg.norm(along, axis=1, keepdims=True)
-        out = np.empty(self.nq)
-        backward(p, along, self._order, self._parent, self._qpos_at, self._rest, out)
-        return out
+        qpos = np.empty(self.nq)
+        backward(p, along, self._order, self._parent, self._qpos_at, self._rest, qpos)
+        return qpos
 
     def loop(self) -> Array:
         """The plain loop, flat, anticlockwise from +x: float64 (beads, 3), metres."""
@@ -262,47 +259,16 @@ class Rope:
     def _is_configuration(self, points: Array) -> bool:
         if len(points) != self.config.beads:
             return False
-        off = np.abs(
-            np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1) - self.config.bead_length
-        )
+        lengths = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
+        off = np.abs(lengths - self.config.bead_length)
         return bool(off[self._next_in_chain].max() < 1e-6 and off.max() < 2 * self.config.radius)
-
-
-def noised(points: ArrayLike, scale: float, rng: np.random.Generator) -> Array:
-    """Move every joint of a closed rope a little and keep it closed.
-
-    The 100 joints turn by rotation vectors drawn uniformly from [-scale, scale]^3 radians (their
-    sum round the loop taken out evenly, so that the ends meet in direction), the whole rope turns
-    by one more such vector and shifts by [-scale, scale]^3 metres; the least change of the bead
-    directions that makes the ends meet in place is added.
-
-    Args:
-        points: float64 (beads, 3), metres; left alone.
-        scale: of the uniform noise, radians and metres.
-        rng: three hundred and six draws at 100 beads are taken from it, whatever happens.
-
-    Returns:
-        float64 (beads, 3), equal chords, exactly closed.
-    """
-    p = np.asarray(points, dtype=np.float64)
-    beads = len(p)
-    joint = rng.uniform(-scale, scale, (beads, 3))
-    turn = rng.uniform(-scale, scale, 3)
-    shift = rng.uniform(-scale, scale, 3)
-    chord = np.roll(p, -1, axis=0) - p
-    length = np.median(np.linalg.norm(chord, axis=1))
-    wander = np.cumsum(joint, axis=0)
-    wander -= np.outer((np.arange(beads) + 1) / beads, wander[-1])
-    wander += turn - wander.mean(axis=0)
-    along = _closed(_rotate(chord / np.linalg.norm(chord, axis=1, keepdims=True), wander))
-    out = np.concatenate([np.zeros((1, 3)), np.cumsum(along[:-1], axis=0)]) * length
-    return out - out.mean(axis=0) + p.mean(axis=0) + shift
 
 
 @numba.njit(cache=True, nogil=True)
 def clearance(points: Array) -> float:
-    """Smallest distance between the axes of two beads that aren't neighbours, metres; below a
-    diameter they overlap.
+    """Smallest distance between the axes of two beads that aren't neighbours, metres.
+
+    Below a diameter they overlap.
 
     Args:
         points: float64 (beads, 3), the vertices of a closed rope.
@@ -317,9 +283,8 @@ def clearance(points: Array) -> float:
             for k in range(3):
                 far += (a[k] + b[k] - c[k] - d[k]) ** 2
                 half += (b[k] - a[k]) ** 2 + (d[k] - c[k]) ** 2
-            if (
-                0.5 * np.sqrt(far) - np.sqrt(0.5 * half) >= best
-            ):  # midpoints minus both half lengths bound the distance
+            # midpoints minus both half lengths bound the distance
+            if 0.5 * np.sqrt(far) - np.sqrt(0.5 * half) >= best:
                 continue
             best = min(best, _segment_distance(a, b, c, d))
     return best
@@ -327,8 +292,9 @@ def clearance(points: Array) -> float:
 
 @lru_cache(maxsize=8)
 def _compile(config: RopeConfig) -> mujoco.MjModel:
-    """Build and compile the model; its reference pose is the plain loop, which MuJoCo takes the
-    anchors and inertias from.
+    """Build and compile the model.
+
+    Its reference pose is the plain loop, which MuJoCo takes the anchors and inertias from.
     """
     spec = mujoco.MjSpec()
     spec.modelname = "rope"
@@ -366,12 +332,10 @@ def _compile(config: RopeConfig) -> mujoco.MjModel:
         for i in range(root + 1, last + 1):
             bodies[i] = add_bead(bodies[i - 1], i, [length, 0.0, 0.0], turn)
             bodies[i].add_joint(type=mujoco.mjtJoint.mjJNT_BALL, damping=damping)
-        for i in range(
-            root - 1, first - 1, -1
-        ):  # hangs from its own end, which is the start of bead i + 1
-            bodies[i] = add_bead(
-                bodies[i + 1], i, [-length * np.cos(turn), length * np.sin(turn), 0.0], -turn
-            )
+        # a bead before the root hangs from its own end, which is the start of bead i + 1
+        back = [-length * np.cos(turn), length * np.sin(turn), 0.0]
+        for i in range(root - 1, first - 1, -1):
+            bodies[i] = add_bead(bodies[i + 1], i, back, -turn)
             bodies[i].add_joint(
                 type=mujoco.mjtJoint.mjJNT_BALL, damping=damping, pos=[length, 0.0, 0.0]
             )
@@ -401,17 +365,10 @@ def base_shifts(config: RopeConfig) -> list[int]:
     return [first for first, _ in sub_chains(config)]
 
 
-def _rotate(vectors: Array, by: Array) -> Array:
-    """Rotate each vector (n, 3) by its rotation vector (n, 3), radians (Rodrigues)."""
-    angle = np.linalg.norm(by, axis=1, keepdims=True)
-    axis = by / np.maximum(angle, 1e-100)
-    along = axis * (axis * vectors).sum(axis=1, keepdims=True)
-    return along + (vectors - along) * np.cos(angle) + np.cross(axis, vectors) * np.sin(angle)
+def closed_directions(along: Array) -> Array:
+    """Change unit vectors (n, 3) as little as makes their sum zero, so that the chain closes.
 
-
-def _closed(along: Array) -> Array:
-    """Change unit vectors (n, 3) as little as makes their sum zero (Newton on one shift common to
-    all).
+    Newton's method on one shift common to all.
     """
     shift = np.zeros(3)
     for _ in range(50):
@@ -427,12 +384,14 @@ def _closed(along: Array) -> Array:
 
 
 def _equal_chords(curve: Array, count: int) -> Array:
-    """Cut a closed polyline into `count` chords of length 1 that end where they began: float64
-    (count, 3), centred.
+    """Cut a closed polyline into `count` chords of length 1 that end where they began.
 
     The places of the cuts along the polyline move until the chords are equal, which they nearly
     become unless it doubles back within a chord; the least change of their directions closes what
     is left.
+
+    Returns:
+        float64 (count, 3), centred.
     """
     curve = (curve - curve[0]) / max(np.ptp(curve, axis=0).max(), np.finfo(float).tiny)
     closed = np.concatenate([curve, curve[:1]])
@@ -445,15 +404,14 @@ def _equal_chords(curve: Array, count: int) -> Array:
             break
         cuts = np.interp(np.linspace(0.0, walked[-1], count + 1), walked, cuts)
     chord = np.diff(points, axis=0)
-    along = _closed(
-        chord / np.maximum(np.linalg.norm(chord, axis=1, keepdims=True), np.finfo(float).tiny)
-    )
-    out = np.cumsum(along, axis=0)
-    return np.roll(out, 1, axis=0) - out.mean(axis=0)
+    lengths = np.linalg.norm(chord, axis=1, keepdims=True)
+    along = closed_directions(chord / np.maximum(lengths, np.finfo(float).tiny))
+    ends = np.cumsum(along, axis=0)
+    return np.roll(ends, 1, axis=0) - ends.mean(axis=0)
 
 
 def _walked(points: Array) -> Array:
-    """ActionSequence along a polyline to each of its n points, from 0: float64 (n,)."""
+    """Length walked along a polyline to each of its n points, from 0: float64 (n,)."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 

@@ -1,9 +1,8 @@
-"""Many ropes pulled at once: the one batched simulation under the environment, the vector
-environment and the sampler.
+"""Many ropes stepped at once: the one batched simulation under everything that moves a rope.
 
 A rope's *state* is its MuJoCo integration state (qpos, qvel, warm start, time, ...): a rope
 restored from a saved state goes on bit for bit, at any number of threads. Actions follow the
-published interface: (x, y, z, fx, fy, fz) in [-1, 1].
+published interface, see `actions`.
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import ArrayLike, NDArray
 
+from knotgym.actions import decode_actions, encode_actions
 from knotgym.errors import KnotgymError
 from knotgym.rope import Array, Rope
 
@@ -28,9 +28,13 @@ _BLOWN_UP = [
     )
 ]
 
-EASED = (0.5, 0.25, 0.0)  # shares of the force that a pull which opens the rope is tried again with
+EASED = (0.5, 0.25, 0.0)  # shares of the force that a step which opens the rope is tried again with
 
 Ids = Sequence[int] | NDArray[np.int64] | None
+
+
+class InvalidSimulation(KnotgymError, ValueError):
+    """A simulation that cannot be had."""
 
 
 class InvalidAction(KnotgymError, ValueError):
@@ -45,13 +49,13 @@ class Simulation:
         count: how many.
         points: float64 (count, beads, 3), metres, as of the last call; the simulation's own memory,
             copy what you keep.
-        pulled: actions taken so far, all ropes together.
+        steps_taken: actions taken so far, all ropes together.
     """
 
     def __init__(self, count: int = 1, rope: Rope | None = None, threads: int = 1) -> None:
         """Lay `count` plain loops; `threads` 0 takes every core."""
         if count < 1:
-            raise ValueError(f"a simulation needs at least 1 rope, got {count}")
+            raise InvalidSimulation(f"a simulation needs at least 1 rope, got {count}")
         self.rope = rope or Rope()
         self.count = count
         self._threads = threads
@@ -88,8 +92,9 @@ class Simulation:
         self.points[where] = self.rope.points(self._qpos[where])
 
     def lay(self, qpos: ArrayLike, ids: Ids = None) -> None:
-        """Lay ropes at rest at generalized positions float64 (len(ids), nq); a rope so laid forgets
-        all it did before.
+        """Lay ropes at rest at generalized positions float64 (len(ids), nq).
+
+        A rope so laid forgets all it did before.
         """
         where = self._all(ids)
         self._batch.reset(where, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
@@ -97,29 +102,27 @@ class Simulation:
         self.points[where] = self.rope.points(self._qpos[where])
 
     def step(self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None) -> NDArray[np.bool_]:
-        """Pull one bead of each rope for one action (config.frame_skip steps of the integrator).
+        """Apply a force to one bead of each rope for one action, frame_skip integrator steps.
 
-        Args:
-            beads: int (len(ids),), the bead pulled at its centre of mass.
-            forces: (len(ids), 3), newtons, world frame.
-            ids: the ropes, in rising order; None for all.
-
-        A pull that would open the rope where its sub-chains meet wider than a bead is made again
+        A step that would open the rope where its sub-chains meet wider than a bead is made again
         with EASED times the force (the closures are soft, and a fold at one of them can hold it
         open by millimetres); if all fail, the rope stays.
+
+        Args:
+            beads: int (len(ids),), each acted on at its centre of mass.
+            forces: (len(ids), 3), newtons, world frame.
+            ids: the ropes, in rising order; None for all.
 
         Returns:
             bool (len(ids),): False where the simulation blew up; such a rope stands where it stood
             before the call.
         """
-        where, bodies, full = (
-            self._all(ids),
-            self.rope.bodies[np.asarray(beads)],
-            np.asarray(forces, dtype=np.float64),
-        )
+        where, bodies = self._all(ids), self.rope.bodies[np.asarray(beads)]
+        full = np.asarray(forces, dtype=np.float64)
         self.steps_taken += len(where)
-        before, left = self._batch.state[where].copy(), np.arange(len(where))
+        before = self._batch.state[where].copy()
         whole = np.ones(len(where), dtype=bool)
+        left = np.arange(len(where))  # of `where`, those still to be stepped
         for share in (1.0, *EASED):
             broken, gaps = self._integrate(where[left], bodies[left], share * full[left])
             back = left[broken | ~(gaps < 2 * self.rope.config.radius)]
@@ -136,9 +139,8 @@ class Simulation:
         self, where: NDArray[np.int64], bodies: NDArray[np.int64], forces: Array
     ) -> tuple[NDArray[np.bool_], Array]:
         """Step ropes `where` through one action; which blew up, and the gaps of all, metres."""
-        self._batch.warning[where] = (
-            0  # MuJoCo starts a blown-up rope over as a plain loop, and the count with it
-        )
+        # MuJoCo starts a blown-up rope over as a plain loop, and the count with it
+        self._batch.warning[where] = 0
         self._xfrc[where, bodies, :3] = forces
         broken = np.zeros(len(where), dtype=bool)
         try:
@@ -148,20 +150,19 @@ class Simulation:
         finally:
             self._xfrc[where] = 0.0
         self.points[where], gaps = self.rope.points_and_gaps(self._qpos[where])
-        broken |= self._batch.warning[where][:, _BLOWN_UP, 1].any(axis=1) | ~np.isfinite(
-            self.points[where]
-        ).all(axis=(1, 2))
+        broken |= self._batch.warning[where][:, _BLOWN_UP, 1].any(axis=1)
+        broken |= ~np.isfinite(self.points[where]).all(axis=(1, 2))
         return broken, gaps
 
     def act(self, actions: ArrayLike, ids: Ids = None) -> NDArray[np.bool_]:
-        """Take one action each: pull the bead nearest to the scaled point with the scaled force.
+        """Take one action each, see `actions`.
 
         Args:
             actions: (len(ids), 6), in [-1, 1].
             ids: the ropes, in rising order; None for all.
 
         Returns:
-            As `pull`.
+            As `step`.
 
         Raises:
             InvalidAction: a NaN, or a number outside [-1, 1]; no rope has moved.
@@ -170,9 +171,7 @@ class Simulation:
         return self.step(beads, forces, ids)
 
     def read_actions(self, actions: ArrayLike, ids: Ids = None) -> tuple[NDArray[np.int64], Array]:
-        """The beads int (len(ids),) and forces float64 (len(ids), 3), newtons, that actions stand
-        for now.
-        """
+        """Beads int64 (len(ids),) and forces float64 (len(ids), 3), newtons, that actions name."""
         where = self._all(ids)
         a = np.asarray(actions, dtype=np.float64)
         if a.shape != (len(where), 6):
@@ -183,21 +182,11 @@ class Simulation:
         bad = ~(np.abs(a) <= 1.0).all(axis=1)
         if bad.any():
             raise InvalidAction(f"an action's numbers lie in [-1, 1]; got {a[bad][0].tolist()}")
-        apart = self.points[where] - self.rope.config.reach * a[:, None, :3]
-        return np.argmin((apart**2).sum(axis=2), axis=1), self.rope.config.max_force * a[:, 3:]
+        return decode_actions(a, self.points[where], self.rope.config)
 
     def actions(self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None) -> NDArray[np.float32]:
-        """Actions float32 (len(ids), 6) that `act` reads as these beads and forces (newtons, cut at
-        the largest there is).
-        """
-        where = self._all(ids)
-        config = self.rope.config
-        at = self.points[where, np.asarray(beads)] / config.reach
-        return np.clip(
-            np.concatenate([at, np.asarray(forces, dtype=np.float64) / config.max_force], axis=1),
-            -1,
-            1,
-        ).astype(np.float32)
+        """Actions float32 (len(ids), 6) that `act` reads as these beads and forces, newtons."""
+        return encode_actions(beads, forces, self.points[self._all(ids)], self.rope.config)
 
     def _all(self, ids: Ids) -> NDArray[np.int64]:
         return np.arange(self.count) if ids is None else np.asarray(ids, dtype=np.int64)

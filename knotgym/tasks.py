@@ -1,6 +1,4 @@
-"""The three tasks: where a rope starts and which Gauss code it shall show; and the settings of
-their environments.
-"""
+"""The three tasks: where a rope starts, which Gauss code it shall show, and all other settings."""
 
 from __future__ import annotations
 
@@ -9,10 +7,12 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from knotgym.errors import KnotgymError
+from knotgym.reward import FAILURE_REWARD, SUCCESS_REWARD, RewardRule
 
 if TYPE_CHECKING:
     from knotgym.rope import RopeConfig
 
+SPLITS = ("train", "test")  # of a state file
 MAX_NX = 6  # codes above are not enumerated, nor ever met in numbers
 
 # task -> (crossings of the start, crossings of the goal) for a difficulty nx
@@ -29,8 +29,9 @@ class InvalidSetting(KnotgymError, ValueError):
 
 @dataclass(frozen=True, kw_only=True)
 class TaskConfig:
-    """What an environment was asked for; every field is JSON-able and a keyword of
-    `gymnasium.make`.
+    """What an environment was asked for.
+
+    Every field is JSON-able and a keyword of `gymnasium.make`.
 
     Attributes:
         task: "unknot", "tie" or "convert".
@@ -49,7 +50,7 @@ class TaskConfig:
         integrator_steps: MuJoCo steps that the 0.192 s of an action are cut into; 24 as published.
             With 20 an action takes five sixths of the time, and the bead furthest off ends 0.2 mm
             from where 24 put it, 2 mm after ten actions (`benchmarks/physics.py`). With fewer,
-            ropes pulled hard blow up; with 20, two in 100,000 random pulls did.
+            ropes under large forces blow up; with 20, two in 100,000 random steps did.
         success_reward, failure_reward: paid at success, and at the horizon without it.
     """
 
@@ -65,13 +66,13 @@ class TaskConfig:
     camera: str = "orthographic"
     renderer: str = "auto"
     integrator_steps: int = 24
-    success_reward: float = 5.0
-    failure_reward: float = -5.0
+    success_reward: float = SUCCESS_REWARD
+    failure_reward: float = FAILURE_REWARD
 
     def __post_init__(self) -> None:
         for name, known in {
             "task": tuple(TASKS),
-            "split": ("train", "test"),
+            "split": SPLITS,
             "observation": ("pixels", "state", "both"),
             "camera": ("orthographic", "perspective"),
             "renderer": ("auto", "opencv", "mujoco"),
@@ -88,17 +89,10 @@ class TaskConfig:
             ("integrator_steps", 20, 96),
         ):
             value = getattr(self, name)
-            if (
-                isinstance(value, bool)
-                or not isinstance(value, int)
-                or value < least
-                or (most is not None and value > most)
-            ):
-                raise InvalidSetting(
-                    f"{name} must be a whole number"
-                    f" {f'from {least} to {most}' if most else f'of at least {least}'}, got"
-                    f" {value!r}"
-                )
+            whole = isinstance(value, int) and not isinstance(value, bool)
+            if not whole or value < least or (most is not None and value > most):
+                right = f"from {least} to {most}" if most else f"of at least {least}"
+                raise InvalidSetting(f"{name} must be a whole number {right}, got {value!r}")
         if self.states is not None and not isinstance(self.states, str):
             raise InvalidSetting(
                 f"states must be the path of a state file as a string, got {self.states!r}"
@@ -112,8 +106,23 @@ class TaskConfig:
         return TASKS[self.task](self.nx)[0]
 
     @property
+    def goal_nx(self) -> int:
+        """Crossings of the goal."""
+        return TASKS[self.task](self.nx)[1]
+
+    @property
+    def reward_rule(self) -> RewardRule:
+        """What an episode pays, and when it ends."""
+        return RewardRule(
+            hold=self.hold,
+            horizon=self.horizon,
+            success_reward=self.success_reward,
+            failure_reward=self.failure_reward,
+        )
+
+    @property
     def rope(self) -> RopeConfig:
-        """What is pulled: the usual rope, an action's time cut into `integrator_steps`."""
+        """The usual rope, an action's time cut into `integrator_steps`."""
         from knotgym.rope import RopeConfig  # here, so that loaders need no simulator
 
         usual = RopeConfig()
@@ -122,8 +131,3 @@ class TaskConfig:
             frame_skip=self.integrator_steps,
             timestep=usual.timestep * usual.frame_skip / self.integrator_steps,
         )
-
-    @property
-    def goal_nx(self) -> int:
-        """Crossings of the goal."""
-        return TASKS[self.task](self.nx)[1]

@@ -13,7 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from knotgym.rope import InvalidCurve, Rope, RopeConfig, clearance, noised, sub_chains
+from knotgym.reset_noise import noised
+from knotgym.rope import InvalidCurve, Rope, RopeConfig, clearance, sub_chains
 from knotgym.topology.crossings import label
 
 from .conftest import curled, trefoil

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from knotgym.control.macro_actions import MacroActionConfig, WaypointController, propose
 from knotgym.control.policy import Choice, Effort, PlanningPolicy, Policy, UnplannedPolicy
-from knotgym.episode_batch import Episodes
+from knotgym.episode_batch import EpisodeBatch
 
 
 class RandomPolicy(UnplannedPolicy):
@@ -16,7 +16,7 @@ class RandomPolicy(UnplannedPolicy):
     def __init__(self) -> None:
         super().__init__("random")
 
-    def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
+    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
         actions = np.stack([uniform_action(self._rngs[int(index)]) for index in ids])
         return Choice(actions, [""] * len(ids))
 
@@ -30,13 +30,13 @@ class ScriptedPolicy(UnplannedPolicy):
         self._controller = WaypointController(0, config)
         self._kinds: dict[int, str] = {}
 
-    def begin(self, episodes: Episodes, index: int, rng: np.random.Generator) -> None:
+    def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
         super().begin(episodes, index, rng)
         if len(self._controller.beads) != episodes.count:
             self._controller = WaypointController(episodes.count, self._config)
         self._controller.release(index)
 
-    def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
+    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
         simulation = episodes.simulation
         self._controller.advance(simulation.points)
         idle = self._controller.idle
@@ -59,12 +59,12 @@ class NoisyPolicy(UnplannedPolicy):
         super().__init__(name)
         self._inner, self._noise = inner, noise
 
-    def begin(self, episodes: Episodes, index: int, rng: np.random.Generator) -> None:
+    def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
         noise_rng, inner_rng = rng.spawn(2)
         super().begin(episodes, index, noise_rng)
         self._inner.begin(episodes, index, inner_rng)
 
-    def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
+    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
         noisy = np.array([self._rngs[int(index)].random() < self._noise for index in ids])
         actions, moves = np.zeros((len(ids), 6), dtype=np.float32), ["noise"] * len(ids)
         planned = np.flatnonzero(~noisy)
@@ -89,11 +89,11 @@ class MixedPolicy:
         self._policies, self._shares = policies, np.array(shares) / sum(shares)
         self._chosen: dict[int, Policy] = {}
 
-    def begin(self, episodes: Episodes, index: int, rng: np.random.Generator) -> None:
+    def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
         self._chosen[index] = self._policies[rng.choice(len(self._policies), p=self._shares)]
         self._chosen[index].begin(episodes, index, rng)
 
-    def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
+    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
         actions, moves = np.zeros((len(ids), 6), dtype=np.float32), [""] * len(ids)
         for policy in self._policies:
             own = np.flatnonzero([self._chosen[int(index)] is policy for index in ids])

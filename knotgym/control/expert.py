@@ -17,7 +17,7 @@ from knotgym.control.macro_actions import WaypointController
 from knotgym.control.planner import REST, Plan, PlannerConfig, plan, promising
 from knotgym.control.policy import Choice, Effort
 from knotgym.control.transition_graph import TransitionGraph, shipped_transition_graph
-from knotgym.episode_batch import Episodes
+from knotgym.episode_batch import EpisodeBatch
 from knotgym.simulation import Simulation
 
 BLIND = "blind"  # begins the reason of a step without a plan
@@ -55,13 +55,13 @@ class Expert:
         self._progress: dict[int, _Progress] = {}
         self._controller = WaypointController(0, self.config.macro_actions)
 
-    def begin(self, episodes: Episodes, index: int, rng: np.random.Generator) -> None:
+    def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
         if len(self._controller.beads) != episodes.count:
             self._controller = WaypointController(episodes.count, self.config.macro_actions)
         self._controller.release(index)
         self._progress[index] = _Progress(rng)
 
-    def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
+    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
         actions, moves = np.zeros((len(ids), 6), dtype=np.float32), []
         for row, index in enumerate(ids.tolist()):
             progress = self._progress[index]
@@ -91,7 +91,7 @@ class Expert:
         progress = self._progress[index]
         return Effort(progress.spent, progress.seconds)
 
-    def _plan(self, episodes: Episodes, index: int, progress: _Progress) -> Plan:
+    def _plan(self, episodes: EpisodeBatch, index: int, progress: _Progress) -> Plan:
         if self._simulation is None:
             self._simulation = Simulation(self.config.batch_size, episodes.simulation.rope)
         hold, held = episodes.config.hold, int(episodes.held[index])
@@ -108,7 +108,7 @@ class Expert:
         )
 
     def _act_without_plan(
-        self, episodes: Episodes, index: int, progress: _Progress
+        self, episodes: EpisodeBatch, index: int, progress: _Progress
     ) -> NDArray[np.float32]:
         simulation = episodes.simulation
         points = simulation.points

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.control.policy import Choice, InvalidPolicy, UnplannedPolicy
-from knotgym.episode_batch import Episodes
+from knotgym.episode_batch import EpisodeBatch
 
 UserFunction = Callable[[Any, dict[str, Any], np.random.Generator], Any]
 Model = Callable[[Any], Any]
@@ -30,7 +30,7 @@ class FunctionPolicy(UnplannedPolicy):
         super().__init__(name)
         self._function = function
 
-    def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
+    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
         actions = [
             self._function(episodes.observation(index), episodes.info(index), self._rngs[index])
             for index in ids.tolist()
@@ -45,7 +45,7 @@ class ModelPolicy(UnplannedPolicy):
         super().__init__(name)
         self._model = model
 
-    def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
+    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
         seen = [episodes.observation(index) for index in ids.tolist()]
         batch: Any
         if isinstance(seen[0], dict):

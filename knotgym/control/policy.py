@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.episode_batch import Episodes
+from knotgym.episode_batch import EpisodeBatch
 from knotgym.errors import KnotgymError
 
 
@@ -37,10 +37,10 @@ class Effort(NamedTuple):
 class Policy(Protocol):
     """Acts in any of the episodes of one batch, each from its own generator."""
 
-    def begin(self, episodes: Episodes, index: int, rng: np.random.Generator) -> None:
+    def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
         """Episode `index` has begun; every draw for it comes from `rng`."""
 
-    def act(self, episodes: Episodes, ids: NDArray[np.int64]) -> Choice:
+    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
         """Decide for the episodes `ids`, in rising order."""
 
     def name(self, index: int) -> str:
@@ -64,7 +64,7 @@ class UnplannedPolicy:
         self._name = name
         self._rngs: dict[int, np.random.Generator] = {}
 
-    def begin(self, episodes: Episodes, index: int, rng: np.random.Generator) -> None:
+    def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
         self._rngs[index] = rng
 
     def name(self, index: int) -> str:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from knotgym.control.policy import Effort, Policy
 from knotgym.datasets.trajectory import Episode
-from knotgym.episode_batch import Episodes
+from knotgym.episode_batch import EpisodeBatch
 from knotgym.rope import Array
 from knotgym.streams import Stream, derived_seed, generator
 from knotgym.tasks import TaskConfig
@@ -57,7 +57,7 @@ class _Track:
     terminations: list[bool] = field(default_factory=list)
     truncations: list[bool] = field(default_factory=list)
 
-    def see(self, episodes: Episodes, index: int, move: str) -> None:
+    def see(self, episodes: EpisodeBatch, index: int, move: str) -> None:
         """Keep the state that the episode is in now, and why it came to be."""
         self.points.append(episodes.simulation.points[index].copy())
         self.infos.append({**episodes.info(index), "move": move})
@@ -77,7 +77,7 @@ def rollout(task: TaskConfig, policy: Policy, numbers: Sequence[int], seed: int)
         numbers: which episodes of the run, at least one.
         seed: of the run.
     """
-    episodes = Episodes(task, len(numbers))
+    episodes = EpisodeBatch(task, len(numbers))
     tracks = []
     for index, number in enumerate(numbers):
         episodes.begin(index, np.random.default_rng(episode_seed(seed, number)))
@@ -105,7 +105,7 @@ def rollout(task: TaskConfig, policy: Policy, numbers: Sequence[int], seed: int)
     ]
 
 
-def _begun(episodes: Episodes, index: int) -> _Track:
+def _begun(episodes: EpisodeBatch, index: int) -> _Track:
     """The track of an episode that has just begun."""
     info = episodes.info(index)
     track = _Track(

@@ -17,7 +17,6 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import h5py
@@ -26,7 +25,8 @@ from numpy.typing import NDArray
 
 from knotgym.atomic_files import atomic_write
 from knotgym.control.macro_actions import KINDS, MacroAction
-from knotgym.errors import KnotgymError, MissingFile
+from knotgym.errors import KnotgymError
+from knotgym.hdf5_files import opened_hdf5
 from knotgym.topology.crossings import Crossings
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import canonical_form, shifted_base, variants
@@ -181,24 +181,17 @@ class TransitionCounts:
         """Read such a file.
 
         Raises:
-            FileNotFoundError: there is none.
+            MissingFile: there is none.
             InvalidTransitions: foreign, truncated, or of an unknown format.
         """
-        if not Path(path).is_file():
-            raise MissingFile(f"no transitions at {path}")
-        try:
-            with h5py.File(path, "r") as file:
-                said = file.attrs.get("format"), file.attrs.get("format_version")
-                if said not in ((FORMAT, 1), (FORMAT, FORMAT_VERSION)):
-                    raise InvalidTransitions(
-                        f"{path} holds no transitions of format {FORMAT!r} version 1 or"
-                        f" {FORMAT_VERSION}"
-                    )
-                return cls.read(file)
-        except (OSError, KeyError, RuntimeError, IndexError) as error:
-            raise InvalidTransitions(
-                f"{path} holds no whole transitions: {' '.join(str(error).split())}"
-            ) from error
+        with opened_hdf5(
+            path,
+            what="file of transitions",
+            format=FORMAT,
+            versions=(1, FORMAT_VERSION),
+            error=InvalidTransitions,
+        ) as file:
+            return cls.read(file)
 
 
 class Places:

@@ -27,8 +27,10 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.datasets.trajectory import INFOS, Episode, InvalidEpisode
+from knotgym.datasets.minari_folder import minari_root
+from knotgym.datasets.trajectory import INFOS, Episode
 from knotgym.errors import KnotgymError, MissingFile
+from knotgym.hdf5_files import check_format, foreign_bytes_as
 from knotgym.tasks import TaskConfig
 
 FORMAT = "knotgym-episodes"
@@ -51,8 +53,9 @@ class Chosen(NamedTuple):
 
 
 class EpisodeReader:
-    """Reads an episode file or a dataset, whole episodes or single frames; opens it once in each
-    process, pickles without it.
+    """Reads an episode file or a dataset, whole episodes or single frames.
+
+    It opens the file once in each process, and pickles without it.
 
     Attributes:
         path: of the HDF5 file.
@@ -69,39 +72,24 @@ class EpisodeReader:
         Raises:
             InvalidEpisodeFile: not written by knotgym, truncated, or of a format this version
                 doesn't know.
-            FileNotFoundError: there is none.
+            MissingFile: there is none.
         """
         self.path = episode_file(source)
         self._opened: tuple[int, h5py.File] | None = None
-        try:
-            attributes = dict(self.file.attrs)
-        except OSError as error:
-            raise InvalidEpisodeFile(
-                f"{self.path} isn't a whole HDF5 file: {' '.join(str(error).split())}"
-            ) from error
-        found = attributes.get("format", "none"), attributes.get("format_version", "none")
-        if found != (FORMAT, FORMAT_VERSION):
-            raise InvalidEpisodeFile(
-                f"{self.path} has format {found[0]!r} version {found[1]}; this one reads {FORMAT!r}"
-                f" version {FORMAT_VERSION}"
+        with foreign_bytes_as(InvalidEpisodeFile, f"{self.path} isn't a whole episode file"):
+            check_format(
+                self.file, format=FORMAT, versions=(FORMAT_VERSION,), error=InvalidEpisodeFile
             )
-        self.task = TaskConfig(**json.loads(attributes["task"]))
-        self.stored = str(attributes["stored"])
-        self.rope = str(attributes["rope"])
-        self.versions: dict[str, str] = json.loads(attributes["versions"])
-        if "index" in attributes:
-            index = {int(row): int(steps) for row, steps in attributes["index"]}
-        else:
-            present = sorted(int(name.removeprefix("episode_")) for name in self.file)
-            index = {row: int(self.file[f"episode_{row}"].attrs["total_steps"]) for row in present}
-        self.rows: list[int] = (
-            [int(row) for row in source.episode_indices]
-            if hasattr(source, "episode_indices")
-            else list(index)
-        )
-        self.lengths: NDArray[np.int64] = np.array(
-            [index[row] for row in self.rows], dtype=np.int64
-        )
+            attributes = dict(self.file.attrs)
+            self.task = TaskConfig(**json.loads(attributes["task"]))
+            self.stored = str(attributes["stored"])
+            self.rope = str(attributes["rope"])
+            self.versions: dict[str, str] = json.loads(attributes["versions"])
+            index = stored_index(self.file) or counted_index(self.file)
+        chosen = getattr(source, "episode_indices", index)
+        self.rows: list[int] = [int(row) for row in chosen]
+        lengths = [index[row] for row in self.rows]
+        self.lengths: NDArray[np.int64] = np.array(lengths, dtype=np.int64)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_opened": None}
@@ -140,31 +128,27 @@ class EpisodeReader:
         Raises:
             InvalidEpisodeFile: something is missing, misshapen or unreadable; the message names it.
         """
-        try:
+        with foreign_bytes_as(InvalidEpisodeFile, f"{self.path}, episode {self.rows[index]}"):
             group = self.group(index)
             arrays = {
                 name: _read(group[place(name)])
                 for name in (*_ROPE, *_STEPS, *INFOS)
                 if name != "move" or place(name) in group
             }
-            said = dict(group.attrs)
+            labels = dict(group.attrs)
             return Episode(
                 **arrays,
-                goal_gauss_code=str(said["goal_gauss_code"]),
-                policy=str(said["policy"]),
-                seed=int(said["seed"]) if "seed" in said else None,
+                goal_gauss_code=str(labels["goal_gauss_code"]),
+                policy=str(labels["policy"]),
+                seed=int(labels["seed"]) if "seed" in labels else None,
                 options={
                     name.removeprefix("options/"): int(row)
-                    for name, row in said.items()
+                    for name, row in labels.items()
                     if name.startswith("options/")
                 },
-                relabelled=bool(said["relabelled"]),
-                hold=int(said["hold"]) if "hold" in said else None,
+                relabelled=bool(labels["relabelled"]),
+                hold=int(labels["hold"]) if "hold" in labels else None,
             )
-        except (KeyError, OSError, RuntimeError, TypeError, InvalidEpisode) as error:
-            raise InvalidEpisodeFile(
-                f"{self.path}, episode {self.rows[index]}: {' '.join(str(error).split())}"
-            ) from error
 
     def observations(
         self,
@@ -192,30 +176,33 @@ class EpisodeReader:
         wanted = observation or self.task.observation
         if wanted not in STORED[:3]:
             raise InvalidEpisodeFile(f"observation must be pixels, state or both, got {wanted!r}")
-        held = self.stored in (wanted, "both") and picture is None
-        return (
-            self._stored(index, steps, goal_step, wanted)
-            if held
-            else self._drawn(index, steps, goal_step, wanted, picture)
-        )
+        if self.stored in (wanted, "both") and picture is None:
+            return self._stored(index, steps, goal_step, wanted)
+        return self._drawn(index, steps, goal_step, wanted, picture)
+
+    def stored_observations(self, index: int) -> dict[str, h5py.Dataset]:
+        """The observations in the file of all states of an episode: pixels, state, both or none."""
+        if self.stored == "none":
+            return {}
+        data = self.group(index)["observations"]
+        return dict(data) if self.stored == "both" else {self.stored: data}
 
     def _stored(self, index: int, steps: slice, goal_step: int | None, wanted: str) -> Any:
-        found = self.group(index)["observations"]
-        seen = {
-            name: (found[name] if self.stored == "both" else found)[steps]
-            for name in (("pixels", "state") if wanted == "both" else (wanted,))
-        }
+        data = self.stored_observations(index)
+        names = ("pixels", "state") if wanted == "both" else (wanted,)
+        seen = {name: data[name][steps] for name in names}
         if goal_step is not None:
             for name, array in seen.items():
-                goal = (found[name] if self.stored == "both" else found)[goal_step]
                 side = 2 if name == "pixels" else 1
                 half = array.shape[side] // 2
-                np.moveaxis(array, side, 0)[half:] = np.moveaxis(goal[None], side, 0)[:half]
+                goal = data[name][goal_step][None]
+                np.moveaxis(array, side, 0)[half:] = np.moveaxis(goal, side, 0)[:half]
         return seen if wanted == "both" else seen[wanted]
 
     def _drawn(
         self, index: int, steps: slice, goal_step: int | None, wanted: str, picture: Any
     ) -> Any:
+        # here, so that loaders of states need no OpenCV
         from knotgym.rendering.observations import observe, picture_config
 
         points = self.group(index)["rope/points"]
@@ -224,8 +211,14 @@ class EpisodeReader:
 
 
 def episode_file(source: Any) -> Path:
-    """The HDF5 file of a dataset: a file, a dataset's folder or the `data` in it, a
-    `minari.MinariDataset`, or an id that Minari would find.
+    """The HDF5 file of a dataset.
+
+    Args:
+        source: a file, a dataset's folder or the `data` in it, a `minari.MinariDataset`, a
+            `Chosen`, or an id that Minari would find.
+
+    Raises:
+        MissingFile: there is none.
     """
     if isinstance(source, Chosen):
         return episode_file(source.source)
@@ -239,9 +232,15 @@ def episode_file(source: Any) -> Path:
     raise MissingFile(f"no episodes at {tried[0]}, nor a dataset of this id under {minari_root()}")
 
 
-def minari_root() -> Path:
-    """Where Minari keeps datasets: MINARI_DATASETS_PATH, else its default."""
-    return Path(os.environ.get("MINARI_DATASETS_PATH") or Path.home() / ".minari" / "datasets")
+def stored_index(file: h5py.File) -> dict[int, int]:
+    """The k and T of each episode, as the file's attribute says; empty where it has none."""
+    return {int(row): int(steps) for row, steps in file.attrs.get("index", ())}
+
+
+def counted_index(file: h5py.File) -> dict[int, int]:
+    """The k and T of each episode, looked up in every one."""
+    rows = sorted(int(name.removeprefix("episode_")) for name in file)
+    return {row: int(file[f"episode_{row}"].attrs["total_steps"]) for row in rows}
 
 
 def place(name: str) -> str:

@@ -1,5 +1,4 @@
-"""Whether episodes tell the truth: everything stored twice or computable is computed again and
-compared.
+"""Whether episodes tell the truth: everything computable is computed again and compared.
 
 Points are compared bit for bit, as are rewards and observations; a code is asked of both labellers.
 """
@@ -8,14 +7,24 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.datasets.episode_reader import EpisodeReader, InvalidEpisodeFile
+from knotgym.actions import steps_taken
+from knotgym.datasets.episode_reader import (
+    EpisodeReader,
+    InvalidEpisodeFile,
+    counted_index,
+    stored_index,
+)
 from knotgym.datasets.trajectory import Episode
+from knotgym.errors import one_line
+from knotgym.rendering.observations import observe, picture_config
+from knotgym.reward import consecutive
 from knotgym.rope import Rope
 from knotgym.simulation import Simulation
 from knotgym.tasks import TaskConfig
@@ -31,7 +40,7 @@ def replay(episodes: Sequence[Episode], task: TaskConfig, threads: int = 1) -> l
 
     Args:
         episodes: of one task; side by side in one simulation.
-        task: whose rope they pull.
+        task: whose rope it is.
         threads: of the simulation, 0 for every core.
 
     Returns:
@@ -40,17 +49,16 @@ def replay(episodes: Sequence[Episode], task: TaskConfig, threads: int = 1) -> l
     if not episodes:
         return []
     simulation = Simulation(len(episodes), Rope(task.rope), threads)
-    simulation.lay(np.array([one.start_qpos for one in episodes]))
-    lengths = np.array([len(one) for one in episodes])
+    simulation.lay(np.array([episode.start_qpos for episode in episodes]))
+    lengths = np.array([len(episode) for episode in episodes])
     different: list[int | None] = [None] * len(episodes)
     for step in range(int(lengths.max()) + 1):
         going = np.flatnonzero(lengths >= step).tolist()
         if step:
             simulation.act(np.array([episodes[i].actions[step - 1] for i in going]), going)
         for i in going:
-            if different[i] is None and not np.array_equal(
-                simulation.points[i], episodes[i].points[step]
-            ):
+            same = np.array_equal(simulation.points[i], episodes[i].points[step])
+            if different[i] is None and not same:
                 different[i] = step
     return different
 
@@ -82,38 +90,17 @@ def verify_episodes(
         return [str(error)]
     rope = Rope(reader.task.rope)
     faults = _file_faults(reader, rope)
-    right: list[int] = []
+    faultless: list[int] = []
     for index, row in enumerate(reader.rows):
         where = f"{reader.path}, episode {row}"
-        found: list[str] = []
-        try:
-            episode = reader.episode(index)
-            if episode.digest() != reader.group(index).attrs["digest"]:
-                found.append("its contents don't have the digest they were written with")
-            found += episode_faults(episode, reader.task, rope)
-            found += _observation_faults(reader, index, episode, frames)
-            second = (
-                pyknotid_code(episode.points[-1]).chiral
-                if pyknotid
-                else episode.gauss_code_chiral[-1]
-            )
-            if second != episode.gauss_code_chiral[-1]:
-                found.append(
-                    f"step {len(episode)}: pyknotid reads {second!r}, the file says"
-                    f" {str(episode.gauss_code_chiral[-1])!r}"
-                )
-        except (InvalidEpisodeFile, OSError, KeyError, ValueError) as error:
-            found.append(" ".join(str(error).split()).removeprefix(f"{where}: "))
-        faults += [f"{where}: {fault}" for fault in found]
-        if not found:
-            right.append(index)
-    for start in range(0, len(right) if act_out else 0, _BATCH):
-        batch = right[start : start + _BATCH]
-        for index, step in zip(
-            batch,
-            replay([reader.episode(index) for index in batch], reader.task, threads),
-            strict=True,
-        ):
+        own = _faults_of(reader, index, rope, frames, pyknotid)
+        faults += [f"{where}: {fault.removeprefix(f'{where}: ')}" for fault in own]
+        if not own:
+            faultless.append(index)
+    for start in range(0, len(faultless) if act_out else 0, _BATCH):
+        batch = faultless[start : start + _BATCH]
+        different = replay([reader.episode(index) for index in batch], reader.task, threads)
+        for index, step in zip(batch, different, strict=True):
             if step is not None:
                 faults.append(
                     f"{reader.path}, episode {reader.rows[index]}: step {step}: acted out again,"
@@ -124,26 +111,25 @@ def verify_episodes(
 
 
 def episode_faults(episode: Episode, task: TaskConfig, rope: Rope) -> list[str]:
-    """What is wrong in an episode of a task: numbers, labels, rewards and ends, each fault with its
-    step.
-    """
-    numbers = {name: array for name, array in episode.arrays().items() if array.dtype.kind == "f"}
+    """What is wrong in an episode of a task: numbers, labels, rewards and ends."""
     faults = [
         f"{name} holds a number that isn't finite"
-        for name, array in numbers.items()
-        if not np.isfinite(array).all()
+        for name, array in episode.arrays().items()
+        if array.dtype.kind == "f" and not np.isfinite(array).all()
     ]
     if faults:
         return faults
     codes = label_many(episode.points)
-    read = {
+    beads, forces = steps_taken(episode.actions, episode.points, rope.config)
+    recomputed = {
         "gauss_code": np.array([str(code) for code in codes]),
         "gauss_code_chiral": np.array([code.chiral for code in codes]),
         "crossings": np.array([code.nx for code in codes]),
-        **_pulled(episode, rope),
+        "bead": beads,
+        "force": forces,
         **_outcome(episode, codes, task),
     }
-    for name, right in read.items():
+    for name, right in recomputed.items():
         stored = getattr(episode, name)
         wrong = np.flatnonzero((stored != right).reshape(len(right), -1).any(axis=1))
         if len(wrong):
@@ -162,13 +148,10 @@ def episode_faults(episode: Episode, task: TaskConfig, rope: Rope) -> list[str]:
         faults.append("step 0: the rope doesn't lie where start_qpos lays it")
     if episode.relabelled and not np.array_equal(episode.goal_points, episode.points[-1]):
         faults.append("relabelled, but its goal isn't its last state")
-    ended = episode.terminations | episode.truncations
-    if (
-        np.flatnonzero(ended).tolist() != [len(episode) - 1]
-        or (episode.terminations & episode.truncations).any()
-    ):
+    ends = np.flatnonzero(episode.terminations | episode.truncations).tolist()
+    if ends != [len(episode) - 1] or (episode.terminations & episode.truncations).any():
         faults.append(
-            f"ends at step {np.flatnonzero(ended).tolist()}, should end once, at step"
+            f"ends at step {ends}, should end once, at step"
             f" {len(episode) - 1}, either terminated or truncated"
         )
     return faults
@@ -177,7 +160,7 @@ def episode_faults(episode: Episode, task: TaskConfig, rope: Rope) -> list[str]:
 def show_episodes(source: Any) -> dict[str, Any]:
     """Sum up an episode file or a Minari dataset; every value is JSON-able."""
     reader = EpisodeReader(source)
-    said = [dict(reader.group(i).attrs) for i in range(len(reader))]
+    labels = [dict(reader.group(i).attrs) for i in range(len(reader))]
     success = np.array([reader.column(i, "is_success")[-1] for i in range(len(reader))], dtype=bool)
     failed = sum(bool(reader.column(i, "simulation_failed")[-1]) for i in range(len(reader)))
     returns = np.array([reader.column(i, "rewards").sum() for i in range(len(reader))])
@@ -195,9 +178,9 @@ def show_episodes(source: Any) -> dict[str, Any]:
         "successes": int(success.sum()),
         "success_rate": float(success.mean()) if len(success) else None,
         "simulation_failures": failed,
-        "policies": dict(sorted(Counter(str(one["policy"]) for one in said).items())),
-        "goals": dict(sorted(Counter(str(one["goal_gauss_code"]) for one in said).items())),
-        "relabelled": sum(bool(one["relabelled"]) for one in said),
+        "policies": _counted(label["policy"] for label in labels),
+        "goals": _counted(label["goal_gauss_code"] for label in labels),
+        "relabelled": sum(bool(label["relabelled"]) for label in labels),
         "bytes": size,
         "bytes_per_frame": size / max(1, frames),
         "rope": reader.rope,
@@ -214,14 +197,7 @@ def _file_faults(reader: EpisodeReader, rope: Rope) -> list[str]:
             f"{reader.path}: made with rope model {reader.rope}, this version has"
             f" {rope.config.fingerprint}"
         )
-    there = {
-        int(name.removeprefix("episode_")): int(group.attrs["total_steps"])
-        for name, group in reader.file.items()
-    }
-    if (
-        "index" in reader.file.attrs
-        and {int(row): int(steps) for row, steps in reader.file.attrs["index"]} != there
-    ):
+    if "index" in reader.file.attrs and stored_index(reader.file) != counted_index(reader.file):
         faults.append(f"{reader.path}: its index isn't that of its episodes")
     if sorted(reader.rows) != list(range(len(reader.file))):
         faults.append(
@@ -241,37 +217,46 @@ def _file_faults(reader: EpisodeReader, rope: Rope) -> list[str]:
     return faults
 
 
+def _faults_of(
+    reader: EpisodeReader, index: int, rope: Rope, frames: int | None, pyknotid: bool
+) -> list[str]:
+    """What is wrong in one episode of a file; see `verify_episodes`."""
+    faults: list[str] = []
+    try:
+        episode = reader.episode(index)
+        if episode.digest() != reader.group(index).attrs["digest"]:
+            faults.append("its contents don't have the digest they were written with")
+        faults += episode_faults(episode, reader.task, rope)
+        faults += _observation_faults(reader, index, episode, frames)
+        stored = str(episode.gauss_code_chiral[-1])
+        second = pyknotid_code(episode.points[-1]).chiral if pyknotid else stored
+        if second != stored:
+            faults.append(
+                f"step {len(episode)}: pyknotid reads {second!r}, the file says {stored!r}"
+            )
+    except (InvalidEpisodeFile, OSError, KeyError, ValueError) as error:
+        faults.append(one_line(error))
+    return faults
+
+
 def _observation_faults(
     reader: EpisodeReader, index: int, episode: Episode, frames: int | None
 ) -> list[str]:
     """Compare stored observations with what the environment shows of the same points."""
-    if reader.stored == "none":
-        return []
-    from knotgym.rendering.observations import observe, picture_config
-
-    count = len(episode) + 1
-    found = reader.group(index)["observations"]
-    faults = []
-    for name, data in (
-        {"pixels": found["pixels"], "state": found["state"]}.items()
-        if reader.stored == "both"
-        else [(reader.stored, found)]
-    ):
-        if len(data) != count:
-            faults.append(f"{len(data)} observations ({name}), should be {count}")
+    count, faults = len(episode) + 1, []
+    steps = np.arange(count)
+    if frames is not None:
+        steps = np.unique(np.linspace(0, count - 1, min(frames, count)).astype(int))
+    for name, stored in reader.stored_observations(index).items():
+        if len(stored) != count:
+            faults.append(f"{len(stored)} observations ({name}), should be {count}")
             continue
-        steps = (
-            np.arange(count)
-            if frames is None
-            else np.unique(np.linspace(0, count - 1, min(frames, count)).astype(int))
-        )
-        right = observe(
-            episode.points[steps], episode.goal_points, name, picture_config(reader.task)
-        )
+        picture = picture_config(reader.task)
+        shown = observe(episode.points[steps], episode.goal_points, name, picture)
         wrong = [
             int(step)
-            for step, one in zip(steps, right, strict=True)
-            if not np.array_equal(data[step], one)
+            for step, right in zip(steps, shown, strict=True)
+            if not np.array_equal(stored[step], right)
         ]
         if wrong:
             faults.append(
@@ -281,40 +266,24 @@ def _observation_faults(
     return faults
 
 
-def _pulled(episode: Episode, rope: Rope) -> dict[str, NDArray[Any]]:
-    """The beads and forces that the actions stand for."""
-    apart = episode.points[:-1] - rope.config.reach * episode.actions[:, None, :3].astype(
-        np.float64
-    )
-    bead = np.argmin((apart**2).sum(axis=2), axis=1)
-    force = rope.config.max_force * episode.actions[:, 3:].astype(np.float64)
-    return {
-        "bead": np.concatenate([[-1], bead]),
-        "force": np.concatenate([np.zeros((1, 3)), force]),
-    }
-
-
 def _outcome(
     episode: Episode, codes: Sequence[GaussCode], task: TaskConfig
 ) -> dict[str, NDArray[Any]]:
     """What the environment pays and says for these codes, up to the step the episode ends at."""
     goal = GaussCode.parse(episode.goal_gauss_code)
-    held, hold = 0, episode.hold or task.hold
-    success, failed = np.zeros(len(codes), dtype=bool), episode.simulation_failed
-    for step, code in enumerate(codes[1:], 1):
-        held = held + 1 if code.matches(goal) else 0
-        success[step] = held >= hold and not failed[step]
-    late = np.arange(1, len(codes)) >= task.horizon
-    truncations = failed[1:] | (late & ~success[1:])
-    rewards = np.where(
-        success[1:], task.success_reward, np.where(late & ~failed[1:], task.failure_reward, 0.0)
-    )
+    held = consecutive([code.matches(goal) for code in codes[1:]])
+    rule = replace(task.reward_rule, hold=episode.hold or task.hold)
+    outcome = rule.outcome(held, np.arange(1, len(codes)), episode.simulation_failed[1:])
     return {
-        "is_success": success,
-        "terminations": success[1:],
-        "truncations": truncations,
-        "rewards": rewards,
+        "is_success": np.concatenate([[False], outcome.terminated]),
+        "terminations": outcome.terminated,
+        "truncations": outcome.truncated,
+        "rewards": outcome.rewards,
     }
+
+
+def _counted(names: Iterable[object]) -> dict[str, int]:
+    return dict(sorted(Counter(map(str, names)).items()))
 
 
 def _spread(values: NDArray[Any]) -> dict[str, float] | None:

@@ -1,5 +1,4 @@
-"""Writing episode files, one episode at a time, and merging them; the layout is in
-`episode_reader`.
+"""Writing episode files, one episode at a time, and merging them; `episode_reader` has the layout.
 
 A picture is stored in strips, a few rows of eight frames at a time, so that gzip finds the goal
 that stands still: its fastest level then makes files as small as a slower one does of a frame a
@@ -35,12 +34,12 @@ from knotgym.datasets.episode_reader import (
     place,
 )
 from knotgym.datasets.trajectory import Episode
+from knotgym.rendering.observations import observe, picture_config
 from knotgym.tasks import TaskConfig
 
 _STRIP_FRAMES = 8
-_STRIP_BYTES = (
-    12288  # of one frame; the same rows of the frame before then lie inside gzip's window of 32 kB
-)
+# of one frame; the same rows of the frame before then lie inside gzip's window of 32 kB
+_STRIP_BYTES = 12288
 _GZIP = 1  # level
 _LONG = 64  # steps in a chunk of anything but pictures
 _INTERMEDIATE = h5py.h5p.create(h5py.h5p.LINK_CREATE)
@@ -49,8 +48,9 @@ _SMALL = 4096  # bytes under which a chunk costs more than it saves
 
 
 class EpisodeWriter:
-    """Writes episodes one by one, each out of memory when the next comes; the file takes its name
-    when the `with` block ends well.
+    """Writes episodes one by one, each out of memory when the next comes.
+
+    The file takes its name when the `with` block ends well.
     """
 
     def __init__(
@@ -72,12 +72,9 @@ class EpisodeWriter:
 
     def __enter__(self) -> Self:
         with ExitStack() as stack:
-            self._file = stack.enter_context(
-                _created(
-                    stack.enter_context(atomic_write(self.path)),
-                    _attributes(self.task, self.stored),
-                )
-            )
+            temporary = stack.enter_context(atomic_write(self.path))
+            created = _created(temporary, _attributes(self.task, self.stored))
+            self._file = stack.enter_context(created)
             self._stack = stack.pop_all()
         return self
 
@@ -104,15 +101,11 @@ class EpisodeWriter:
         self._next = number + 1
         self._index.append((number, len(episode)))
         group = self._file.create_group(f"episode_{number}")
-        written = {
-            "id": number,
-            "number": number,
-            "total_steps": len(episode),
-            "digest": episode.digest(),
-            **episode.labels(),
-        }
-        options = {f"options/{name}": row for name, row in written.pop("options").items()}
-        for name, value in {**written, **options}.items():
+        labels = episode.labels()
+        options = {f"options/{name}": row for name, row in labels.pop("options").items()}
+        counts = {"id": number, "number": number, "total_steps": len(episode)}
+        said = {**counts, "digest": episode.digest(), **labels, **options}
+        for name, value in said.items():
             if value is not None:
                 group.attrs[name] = value
         for name, array in episode.arrays().items():
@@ -120,7 +113,7 @@ class EpisodeWriter:
         _observe(group, self.task, self.stored, episode.points, episode.goal_points)
 
 
-def merge(
+def merge_episodes(
     sources: Sequence[Any],
     target: str | os.PathLike[str],
     *,
@@ -128,10 +121,10 @@ def merge(
     concatenate: bool = False,
     attributes: Mapping[str, str] | None = None,
 ) -> None:
-    """Put the episodes of several files into one, numbered from 0; what stays the same is copied,
-    not encoded again.
+    """Put the episodes of several files into one, numbered from 0.
 
-    The same episodes give the same bytes, whatever files they came in.
+    What stays the same is copied, not encoded again; the same episodes give the same bytes,
+    whatever files they came in.
 
     Args:
         sources: what `EpisodeReader` takes; of one task and rope.
@@ -145,12 +138,42 @@ def merge(
     Raises:
         InvalidEpisodeFile: the sources don't go together, or two episodes have one number.
     """
+    if store is not None and store not in STORED:
+        raise InvalidEpisodeFile(f"store must be one of {', '.join(STORED)}, got {store!r}")
     readers = [EpisodeReader(source) for source in sources]
+    _require_one_kind(readers)
+    first = readers[0]
+    order = _in_order(readers, concatenate)
+    store = store or first.stored
+    task = replace(first.task, observation=store) if store != "none" else first.task
+    versions = {
+        name: ", ".join(sorted({reader.versions[name] for reader in readers}))
+        for name in first.versions
+    }
+    written = {
+        **(attributes or {}),
+        **_attributes(task, store),
+        "rope": first.rope,
+        "versions": json.dumps(versions),
+    }
+    with atomic_write(target) as temporary, _created(temporary, written) as file:
+        for number, (reader, i) in enumerate(order):
+            source, group = reader.group(i), file.create_group(f"episode_{number}")
+            _copy(source, group, number, keep=store == first.stored)
+            if store != first.stored:
+                points, goal_points = source["rope/points"][()], source["rope/goal_points"][()]
+                _observe(group, task, store, points, goal_points)
+        lengths = [int(reader.lengths[i]) for reader, i in order]
+        _write_index(file, list(enumerate(lengths)))
+    for reader in readers:
+        reader.close()
+
+
+def _require_one_kind(readers: Sequence[EpisodeReader]) -> None:
+    """Refuse files whose episodes can't stand in one."""
     if not readers:
         raise InvalidEpisodeFile("nothing to merge: name at least one file")
     first = readers[0]
-    if store is not None and store not in STORED:
-        raise InvalidEpisodeFile(f"store must be one of {', '.join(STORED)}, got {store!r}")
     for other in readers[1:]:
         for name in ("task", "rope", "stored"):
             if getattr(other, name) != getattr(first, name):
@@ -158,44 +181,25 @@ def merge(
                     f"files of one {name} can be merged; {first.path} has {getattr(first, name)},"
                     f" {other.path} has {getattr(other, name)}"
                 )
-    order = [
-        (0 if concatenate else int(reader.group(i).attrs["number"]), reader, i)
-        for reader in readers
-        for i in range(len(reader))
-    ]
-    order.sort(key=lambda one: one[0])
-    numbers = [number for number, _, _ in order]
-    if not concatenate and len(set(numbers)) < len(numbers):
-        twice = next(number for number in numbers if numbers.count(number) > 1)
+
+
+def _in_order(
+    readers: Sequence[EpisodeReader], concatenate: bool
+) -> list[tuple[EpisodeReader, int]]:
+    """The episodes of all files, each by its reader and its place there: file by file, or by their
+    numbers, which must then differ.
+    """
+    episodes = [(reader, i) for reader in readers for i in range(len(reader))]
+    if concatenate:
+        return episodes
+    numbers = [int(reader.group(i).attrs["number"]) for reader, i in episodes]
+    if len(set(numbers)) < len(numbers):
+        twice = next(number for number in sorted(numbers) if numbers.count(number) > 1)
         raise InvalidEpisodeFile(
             f"two episodes have number {twice}: shards of one run have none twice; other datasets"
             " are merged with concatenate"
         )
-    store = store or first.stored
-    task = replace(first.task, observation=store) if store != "none" else first.task
-    versions = {
-        name: ", ".join(sorted({reader.versions[name] for reader in readers}))
-        for name in first.versions
-    }
-    said = {
-        **(attributes or {}),
-        **_attributes(task, store),
-        "rope": first.rope,
-        "versions": json.dumps(versions),
-    }
-    with atomic_write(target) as temporary, _created(temporary, said) as file:
-        for number, (_, reader, i) in enumerate(order):
-            source, group = reader.group(i), file.create_group(f"episode_{number}")
-            _copy(source, group, number, keep=store == first.stored)
-            if store != first.stored:
-                _observe(
-                    group, task, store, source["rope/points"][()], source["rope/goal_points"][()]
-                )
-        _write_index(
-            file, [(number, int(reader.lengths[i])) for number, (_, reader, i) in enumerate(order)]
-        )
-    for reader in readers:
-        reader.close()
+    return [episodes[k] for k in np.argsort(numbers, kind="stable")]
 
 
 def _attributes(task: TaskConfig, stored: str) -> dict[str, Any]:
@@ -216,9 +220,7 @@ def _mujoco() -> str:
 
 
 def _write_index(file: h5py.File, index: list[tuple[int, int]]) -> None:
-    """Say which episodes there are and how long each is, so that a file of many opens without
-    looking into every one.
-    """
+    """Say which episodes there are and how long each is, so that a file of many opens fast."""
     file.attrs["index"] = np.array(sorted(index), dtype=np.int32).reshape(-1, 2)
 
 
@@ -239,15 +241,12 @@ def _observe(
     """Draw the observations of an episode and write them."""
     if stored == "none":
         return
-    from knotgym.rendering.observations import observe, picture_config
-
     seen = observe(points, goal_points, stored, picture_config(task))
-    for name, array in (
-        {f"observations/{kind}": seen[kind] for kind in seen}.items()
-        if stored == "both"
-        else [("observations", seen)]
-    ):
-        _write(group, name, array)
+    if stored != "both":
+        _write(group, "observations", seen)
+        return
+    for name, array in seen.items():
+        _write(group, f"observations/{name}", array)
 
 
 def _write(group: h5py.Group, name: str, array: NDArray[Any]) -> None:
@@ -283,8 +282,9 @@ def _copy(source: h5py.Group, target: h5py.Group, number: int, keep: bool) -> No
 
 
 def _copy_dataset(source: h5py.Dataset, target: h5py.Group, name: str) -> None:
-    """Copy an array, compressed chunks as they are; HDF5's own copy would leave bytes that depend
-    on what else is in the source.
+    """Copy an array, compressed chunks as they are.
+
+    HDF5's own copy would leave bytes that depend on what else is in the source.
     """
     like = source.id.get_create_plist()
     copied = h5py.h5d.create(
@@ -293,17 +293,16 @@ def _copy_dataset(source: h5py.Dataset, target: h5py.Group, name: str) -> None:
     if source.chunks is None:
         h5py.Dataset(copied)[()] = source[()]
         return
-    for start in product(
-        *(range(0, size, chunk) for size, chunk in zip(source.shape, source.chunks, strict=True))
-    ):
+    axes = zip(source.shape, source.chunks, strict=True)
+    for start in product(*(range(0, size, chunk) for size, chunk in axes)):
         mask, stored = source.id.read_direct_chunk(start)
         copied.write_direct_chunk(start, stored, mask)
 
 
 def _members(group: h5py.Group) -> list[str]:
     """The paths of all the arrays of an episode, the observations last, as when they are drawn."""
-    found: list[str] = []
+    names: list[str] = []
     group.visititems(
-        lambda name, item: found.append(name) if isinstance(item, h5py.Dataset) else None
+        lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None
     )
-    return sorted(found, key=lambda name: (name.startswith("observations"), name))
+    return sorted(names, key=lambda name: (name.startswith("observations"), name))

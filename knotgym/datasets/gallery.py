@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.atomic_files import atomic_write
-from knotgym.datasets.states import States
+from knotgym.datasets.states import InvalidStates, States
+from knotgym.rendering.picture import PictureError
 
 _EDGE, _TEXT = 6, 30  # pixels round a tile, and below its picture
 _GREY, _WHITE = (40, 40, 40), (225, 225, 225)
@@ -42,10 +43,8 @@ def contact_sheet(
         sheet[top : top + size, left : left + size] = image
         colour = colours[k] if colours else _WHITE
         for number, line in enumerate(lines[:2]):
-            scale = min(
-                0.4,
-                0.4 * size / max(1, cv2.getTextSize(line, cv2.FONT_HERSHEY_SIMPLEX, 0.4, 1)[0][0]),
-            )
+            wide_at_full = cv2.getTextSize(line, cv2.FONT_HERSHEY_SIMPLEX, 0.4, 1)[0][0]
+            scale = min(0.4, 0.4 * size / max(1, wide_at_full))
             at = (left, top + size + 13 + 14 * number)
             cv2.putText(sheet, line, at, cv2.FONT_HERSHEY_SIMPLEX, scale, colour, 1, cv2.LINE_AA)
     return sheet
@@ -54,7 +53,7 @@ def contact_sheet(
 def write_gallery(path: str | os.PathLike[str], states: States, columns: int = 8) -> None:
     """Write a contact sheet of every state, by crossings and code, train before test, as PNG."""
     if states.image is None:
-        raise ValueError("a gallery needs states read with their images")
+        raise InvalidStates("a gallery needs states read with their images")
     order = sorted(
         range(len(states)),
         key=lambda i: (states.nx[i], states.gauss_code[i], states.split[i] != "train"),
@@ -63,15 +62,14 @@ def write_gallery(path: str | os.PathLike[str], states: States, columns: int = 8
         (states.gauss_code_chiral[i] or "loop", f"nx {states.nx[i]}  {states.split[i]}  row {i}")
         for i in order
     ]
-    write_png(
-        path, contact_sheet(states.image[order], captions, columns=min(columns, max(1, len(order))))
-    )
+    columns = min(columns, max(1, len(order)))
+    write_png(path, contact_sheet(states.image[order], captions, columns=columns))
 
 
 def write_png(path: str | os.PathLike[str], image: NDArray[np.uint8]) -> None:
     """Write an RGB picture, uint8 (height, width, 3), whole or not at all."""
     encoded, data = cv2.imencode(".png", image[..., ::-1])
     if not encoded:
-        raise ValueError(f"no PNG can be made of an array of shape {image.shape}")
+        raise PictureError(f"no PNG can be made of an array of shape {image.shape}")
     with atomic_write(path) as temporary:
         temporary.write_bytes(data.tobytes())

@@ -1,5 +1,6 @@
-"""A shard of a perception table: chosen configurations measured, drawn and written; the same bytes
-whoever does it.
+"""Rows of a perception table: chosen configurations measured, drawn and written.
+
+The same rows give the same bytes, whoever writes them.
 """
 
 from __future__ import annotations
@@ -17,15 +18,17 @@ from knotgym.rendering.appearance import Appearance, AppearanceConfig, appearanc
 from knotgym.rendering.picture import crossing_pixels
 from knotgym.rope import Array
 from knotgym.streams import Stream, generator
+from knotgym.tasks import TaskConfig
 from knotgym.topology.crossings import Crossings, find_crossings
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import knot_type
 from knotgym.topology.reference_labeller import pyknotid_code
 
-NOISE = 0.015  # of the reset noise that `noise_survival` is measured with: the environment's
+_RGB = ("first", "last", "background")
+NOISE = TaskConfig.reset_noise  # that `noise_survival` is measured with
 
 
-class Untrue(KnotgymError, RuntimeError):
+class UntrueLabel(KnotgymError, RuntimeError):
     """A label is not what the coordinates say."""
 
 
@@ -36,7 +39,7 @@ class Row:
     Attributes:
         points: float64 (beads, 3), metres.
         code: that it must show, with chirality.
-        source: as in datasets.images.COLUMNS; `seed` and `row` decide its appearance and its noise
+        source: as in `image_table.COLUMNS`; `seed` and `row` decide its appearance and its noise
             draws.
     """
 
@@ -48,9 +51,7 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class TableFile:
-    """A file to be written, and a file for its checksum, by which a later sitting knows that it is
-    whole.
-    """
+    """A file to be written, and a file for its checksum, by which a resumed run knows it whole."""
 
     path: Path
     seal: Path
@@ -58,30 +59,30 @@ class TableFile:
     appearance: AppearanceConfig
 
 
-def write_table_file(shard: TableFile) -> Path:
-    """Write a shard unless it is there already, unspoilt; it appears whole.
+def write_table_file(file: TableFile) -> Path:
+    """Write a file of the table unless it is there already, unspoilt; it appears whole.
 
     Raises:
-        Untrue: one of the two labellers reads another code than the row's.
+        UntrueLabel: one of the two labellers reads another code than the row's.
     """
     if not (
-        shard.path.is_file()
-        and shard.seal.is_file()
-        and shard.seal.read_bytes() == sha256(shard.path).encode()
+        file.path.is_file()
+        and file.seal.is_file()
+        and file.seal.read_bytes() == sha256(file.path).encode()
     ):
-        write_rows(shard.path, [record(row, shard.appearance) for row in shard.rows])
-        with atomic_write(shard.seal) as temporary:
-            temporary.write_text(sha256(shard.path))
-    return shard.path
+        write_rows(file.path, [record(row, file.appearance) for row in file.rows])
+        with atomic_write(file.seal) as temporary:
+            temporary.write_text(sha256(file.path))
+    return file.path
 
 
 def record(row: Row, config: AppearanceConfig) -> dict[str, Any]:
     """Every column of a row by name, `image` as PNG bytes."""
-    found, second = find_crossings(row.points), pyknotid_code(row.points)
-    if not found.code == second == row.code:
-        raise Untrue(
+    crossings, second = find_crossings(row.points), pyknotid_code(row.points)
+    if not crossings.code == second == row.code:
+        raise UntrueLabel(
             f"row {row.source['row']} should show {row.code.chiral}; ours reads"
-            f" {found.code.chiral}, pyknotid {second.chiral}"
+            f" {crossings.code.chiral}, pyknotid {second.chiral}"
         )
     look = appearance(
         row.points,
@@ -89,22 +90,23 @@ def record(row: Row, config: AppearanceConfig) -> dict[str, Any]:
         generator(Stream.IMAGE_APPEARANCE, row.source["seed"], row.source["row"]),
     )
     return {
-        **labels(row.points, found, look),
-        **measures(row.points, found, row.source),
+        **labels(row.points, crossings, look),
+        **measures(row.points, crossings, row.source),
         **picture(row.points, look),
         "split": row.split,
     }
 
 
-def labels(points: Array, found: Crossings, look: Appearance) -> dict[str, Any]:
+def labels(points: Array, crossings: Crossings, look: Appearance) -> dict[str, Any]:
     """The columns that say what is shown, and where in a picture of that appearance."""
-    pixels = crossing_pixels(found, points, look.picture())
-    columns = pixels[:, 0], pixels[:, 1], found.over_place, found.under_place, found.sign
+    pixels = crossing_pixels(crossings, points, look.picture())
+    places = crossings.over_place, crossings.under_place
+    columns = pixels[:, 0], pixels[:, 1], *places, crossings.sign
     return {
-        "gauss_code": str(found.code),
-        "gauss_code_chiral": found.code.chiral,
-        "nx": found.nx,
-        "knot": knot_type(found.code),
+        "gauss_code": str(crossings.code),
+        "gauss_code_chiral": crossings.code.chiral,
+        "nx": crossings.nx,
+        "knot": knot_type(crossings.code),
         "points": points.ravel().tolist(),
         "crossings": [
             {"x": x, "y": y, "over_place": over, "under_place": under, "sign": sign}
@@ -115,17 +117,15 @@ def labels(points: Array, found: Crossings, look: Appearance) -> dict[str, Any]:
     }
 
 
-def measures(points: Array, found: Crossings, source: dict[str, Any]) -> dict[str, Any]:
-    """The columns that say how well it can be read, in the published picture, and where it is
-    from.
-    """
+def measures(points: Array, crossings: Crossings, source: dict[str, Any]) -> dict[str, Any]:
+    """The columns that say where it is from, and how well the published picture of it reads."""
     survival = noise_survival(
         points, NOISE, generator(Stream.IMAGE_NOISE, source["seed"], source["row"])
     )
     limits = Limits()
-    quality = measure(points, found)
+    quality = measure(points, crossings)
     values = {**asdict(quality), "noise_survival": survival}
-    accepted = not limits.faults(quality, found.nx) and survival >= limits.noise_survival
+    accepted = not limits.faults(quality, crossings.nx) and survival >= limits.noise_survival
     return {
         "accepted": accepted,
         "grade": grade(quality, limits),
@@ -142,4 +142,6 @@ def picture(points: Array, look: Appearance) -> dict[str, Any]:
     }
 
 
-_RGB = ("first", "last", "background")
+def appearance_of(column: dict[str, Any]) -> Appearance:
+    """How a picture was drawn, from its row's column `appearance`."""
+    return Appearance(**{**column, **{name: tuple(column[name]) for name in _RGB}})

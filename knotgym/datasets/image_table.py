@@ -1,5 +1,4 @@
-"""Perception tables: pictures of ropes with everything that is known about them, one row a picture,
-as Parquet shards.
+"""Perception tables: pictures of ropes and all that is known of them, a row a picture, as Parquet.
 
 A folder holds `data/SPLIT-00000-of-00012.parquet` (`test-code` is spelt `test_code` there, for
 Hugging Face's sake), the walks that led to the configurations (`walks.h5`), a card and a manifest.
@@ -21,32 +20,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.atomic_files import atomic_write
-from knotgym.errors import KnotgymError, MissingFile
+from knotgym.datasets.splits import IMAGE_SPLITS
+from knotgym.errors import KnotgymError, MissingFile, one_line
+from knotgym.quality_limits import UNITS
 
 FORMAT = "knotgym-images"
 FORMAT_VERSION = 1
-SPLITS = ("train", "test", "test-code", "test-nx")
 GRADES = ("easy", "medium", "hard", "extreme")
 ROW_GROUP = 100  # rows that are read together at least
 
-_QUALITY = (
-    "crossing_angle",
-    "crossing_spacing",
-    "base_spacing",
-    "strand_spacing",
-    "smallest_region",
-    "smallest_face",
-    "margin",
-    "clearance",
-    "excess_crossing_number",
-    "total_curvature",
-    "writhe",
-    "noise_survival",
-)
-
 # A column's type: the name of a value's type, {name: type} for a struct, [type, length or None] for
-# a list. Both schemas,
-# pyarrow's and Hugging Face's, are made from this one.
+# a list. Both schemas, pyarrow's and Hugging Face's, are made from this one.
 COLUMNS: dict[str, Any] = {
     "image": "image",
     "gauss_code": "string",
@@ -67,7 +51,7 @@ COLUMNS: dict[str, Any] = {
     "split": "string",
     "accepted": "bool",
     "grade": "string",
-    "quality": dict.fromkeys(_QUALITY, "float64"),
+    "quality": dict.fromkeys(UNITS, "float64"),
     "appearance": {
         "size": "int32",
         "turn": "float64",
@@ -136,8 +120,7 @@ def schema() -> Any:
 
 
 def write_rows(path: str | os.PathLike[str], rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write a shard; it appears under its name whole or not at all. The same rows give the same
-    bytes.
+    """Write a shard, whole or not at all; the same rows give the same bytes.
 
     Args:
         path: of the shard.
@@ -179,7 +162,12 @@ def shard_name(split: str, index: int, count: int) -> str:
     >>> shard_name("test-code", 0, 2)
     'data/test_code-00000-of-00002.parquet'
     """
-    return f"data/{split.replace('-', '_')}-{index:05d}-of-{count:05d}.parquet"
+    return f"data/{file_stem(split)}-{index:05d}-of-{count:05d}.parquet"
+
+
+def file_stem(split: str) -> str:
+    """How a split is spelt in the names of files, for Hugging Face's sake: with underscores."""
+    return split.replace("-", "_")
 
 
 def shards(path: str | os.PathLike[str], split: str | None = None) -> list[Path]:
@@ -190,34 +178,30 @@ def shards(path: str | os.PathLike[str], split: str | None = None) -> list[Path]
         split: only this split's.
 
     Raises:
-        FileNotFoundError: there is nothing.
+        MissingFile: there is nothing.
         InvalidImages: no shard is there, or none of that split.
     """
     given = Path(path)
     if not given.exists():
         raise MissingFile(f"no perception table at {path}")
-    if split is not None and split not in SPLITS:
-        raise InvalidImages(f"no split {split!r}; there are {', '.join(SPLITS)}")
+    if split is not None and split not in IMAGE_SPLITS:
+        raise InvalidImages(f"no split {split!r}; there are {', '.join(IMAGE_SPLITS)}")
     inside = given / "data" if (given / "data").is_dir() else given
-    found = [given] if given.is_file() else sorted(inside.glob("*.parquet"))
+    files = [given] if given.is_file() else sorted(inside.glob("*.parquet"))
     if split is not None and given.is_dir():
-        found = [one for one in found if one.name.startswith(split.replace("-", "_") + "-")]
-    if not found:
-        raise InvalidImages(
-            f"no Parquet shard {'of split ' + split + ' ' if split else ''}at {path}; knotgym"
-            " images writes them"
-        )
-    return found
+        files = [file for file in files if file.name.startswith(f"{file_stem(split)}-")]
+    if not files:
+        which = f"of split {split} " if split else ""
+        raise InvalidImages(f"no Parquet shard {which}at {path}; knotgym images writes them")
+    return files
 
 
 def is_images(path: str | os.PathLike[str]) -> bool:
     """Whether a path means a perception table: a Parquet file, or a folder with some."""
     given = Path(path)
-    return (
-        given.suffix == ".parquet"
-        if given.is_file()
-        else any(given.glob("*.parquet")) or any(given.glob("data/*.parquet"))
-    )
+    if given.is_file():
+        return given.suffix == ".parquet"
+    return any(given.glob("*.parquet")) or any(given.glob("data/*.parquet"))
 
 
 def read_table(
@@ -233,9 +217,9 @@ def read_table(
         InvalidImages: a file is foreign, truncated, or of a format this version doesn't know.
     """
     pa = arrow()
-    wanted = (
-        None if columns is None else list(dict.fromkeys([*columns, *(["split"] if split else [])]))
-    )
+    wanted = None if columns is None else [*columns]
+    if wanted is not None and split is not None and "split" not in wanted:
+        wanted.append("split")
     table = pa.concat_tables([_read(path, wanted) for path in shards(path, split)])
     if split is not None:
         table = table.filter(arrow("pyarrow.compute").equal(table["split"], split))
@@ -245,8 +229,9 @@ def read_table(
 def read_rows(
     path: str | os.PathLike[str], split: str | None = None, columns: Sequence[str] | None = None
 ) -> Iterator[dict[str, Any]]:
-    """Read row by row, shard by shard: dicts of Python values, `image` as PNG bytes; arguments and
-    errors as of `read_table`.
+    """Read row by row, shard by shard: dicts of Python values, `image` as PNG bytes.
+
+    Arguments and errors are those of `read_table`.
     """
     for shard in shards(path, split):
         for batch in read_table(shard, split, columns).to_batches():
@@ -266,25 +251,21 @@ def _read(path: Path, columns: list[str] | None) -> Any:
     pa, parquet = arrow(), arrow("pyarrow.parquet")
     try:
         file = parquet.ParquetFile(path)
-        found = json.loads((file.schema_arrow.metadata or {}).get(b"knotgym", b"{}"))
-        if (found.get("format"), found.get("format_version")) != (FORMAT, FORMAT_VERSION):
-            was = (
-                f"format {found.get('format', 'none')!r} version"
-                f" {found.get('format_version', 'none')}"
-            )
+        named = json.loads((file.schema_arrow.metadata or {}).get(b"knotgym", b"{}"))
+        name, version = named.get("format", "none"), named.get("format_version", "none")
+        if (name, version) != (FORMAT, FORMAT_VERSION):
             raise InvalidImages(
-                f"{path} has {was}; this version reads {FORMAT!r} version {FORMAT_VERSION}"
+                f"{path} has format {name!r} version {version}; this version reads {FORMAT!r}"
+                f" version {FORMAT_VERSION}"
             )
         return file.read(columns=columns)
     except (OSError, KeyError, pa.ArrowException) as error:
-        raise InvalidImages(
-            f"{path} isn't a whole Parquet shard: {' '.join(str(error).split())}"
-        ) from error
+        raise InvalidImages(f"{path} isn't a whole Parquet shard: {one_line(error)}") from error
 
 
 def _arrow_type(pa: Any, kind: Any) -> Any:
     if isinstance(kind, dict):
-        return pa.struct([(name, _arrow_type(pa, one)) for name, one in kind.items()])
+        return pa.struct([(name, _arrow_type(pa, inner)) for name, inner in kind.items()])
     if isinstance(kind, list):
         return pa.list_(_arrow_type(pa, kind[0]), -1 if kind[1] is None else kind[1])
     if kind == "image":
@@ -294,7 +275,7 @@ def _arrow_type(pa: Any, kind: Any) -> Any:
 
 def _feature(kind: Any) -> Any:
     if isinstance(kind, dict):
-        return {name: _feature(one) for name, one in kind.items()}
+        return {name: _feature(inner) for name, inner in kind.items()}
     if isinstance(kind, list):
         return {
             "feature": _feature(kind[0]),

@@ -1,5 +1,4 @@
-"""Minari datasets: episode files in the folder that Minari looks in, with the metadata that it
-reads.
+"""Minari datasets: episode files in the folder that Minari looks in, with the metadata it reads.
 
     {out}/{dataset id}/data/main_data.hdf5      an episode file, see `episode_reader`
     {out}/{dataset id}/data/metadata.json       Minari's, images declared lossless
@@ -26,8 +25,9 @@ import gymnasium
 
 import knotgym
 from knotgym.atomic_files import atomic_write
-from knotgym.datasets.episode_reader import EpisodeReader, InvalidEpisodeFile, minari_root
-from knotgym.datasets.episode_writer import merge
+from knotgym.datasets.episode_reader import EpisodeReader, InvalidEpisodeFile
+from knotgym.datasets.episode_writer import merge_episodes
+from knotgym.datasets.minari_folder import minari_root
 from knotgym.tasks import TaskConfig
 
 _ID = re.compile(r"([-\w]+/)*[-\w]+-v\d+")
@@ -87,16 +87,15 @@ def publish(
     overwrite: bool = False,
     states: str | os.PathLike[str] | None = None,
 ) -> Path:
-    """Merge episode files, compact ones too, into a Minari dataset, which appears whole or not at
-    all.
+    """Merge episode files, compact ones too, into a Minari dataset; it appears whole or not at all.
 
     Args:
-        sources: as `merge`.
+        sources: as `merge_episodes`.
         metadata: what Minari says of it.
         out: the root under which Minari would find the id; None for Minari's own.
         store: observations, "pixels", "state" or "both"; None for the sources' (the task's, if
             those are compact).
-        concatenate: as `merge`.
+        concatenate: as `merge_episodes`.
         overwrite: replace a dataset of this id.
         states: a state file to carry along; a task whose `states` is the dataset's id resets from
             it, wherever the dataset goes.
@@ -105,8 +104,8 @@ def publish(
         The dataset's folder.
 
     Raises:
-        InvalidEpisodeFile: as `merge`; or there is a dataset of this id, or nothing is to be
-            stored.
+        InvalidEpisodeFile: as `merge_episodes`; or there is a dataset of this id, or nothing is to
+            be stored.
     """
     folder = Path(out or minari_root()) / metadata.dataset_id
     if folder.exists() and not overwrite:
@@ -123,7 +122,7 @@ def publish(
     with atomic_write(folder) as temporary:
         data = temporary / "data"
         data.mkdir(parents=True)
-        merge(
+        merge_episodes(
             sources,
             data / "main_data.hdf5",
             store=store,
@@ -139,22 +138,19 @@ def publish(
         merged.close()
         if states is not None:
             shutil.copyfile(states, data / "states.h5")
-        entries["dataset_size"] = round(
-            (sum(file.stat().st_size for file in data.iterdir()) + len(json.dumps(entries))) / 1e6,
-            1,
-        )
+        size = sum(file.stat().st_size for file in data.iterdir()) + len(json.dumps(entries))
+        entries["dataset_size"] = round(size / 1e6, 1)
         (data / "metadata.json").write_text(json.dumps(entries, sort_keys=True), encoding="utf-8")
     return folder
 
 
 def compact(source: Any, target: str | os.PathLike[str]) -> None:
-    """Write the compact form of a dataset: the same episodes and metadata in one file without
-    observations.
+    """Write the compact form of a dataset: episodes and metadata without observations, one file.
 
     `publish([target], metadata_of(target))` makes the dataset again.
     """
     metadata = metadata_of(source)
-    merge(
+    merge_episodes(
         [source],
         target,
         store="none",
@@ -163,30 +159,32 @@ def compact(source: Any, target: str | os.PathLike[str]) -> None:
 
 
 def metadata_of(source: Any) -> MinariMetadata | None:
-    """What was said of a dataset, or of the one that a compact file came from; None of an episode
-    file that never was one.
+    """The metadata of a dataset, or of the one that a compact file came from.
+
+    None of an episode file that never was one.
     """
     reader = EpisodeReader(source)
-    said = reader.file.attrs.get("metadata")
+    text = reader.file.attrs.get("metadata")
     reader.close()
-    return None if said is None else MinariMetadata(**json.loads(said))
+    return None if text is None else MinariMetadata(**json.loads(text))
 
 
 def minari_entries(metadata: MinariMetadata, task: TaskConfig) -> dict[str, Any]:
     """The entries of Minari's metadata.json, less the counts."""
+    # here, for they take seconds to import, and reading a dataset needs neither
     import minari
     from minari.serialization import serialize_space
 
     from knotgym.env import action_space, observation_space
 
-    said = {
+    given = {
         name: value
         for name, value in asdict(metadata).items()
         if name != "eval_split" and value not in (None, ())
     }
     here = [] if "+" in knotgym.__version__ else [f"knotgym>={knotgym.__version__}"]
     return {
-        **said,
+        **given,
         "data_format": "hdf5",
         "jpeg_encoding": False,
         "minari_version": minari.__version__,
@@ -199,9 +197,7 @@ def minari_entries(metadata: MinariMetadata, task: TaskConfig) -> dict[str, Any]
 
 
 def environment_spec(task: TaskConfig) -> gymnasium.envs.registration.EnvSpec:
-    """The registered environment with every setting spelled out, so that a later default changes
-    nothing.
-    """
+    """The registered environment, every setting spelled out: a later default changes nothing."""
     spec = copy.deepcopy(gymnasium.spec(f"knotgym/{task.task.capitalize()}-v0"))
     spec.kwargs = asdict(task)
     return spec

@@ -1,5 +1,4 @@
-"""Near-duplicates: when two configurations are so alike that one may not be for training and the
-other for testing.
+"""Near-duplicates: configurations so alike that not one may be for training, one for testing.
 
 Two configurations are near-duplicates when one, turned about z and moved, comes within NEAR of the
 other: root mean square distance of their beads, which is three pixels of the picture.
@@ -14,8 +13,13 @@ NEAR = 0.015  # metres
 
 
 def apart(points: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which of configurations float64 (n, beads, 3), metres, to keep, bool (n,): those not near an
-    earlier one that is kept.
+    """Which configurations to keep: those not near an earlier one that is kept.
+
+    Args:
+        points: float64 (n, beads, 3), metres.
+
+    Returns:
+        bool (n,).
     """
     centred = points - points.mean(axis=1, keepdims=True)
     # those of near-duplicates differ by less than NEAR
@@ -45,8 +49,5 @@ def distances(points: NDArray[np.float64], others: NDArray[np.float64]) -> NDArr
     flat_a, flat_b = a[:, 0] + 1j * a[:, 1], b[..., 0] + 1j * b[..., 1]
     # the best turn makes the sum of conj(a) b real and positive
     agreement = np.abs(flat_b @ flat_a.conj()) + b[..., 2] @ a[:, 2]
-    return np.asarray(
-        np.sqrt(
-            np.maximum(0.0, (a**2).sum() + (b**2).sum(axis=(1, 2)) - 2 * agreement) / len(points)
-        )
-    )
+    square = np.maximum(0.0, (a**2).sum() + (b**2).sum(axis=(1, 2)) - 2 * agreement)
+    return np.asarray(np.sqrt(square / len(points)))

@@ -2,28 +2,29 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from knotgym.atomic_files import sha256
+from knotgym.datasets.episode_verification import verify_episodes
+from knotgym.datasets.manifest_check import listed_faults, read_manifest
 from knotgym.datasets.near_duplicates import NEAR, distances
+from knotgym.datasets.splits import STATE_SPLITS
+from knotgym.datasets.state_schema import COLUMNS, REPLAYED
 from knotgym.datasets.states import InvalidStates, States, read_states
+from knotgym.errors import MissingFile
+from knotgym.rendering.picture import draw
+from knotgym.rope import Rope
+from knotgym.simulation import Simulation
+from knotgym.topology.crossings import label
+from knotgym.topology.knots import knot_type
+from knotgym.topology.reference_labeller import pyknotid_code
 
 
 def state_faults(states: States) -> Iterator[str]:
-    """Faults of the rows: schema, labels by both labellers, knot type, picture, replay of the
-    provenance, split leakage.
-    """
-    from knotgym.rendering.picture import draw
-    from knotgym.rope import Rope
-    from knotgym.simulation import Simulation
-    from knotgym.topology.crossings import label
-    from knotgym.topology.knots import knot_type
-    from knotgym.topology.reference_labeller import pyknotid_code
-
+    """Faults of the rows: schema, labels, pictures, replay of the provenance, split leakage."""
     rope = Rope()
     if states.attributes.get("rope") != rope.config.fingerprint:
         yield (
@@ -31,117 +32,95 @@ def state_faults(states: States) -> Iterator[str]:
             f" {rope.config.fingerprint}"
         )
         return
-    misshapen = _misshapen(states, rope.nq, rope.config.beads)
+    misshapen = list(_misshapen(states, rope))
     if misshapen:
         yield from misshapen
         return
     simulation = Simulation(1, rope)
     for row in range(len(states)):
-        where, points = f"states.h5 row {row}", states.points[row]
-        if not (np.isfinite(points).all() and np.isfinite(states.qpos[row]).all()):
-            yield f"{where}: coordinates are not finite"
-            continue
-        if not np.array_equal(rope.points(states.qpos[row]), points):
-            yield f"{where}: points are not those of qpos"
-        code = label(points)
-        for name, stored, right in (
-            ("gauss_code", states.gauss_code[row], str(code)),
-            ("gauss_code_chiral", states.gauss_code_chiral[row], code.chiral),
-            ("nx", states.nx[row], code.nx),
-            ("knot", states.knot[row], knot_type(code)),
-        ):
-            if stored != right:
-                yield f"{where}: {name} is {stored!s}, recomputed {right}"
-        if pyknotid_code(points) != code:
-            yield (
-                f"{where}: pyknotid reads {pyknotid_code(points).chiral} where ours is"
-                f" {code.chiral}"
-            )
-        if states.image is not None and not np.array_equal(states.image[row], draw(points)):
-            yield f"{where}: image is not the picture of points"
-        if states.split[row] not in ("train", "test"):
-            yield f"{where}: split is {str(states.split[row])!r}"
-        simulation.lay(states.source["start_qpos"][row][None])
-        actions = states.source["actions"][row, : states.source["steps"][row]]
-        if not (np.abs(actions) <= 1).all():
-            yield f"{where}: an action lies outside [-1, 1]"
-        elif not all(
-            simulation.act(action[None]).all() for action in actions
-        ) or not np.array_equal(simulation.qpos()[0], states.qpos[row]):
-            yield f"{where}: replay of its start and actions does not end in qpos bit for bit"
+        for fault in _row_faults(states, row, simulation):
+            yield f"states.h5 row {row}: {fault}"
     yield from _leaks(states)
 
 
 def folder_faults(folder: Path) -> Iterator[str]:
-    """Faults of a folder that `knotgym generate` made: manifest and checksums first, then the rows,
-    then the trajectories.
-    """
-    from knotgym.datasets.episode_verification import verify_episodes
+    """Faults of a folder that `knotgym generate` made.
 
-    try:
-        manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
-        listed, config = dict(manifest["files"]), dict(manifest["config"])
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        yield f"manifest.json can't be read: {error}"
-        listed, config = {}, None
-    for name, digest in listed.items():
-        if not (folder / name).is_file():
-            yield f"{name} is missing"
-        elif sha256(folder / name) != digest:
-            yield f"{name} is not the file the manifest lists (SHA-256 differs)"
+    Manifest and checksums come first, then the rows, then the trajectories, then the splits.
+    """
+    manifest, faults = read_manifest(folder)
+    yield from faults
+    yield from listed_faults(folder, manifest)
     try:
         states = read_states(folder / "states.h5")
-    except (InvalidStates, FileNotFoundError) as error:
+    except (InvalidStates, MissingFile) as error:
         yield str(error)
         return
     yield from state_faults(states)
     for dataset in sorted(folder.glob("minari/**/main_data.hdf5")):
         yield from verify_episodes(dataset, act_out=True)
-    if config is not None:
-        if config.get("split_by") == "code":
-            shared = set(states.gauss_code[states.split == "train"]) & set(
-                states.gauss_code[states.split == "test"]
-            )
-            yield from (
-                f"code {code or 'loop'} is in both splits, which share no code"
-                for code in sorted(shared)
-            )
-        yield from _misplaced(states, manifest)
+    if not manifest:
+        return
+    if manifest["config"].get("split_by") == "code":
+        train, test = (set(states.gauss_code[states.split == split]) for split in STATE_SPLITS)
+        for code in sorted(train & test):
+            yield f"code {code or 'loop'} is in both splits, which share no code"
+    yield from _misplaced(states, manifest)
 
 
-def _misshapen(states: States, nq: int, beads: int) -> list[str]:
-    """Columns that a curated state needs and that are missing or of another shape."""
-    n, out = len(states), []
-    columns = {
-        "qpos": states.qpos,
-        "points": states.points,
-        **{f"source/{name}": values for name, values in states.source.items()},
-    }
-    shapes = {
-        "qpos": (n, nq),
-        "points": (n, beads, 3),
-        "source/start_qpos": (n, nq),
-        "source/actions": (n, None, 6),
-    }
-    for name, shape in {**shapes, "source/steps": (n,), "source/seed": (n, None)}.items():
-        found = columns[name].shape if name in columns else None
-        if (
-            found is None
-            or len(found) != len(shape)
-            or any(
-                right is not None and size != right
-                for size, right in zip(found, shape, strict=True)
-            )
-        ):
-            yours = "missing" if found is None else f"of shape {found}"
-            out.append(
-                f"states.h5: {name} is {yours}, should be"
-                f" ({', '.join('any' if size is None else str(size) for size in shape)})"
-            )
-    return out
+def _row_faults(states: States, row: int, simulation: Simulation) -> Iterator[str]:
+    """Faults of one row; the simulation has one rope."""
+    points, qpos = states.points[row], states.qpos[row]
+    if not (np.isfinite(points).all() and np.isfinite(qpos).all()):
+        yield "coordinates are not finite"
+        return
+    if not np.array_equal(simulation.rope.points(qpos), points):
+        yield "points are not those of qpos"
+    code = label(points)
+    for name, stored, right in (
+        ("gauss_code", states.gauss_code[row], str(code)),
+        ("gauss_code_chiral", states.gauss_code_chiral[row], code.chiral),
+        ("nx", states.nx[row], code.nx),
+        ("knot", states.knot[row], knot_type(code)),
+    ):
+        if stored != right:
+            yield f"{name} is {stored!s}, recomputed {right}"
+    second = pyknotid_code(points)
+    if second != code:
+        yield f"pyknotid reads {second.chiral} where ours is {code.chiral}"
+    if states.image is not None and not np.array_equal(states.image[row], draw(points)):
+        yield "image is not the picture of points"
+    if states.split[row] not in STATE_SPLITS:
+        yield f"split is {str(states.split[row])!r}"
+    actions = states.source["actions"][row, : states.source["steps"][row]]
+    if not (np.abs(actions) <= 1).all():
+        yield "an action lies outside [-1, 1]"
+        return
+    simulation.lay(states.source["start_qpos"][row][None])
+    whole = all(simulation.act(action[None]).all() for action in actions)
+    if not whole or not np.array_equal(simulation.qpos()[0], qpos):
+        yield "replay of its start and actions does not end in qpos bit for bit"
 
 
-def _misplaced(states: States, manifest: dict[str, object]) -> Iterator[str]:
+def _misshapen(states: States, rope: Rope) -> Iterator[str]:
+    """Columns of another type or shape than the schema's; missing ones that replay needs."""
+    columns = states.columns()
+    sizes = {"nq": rope.nq, "beads": rope.config.beads}
+    for column in COLUMNS:
+        values = columns.get(column.name)
+        if values is None and column.name not in REPLAYED:
+            continue
+        shape = column.full_shape(len(states), sizes)
+        should_be = ", ".join("any" if size is None else str(size) for size in shape)
+        if values is None:
+            yield f"states.h5: {column.name} is missing, should be ({should_be})"
+        elif not column.has_kind(values):
+            yield f"states.h5: {column.name} is {values.dtype}, should be {column.kind}"
+        elif not column.has_shape(values, len(states), sizes):
+            yield f"states.h5: {column.name} is of shape {values.shape}, should be ({should_be})"
+
+
+def _misplaced(states: States, manifest: Mapping[str, Any]) -> Iterator[str]:
     """Splits that the manifest's own list doesn't have."""
     listed = manifest.get("splits")
     if isinstance(listed, list):
@@ -153,19 +132,12 @@ def _misplaced(states: States, manifest: dict[str, object]) -> Iterator[str]:
 def _leaks(states: States) -> Iterator[str]:
     """Near-duplicates and shared trajectories between the splits."""
     train, test = np.flatnonzero(states.split == "train"), np.flatnonzero(states.split == "test")
-    for row in test:
-        near = (
-            train[distances(states.points[row], states.points[train]) < NEAR]
-            if len(train)
-            else train
-        )
-        yield from (
-            f"states.h5 rows {other} (train) and {row} (test) are near-duplicates" for other in near
-        )
+    if len(train):
+        for row in test:
+            for other in train[distances(states.points[row], states.points[train]) < NEAR]:
+                yield f"states.h5 rows {other} (train) and {row} (test) are near-duplicates"
     seeds = {tuple(states.source["seed"][row]): row for row in train}
     for row in test:
-        if tuple(states.source["seed"][row]) in seeds:
-            yield (
-                f"states.h5 rows {seeds[tuple(states.source['seed'][row])]} (train) and {row}"
-                " (test) come from one trajectory"
-            )
+        other = seeds.get(tuple(states.source["seed"][row]))
+        if other is not None:
+            yield f"states.h5 rows {other} (train) and {row} (test) come from one trajectory"

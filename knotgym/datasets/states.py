@@ -1,18 +1,14 @@
-"""The state file, `states.h5`: curated rope states that an environment resets from, one row a
-state.
+"""The state file, `states.h5`: curated rope states that an environment resets from, a row a state.
 
-Layout (n rows): qpos (n, nq), points (n, beads, 3), image (n, 128, 128, 3), gauss_code,
-gauss_code_chiral, knot, nx, split, quality/* (n,) with a `unit` attribute each, source/* (what
-makes the row again: start, actions, seed, policy). The file's attributes name the format, the
-versions of the package and of MuJoCo, the rope's fingerprint and the whole configuration.
+Its columns and attributes are listed in `state_schema`.
 """
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -22,14 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.atomic_files import atomic_write, new_hdf5
-from knotgym.errors import KnotgymError, MissingFile
-
-FORMAT = "knotgym-states"
-FORMAT_VERSION = 1
-SPLITS = ("train", "test")
+from knotgym.datasets.minari_folder import minari_root
+from knotgym.datasets.state_schema import FORMAT, FORMAT_VERSION, ROOT
+from knotgym.errors import KnotgymError
+from knotgym.hdf5_files import opened_hdf5
 
 _COMPRESSED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
-_COLUMNS = ("qpos", "points", "image", "gauss_code", "gauss_code_chiral", "knot", "nx", "split")
+_GROUPS = ("quality", "source")
 
 
 class InvalidStates(KnotgymError, ValueError):
@@ -68,34 +63,46 @@ class States:
     attributes: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        n = len(self.qpos)
-        columns = {
-            name: getattr(self, name) for name in _COLUMNS if getattr(self, name) is not None
-        }
-        for name, column in {**columns, **self.quality, **self.source}.items():
-            if len(column) != n:
-                raise InvalidStates(f"column {name} has {len(column)} rows, qpos has {n}")
-            column.setflags(write=False)
+        for name, values in self.columns().items():
+            if len(values) != len(self.qpos):
+                raise InvalidStates(
+                    f"column {name} has {len(values)} rows, qpos has {len(self.qpos)}"
+                )
+            values.setflags(write=False)
 
     def __len__(self) -> int:
         return len(self.qpos)
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Every column by its name in the file, such as "nx" and "source/steps"."""
+        root = {column.name: getattr(self, column.name) for column in ROOT}
+        grouped = {
+            f"{group}/{name}": values
+            for group in _GROUPS
+            for name, values in getattr(self, group).items()
+        }
+        return {name: values for name, values in {**root, **grouped}.items() if values is not None}
+
+    def with_columns(self, columns: Mapping[str, NDArray[Any]]) -> States:
+        """The same with all its columns replaced; those not given are gone."""
+        return replace(self, **_fields_of(columns))
 
     def rows(self, nx: int, split: str) -> NDArray[np.int64]:
         """Indices of the rows with nx crossings in a split."""
         return np.flatnonzero((self.nx == nx) & (self.split == split))
 
+    def taken(self, rows: NDArray[np.integer]) -> States:
+        """Some rows, in that order."""
+        return self.with_columns({name: values[rows] for name, values in self.columns().items()})
+
 
 def shipped() -> Path:
-    """The curated states that come with the package: 17 loops and 40 states for each nx from 1 to
-    4.
-    """
+    """The curated states that come with the package: 17 loops, and 40 states for each nx to 4."""
     return Path(str(files("knotgym.datasets") / "curated" / "states.h5"))
 
 
 def states_file(named: str) -> Path:
     """The state file that a path means, or the id of a Minari dataset that carries one."""
-    from knotgym.datasets.episode_reader import minari_root
-
     carried = minari_root() / named / "data" / "states.h5"
     return carried if carried.is_file() and not Path(named).is_file() else Path(named)
 
@@ -105,20 +112,16 @@ def write_states(path: str | os.PathLike[str], states: States) -> None:
     if states.image is None:
         raise InvalidStates("a state file holds images; these states were read without")
     with atomic_write(path) as temporary, new_hdf5(temporary) as file:
-        for name, value in {
-            "format": FORMAT,
-            "format_version": FORMAT_VERSION,
-            **states.attributes,
-        }.items():
+        file.attrs["format"], file.attrs["format_version"] = FORMAT, FORMAT_VERSION
+        for name, value in states.attributes.items():
             file.attrs[name] = json.dumps(value) if isinstance(value, dict) else value
-        for name in _COLUMNS:
-            _write(file, name, getattr(states, name))
-        for group in ("quality", "source"):  # there even if empty
+        for group in _GROUPS:  # there even if empty
             file.create_group(group)
-        for name, values in states.quality.items():
-            _write(file, f"quality/{name}", values).attrs["unit"] = states.units[name]
-        for name, values in states.source.items():
-            _write(file, f"source/{name}", values)
+        for name, values in states.columns().items():
+            written = _write(file, name, values)
+            group, _, measure = name.partition("/")
+            if group == "quality":
+                written.attrs["unit"] = states.units[measure]
 
 
 def read_states(path: str | os.PathLike[str], *, images: bool = True) -> States:
@@ -129,56 +132,33 @@ def read_states(path: str | os.PathLike[str], *, images: bool = True) -> States:
         images: whether to read the pictures, most of the bytes.
 
     Raises:
-        FileNotFoundError: there is none.
+        MissingFile: there is none.
         InvalidStates: foreign, truncated, or of a format this version doesn't know.
     """
-    if not Path(path).is_file():
-        raise MissingFile(f"no state file at {path}")
-    try:
-        with h5py.File(path, "r") as file:
-            found = file.attrs.get("format", "none"), file.attrs.get("format_version", "none")
-            if found != (FORMAT, FORMAT_VERSION):
-                raise InvalidStates(
-                    f"{path} has format {found[0]!r} version {found[1]}; this version reads"
-                    f" {FORMAT!r} version {FORMAT_VERSION}"
-                )
-            text = {
-                name: file[name].asstr()[()].astype(np.str_)
-                for name in ("gauss_code", "gauss_code_chiral", "knot", "split")
-            }
-            return States(
-                qpos=file["qpos"][()],
-                points=file["points"][()],
-                image=file["image"][()] if images else None,
-                nx=file["nx"][()],
-                quality={name: data[()] for name, data in file["quality"].items()},
-                units={name: str(data.attrs["unit"]) for name, data in file["quality"].items()},
-                source={name: _column(data) for name, data in file["source"].items()},
-                attributes={
-                    name: value
-                    for name, value in file.attrs.items()
-                    if name not in ("format", "format_version")
-                },
-                **text,
-            )
-    except InvalidStates:
-        raise
-    except (
-        OSError,
-        KeyError,
-        RuntimeError,
-        TypeError,
-        ValueError,
-        AttributeError,
-    ) as error:  # whatever h5py says to foreign bytes
-        raise InvalidStates(
-            f"{path} isn't a whole state file: {' '.join(str(error).split())}"
-        ) from error
+    with opened_hdf5(
+        path, what="state file", format=FORMAT, versions=(FORMAT_VERSION,), error=InvalidStates
+    ) as file:
+        columns = {
+            column.name: _read(file[column.name], text=column.kind == "text")
+            for column in ROOT
+            if images or column.name != "image"
+        }
+        for group in _GROUPS:
+            for name, data in file[group].items():
+                columns[f"{group}/{name}"] = _read(data, h5py.check_string_dtype(data.dtype))
+        return States(
+            **_fields_of(columns),
+            units={name: str(data.attrs["unit"]) for name, data in file["quality"].items()},
+            attributes={
+                name: value
+                for name, value in file.attrs.items()
+                if name not in ("format", "format_version")
+            },
+        )
 
 
 def merge_states(parts: Sequence[States]) -> States:
-    """Put the rows of several state files one after another, in order of nx; rows of one nx keep
-    their order.
+    """Put the rows of several state files together, in order of nx; those of one nx keep theirs.
 
     Args:
         parts: read with images; made for the same rope, with the same measures.
@@ -197,49 +177,47 @@ def merge_states(parts: Sequence[States]) -> States:
             )
         if set(other.quality) != set(first.quality) or set(other.source) != set(first.source):
             raise InvalidStates("the files have different quality or source columns")
-    longest = (
-        max(part.source["actions"].shape[1] for part in parts) if "actions" in first.source else 0
-    )
-    order = np.argsort(np.concatenate([part.nx for part in parts]), kind="stable")
-
-    def joined(columns: Sequence[NDArray[Any]]) -> NDArray[Any]:
-        return np.concatenate(columns)[order]
-
-    def padded(actions: NDArray[Any]) -> NDArray[Any]:
-        return np.pad(actions, ((0, 0), (0, longest - actions.shape[1]), (0, 0)))
-
+    order = merged_order(parts)
+    columns = [_with_actions_padded(part, parts).columns() for part in parts]
+    shared = [name for name in columns[0] if all(name in other for other in columns)]
     configs = [config for part in parts for config in _configs(part)]
-    images = [part.image for part in parts if part.image is not None]
-    return States(
-        qpos=joined([part.qpos for part in parts]),
-        points=joined([part.points for part in parts]),
-        image=joined(images) if len(images) == len(parts) else None,
-        gauss_code=joined([part.gauss_code for part in parts]),
-        gauss_code_chiral=joined([part.gauss_code_chiral for part in parts]),
-        knot=joined([part.knot for part in parts]),
-        nx=joined([part.nx for part in parts]),
-        split=joined([part.split for part in parts]),
-        quality={name: joined([part.quality[name] for part in parts]) for name in first.quality},
-        units=dict(first.units),
-        source={
-            name: joined(
-                [
-                    padded(part.source[name]) if name == "actions" else part.source[name]
-                    for part in parts
-                ]
-            )
-            for name in first.source
-        },
-        attributes={
-            **first.attributes,
-            "config": json.dumps(configs if len(configs) > 1 else configs[0]),
-        },
+    merged = first.with_columns(
+        {name: np.concatenate([own[name] for own in columns])[order] for name in shared}
     )
+    config = json.dumps(configs if len(configs) > 1 else configs[0])
+    return replace(merged, attributes={**first.attributes, "config": config})
+
+
+def merged_order(parts: Sequence[States]) -> NDArray[np.int64]:
+    """Where the rows of `merge_states` come from, all parts' rows counted one after another."""
+    return np.argsort(np.concatenate([part.nx for part in parts]), kind="stable")
+
+
+def _with_actions_padded(part: States, parts: Sequence[States]) -> States:
+    """A part whose actions end with zeros, so that they are as many as the most of any part."""
+    if "actions" not in part.source:
+        return part
+    longest = max(other.source["actions"].shape[1] for other in parts)
+    actions = part.source["actions"]
+    padded = np.pad(actions, ((0, 0), (0, longest - actions.shape[1]), (0, 0)))
+    return replace(part, source={**part.source, "actions": padded})
 
 
 def _configs(part: States) -> list[Any]:
     config = json.loads(part.attributes.get("config", "{}"))
     return config if isinstance(config, list) else [config]
+
+
+def _fields_of(columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    """Columns by name as the fields of `States` that hold them."""
+    held: dict[str, Any] = {column.name: columns.get(column.name) for column in ROOT}
+    for group in _GROUPS:
+        held[group] = {
+            name.removeprefix(f"{group}/"): values
+            for name, values in columns.items()
+            if name.startswith(f"{group}/")
+        }
+    return held
 
 
 def _write(file: h5py.File, name: str, values: NDArray[Any]) -> h5py.Dataset:
@@ -252,7 +230,5 @@ def _write(file: h5py.File, name: str, values: NDArray[Any]) -> h5py.Dataset:
     return file.create_dataset(name, data=values, chunks=chunks, **options)
 
 
-def _column(data: h5py.Dataset) -> NDArray[Any]:
-    if h5py.check_string_dtype(data.dtype):
-        return np.asarray(data.asstr()[()].astype(np.str_))
-    return np.asarray(data[()])
+def _read(data: h5py.Dataset, text: object) -> NDArray[Any]:
+    return np.asarray(data.asstr()[()].astype(np.str_) if text else data[()])

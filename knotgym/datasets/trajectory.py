@@ -1,5 +1,6 @@
-"""Episodes: T actions and the T + 1 states around them; and hindsight, by which a code that was
-reached becomes the goal.
+"""Episodes: T actions and the T + 1 states around them; and hindsight relabelling.
+
+In hindsight a code that was reached becomes the goal.
 
 states   s0  s1  s2  s3     action t leads from s[t] to s[t + 1]; no action leaves s3
 actions    a0  a1  a2       rewards, terminations and truncations go with the actions
@@ -19,11 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.errors import KnotgymError
+from knotgym.reward import SUCCESS_REWARD, success_at_last
 
 RELABEL = ("last", "all")
 
-# name -> dtype kind, how many there are beyond T (None: one an episode), shape of each ("beads" for
-# the rope's)
+# name -> dtype, how many there are beyond T (None: one an episode), shape of each ("beads" for the
+# rope's)
 _ARRAYS: dict[str, tuple[Any, int | None, tuple[Any, ...]]] = {
     "start_qpos": (np.float64, None, (None,)),
     "goal_points": (np.float64, None, ("beads", 3)),
@@ -59,11 +61,12 @@ class InvalidEpisode(KnotgymError, ValueError):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Episode:
-    """T actions, at least one, and the T + 1 states around them; two are the same when their
-    digests are.
+    """T actions, at least one, and the T + 1 states around them.
+
+    Two are the same when their digests are.
 
     Attributes:
-        start_qpos: float64 (nq,); laid there at rest (`Simulation.lay`) and pulled by `actions`
+        start_qpos: float64 (nq,); laid there at rest (`Simulation.lay`) and stepped by `actions`
             (`Simulation.act`), the rope goes through `points` bit for bit.
         points: float64 (T + 1, beads, 3), metres.
         goal_points: float64 (beads, 3), metres, the goal's exemplar.
@@ -72,18 +75,19 @@ class Episode:
         terminations, truncations: bool (T,).
         gauss_code, gauss_code_chiral: str (T + 1,).
         crossings: int64 (T + 1,).
-        bead, force: int64 (T + 1,) and float64 (T + 1, 3), newtons: what was pulled to come here;
-            -1 and 0 at the start.
+        bead, force: int64 (T + 1,) and float64 (T + 1, 3), newtons: the step that led
+            here, see `actions.steps_taken`.
         is_success, simulation_failed: bool (T + 1,), as the environment's infos.
-        move: str (T + 1,), why the policy pulled so, "" at the start; None where the policy gives
-            no reasons.
+        move: str (T + 1,), the policy's reason for the step, "" at the start; None where the policy
+            gives no reasons.
         goal_gauss_code: the code to reach.
         seed: of the reset, None where no seed makes this episode.
         options: of the reset: rows `start` and `goal` of the state file.
         policy: who acted.
         relabelled: the goal is a state that was reached; then no reset has this goal.
         hold: consecutive steps that the goal was to be shown in this episode, None where as the
-            task says; the ways to curated states go on past their code until the rope lies open.
+            task says; demonstrations of curated states go on past their code until the rope lies
+            open.
 
     Raises:
         InvalidEpisode: an array of another dtype, shape or length.
@@ -165,8 +169,9 @@ class Episode:
 
 
 def goals_reached(codes: Sequence[str] | NDArray[np.str_], hold: int = 1) -> list[int]:
-    """The states at which a code other than the first is shown for the `hold`-th time running, the
-    first time for each code.
+    """The states that reach another code than the first, shown for the `hold`-th time running.
+
+    Only the first time counts for each code.
 
     >>> goals_reached(["", "1+,1-", "", "1+,1-", "1-,1+"])
     [1, 4]
@@ -183,8 +188,9 @@ def goals_reached(codes: Sequence[str] | NDArray[np.str_], hold: int = 1) -> lis
 
 
 def goal_steps(codes: Sequence[str] | NDArray[np.str_], relabel: str, hold: int = 1) -> list[int]:
-    """Where to cut an episode that shows these codes: at the "last" of `goals_reached`, or at "all"
-    of them; perhaps nowhere.
+    """Where to cut an episode that shows these codes; perhaps nowhere.
+
+    At the "last" of `goals_reached`, or at "all" of them.
     """
     if relabel not in RELABEL:
         raise InvalidEpisode(f"relabel must be {' or '.join(map(repr, RELABEL))}, got {relabel!r}")
@@ -192,7 +198,9 @@ def goal_steps(codes: Sequence[str] | NDArray[np.str_], relabel: str, hold: int 
     return steps if relabel == "all" else steps[-1:]
 
 
-def relabelled(episode: Episode, goal_step: int, *, hold: int = 1, reward: float = 5.0) -> Episode:
+def relabelled(
+    episode: Episode, goal_step: int, *, hold: int = 1, reward: float = SUCCESS_REWARD
+) -> Episode:
     """Cut an episode so that the last state left is the goal, reached for the first time.
 
     Args:
@@ -210,7 +218,7 @@ def relabelled(episode: Episode, goal_step: int, *, hold: int = 1, reward: float
             f"goal_step must be a state that reaches another code first, one of {possible}, got"
             f" {goal_step}"
         )
-    end = np.arange(goal_step + 1) == goal_step
+    outcome = success_at_last(goal_step, reward)
     cut = {
         name: array[: goal_step + (_ARRAYS[name][1] or 0)]
         for name, array in episode.arrays().items()
@@ -222,10 +230,10 @@ def relabelled(episode: Episode, goal_step: int, *, hold: int = 1, reward: float
             **cut,
             "goal_points": episode.points[goal_step],
             "goal_gauss_code": str(episode.gauss_code[goal_step]),
-            "rewards": np.where(end[1:], reward, 0.0),
-            "terminations": end[1:],
-            "truncations": np.zeros(goal_step, dtype=bool),
-            "is_success": end,
+            "rewards": outcome.rewards,
+            "terminations": outcome.terminated,
+            "truncations": outcome.truncated,
+            "is_success": np.concatenate([[False], outcome.terminated]),
             "options": {name: row for name, row in episode.options.items() if name != "goal"},
             "relabelled": True,
         },
@@ -233,11 +241,13 @@ def relabelled(episode: Episode, goal_step: int, *, hold: int = 1, reward: float
 
 
 def relabel_all(
-    episodes: Iterable[Episode], relabel: str = "last", *, hold: int = 1, reward: float = 5.0
+    episodes: Iterable[Episode],
+    relabel: str = "last",
+    *,
+    hold: int = 1,
+    reward: float = SUCCESS_REWARD,
 ) -> Iterator[Episode]:
-    """Yield each episode cut at its `goal_steps`; an episode that shows no code but its first
-    yields nothing.
-    """
+    """Yield each episode cut at its `goal_steps`, nothing of one that shows no other code."""
     for episode in episodes:
         for step in goal_steps(episode.gauss_code, relabel, hold):
             yield relabelled(episode, step, hold=hold, reward=reward)

@@ -16,6 +16,7 @@ from knotgym.errors import KnotgymError
 
 FRAMES_PER_SECOND = 5  # an action lasts 0.192 s
 _TEXT = 18  # pixels a line of caption
+_FONT, _LETTERS, _WHITE = cv2.FONT_HERSHEY_SIMPLEX, 0.45, (225, 225, 225)
 
 
 class UnknownFilm(KnotgymError, ValueError):
@@ -25,27 +26,14 @@ class UnknownFilm(KnotgymError, ValueError):
 def captioned(frame: NDArray[np.uint8], lines: Sequence[str], scale: int = 3) -> NDArray[np.uint8]:
     """Enlarge a picture, uint8 (height, width, 3), and write lines of text below it."""
     large = np.repeat(np.repeat(frame, scale, axis=0), scale, axis=1)
-    below = np.zeros(
-        (_TEXT * len(lines) + 8 + (large.shape[0] + _TEXT * len(lines)) % 2, large.shape[1], 3),
-        dtype=np.uint8,
-    )
+    high, wide = large.shape[:2]
+    # an even height in all, as mp4 wants it
+    below = np.zeros((_TEXT * len(lines) + 8 + (high + _TEXT * len(lines)) % 2, wide, 3), np.uint8)
     for number, line in enumerate(lines):
-        size = min(
-            0.45,
-            0.45
-            * (large.shape[1] - 12)
-            / max(1, cv2.getTextSize(line, cv2.FONT_HERSHEY_SIMPLEX, 0.45, 1)[0][0]),
-        )
-        cv2.putText(
-            below,
-            line,
-            (6, _TEXT * (number + 1) - 2),
-            cv2.FONT_HERSHEY_SIMPLEX,
-            size,
-            (225, 225, 225),
-            1,
-            cv2.LINE_AA,
-        )
+        wide_at_full = cv2.getTextSize(line, _FONT, _LETTERS, 1)[0][0]
+        letters = min(_LETTERS, _LETTERS * (wide - 12) / max(1, wide_at_full))
+        at = (6, _TEXT * (number + 1) - 2)
+        cv2.putText(below, line, at, _FONT, letters, _WHITE, 1, cv2.LINE_AA)
     return np.concatenate([large, below])
 
 

@@ -1,5 +1,4 @@
-"""Shards of one run put together: what `--shard i/n` made in n folders becomes what one run leaves
-in one.
+"""Shards of one run put together: what `--shard i/n` made in n folders becomes one.
 
 Episodes come out byte for byte as from a run without shards. States and pictures are another draw
 than that run's, as true and as even; near-duplicates between shards go, the later one of two, and
@@ -17,14 +16,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from knotgym.atomic_files import sha256
 from knotgym.configuration import from_json
 from knotgym.datasets import image_folder
 from knotgym.datasets.episode_reader import Chosen
 from knotgym.datasets.image_table import (
-    SPLITS,
     arrow,
+    file_stem,
     points_of,
     read_table,
     shard_name,
@@ -32,12 +32,19 @@ from knotgym.datasets.image_table import (
     write_table,
 )
 from knotgym.datasets.near_duplicates import apart
-from knotgym.datasets.states import States, merge_states, read_states, write_states
+from knotgym.datasets.splits import IMAGE_SPLITS, split
+from knotgym.datasets.states import (
+    States,
+    merge_states,
+    merged_order,
+    read_states,
+    write_states,
+)
+from knotgym.datasets.walks_file import joined_walks, read_walks, write_walks
 from knotgym.errors import KnotgymError
 from knotgym.generate.episodes.collect import REPORT, CollectConfig, Tally, write_whole
-from knotgym.generate.states import state_folder as output
+from knotgym.generate.states import state_folder
 from knotgym.generate.states.archive import Archive
-from knotgym.generate.states.curation import split
 from knotgym.generate.states.search import SearchSettings
 from knotgym.runs.engine import LISTED
 from knotgym.runs.shards import Shard
@@ -45,7 +52,7 @@ from knotgym.runs.staging import Occupied, staging
 from knotgym.streams import Stream, generator
 from knotgym.topology.gauss import GaussCode
 
-_FORMATS = {
+_KINDS = {
     "knotgym-manifest": "states",
     "knotgym-collection": "episodes",
     "knotgym-images-manifest": "images",
@@ -63,15 +70,15 @@ class ShardFolder:
     Attributes:
         kind: "states", "episodes" or "images".
         shard: which.
-        request: of the run that made it, without the shard; shards of one run have the same.
-        said: its manifest or report.
+        request: of the run, without the shard; shards of one run have the same.
+        manifest: of the folder; of episodes their report.
     """
 
     folder: Path
     kind: str
     shard: Shard
     request: dict[str, Any]
-    said: dict[str, Any]
+    manifest: dict[str, Any]
 
 
 def shard_folder_of(source: str) -> ShardFolder | None:
@@ -79,21 +86,21 @@ def shard_folder_of(source: str) -> ShardFolder | None:
     folder = Path(source)
     for name in ("manifest.json", REPORT):
         try:
-            said = json.loads((folder / name).read_text(encoding="utf-8"))
-            request = {key: said[key] for key in LISTED}
+            manifest = json.loads((folder / name).read_text(encoding="utf-8"))
+            request = {key: manifest[key] for key in LISTED}
             shard = Shard(**request.pop("shard"))
-            kind = _FORMATS[said["format"]]
+            kind = _KINDS[manifest["format"]]
         except (OSError, ValueError, KeyError, TypeError):
             continue
-        return None if shard.is_whole else ShardFolder(folder, kind, shard, request, said)
+        return None if shard.is_whole else ShardFolder(folder, kind, shard, request, manifest)
     return None
 
 
-def merge_shards(found: Sequence[ShardFolder], out: Path) -> Path:
+def merge_shards(folders: Sequence[ShardFolder], out: Path) -> Path:
     """Put all the shards of a run together.
 
     Args:
-        found: in any order.
+        folders: in any order.
         out: the folder to make; for episodes the root of the dataset's id, as of `knotgym collect`.
 
     Returns:
@@ -103,7 +110,21 @@ def merge_shards(found: Sequence[ShardFolder], out: Path) -> Path:
         InvalidMerge: some are missing, are there twice, are spoilt, or belong to different runs.
         Occupied: there is something in the way.
     """
-    ordered = sorted(found, key=lambda one: one.shard.number)
+    ordered = sorted(folders, key=lambda folder: folder.shard.number)
+    _require_whole_run(ordered)
+    first = ordered[0]
+    folder = out / first.request["config"]["dataset_id"] if first.kind == "episodes" else out
+    if folder.exists():
+        raise Occupied(f"{folder} is there already; choose another --out, or remove it")
+    with staging(folder, resume=False) as partial:
+        merge = {"states": _states, "episodes": _episodes, "images": _images}[first.kind]
+        merge(ordered, partial / "whole").rename(folder)
+        shutil.rmtree(partial)
+    return folder
+
+
+def _require_whole_run(ordered: Sequence[ShardFolder]) -> None:
+    """Refuse shards, by number, that aren't all those of one run, unspoilt."""
     first = ordered[0]
     for other in ordered[1:]:
         if (other.kind, other.shard.of, other.request) != (
@@ -115,7 +136,7 @@ def merge_shards(found: Sequence[ShardFolder], out: Path) -> Path:
                 f"{first.folder} and {other.folder} are not shards of one run: they were asked for"
                 " different things"
             )
-    numbers = [shard.shard.number for shard in ordered]
+    numbers = [folder.shard.number for folder in ordered]
     missing = sorted(set(range(1, first.shard.of + 1)) - set(numbers))
     if missing:
         raise InvalidMerge(
@@ -124,120 +145,93 @@ def merge_shards(found: Sequence[ShardFolder], out: Path) -> Path:
         )
     if len(numbers) > first.shard.of:
         raise InvalidMerge(f"a shard is named twice: {', '.join(map(str, numbers))}")
-    for shard in ordered:
-        for name, digest in shard.said["files"].items():
-            path = shard.folder / name
+    for folder in ordered:
+        for name, digest in folder.manifest["files"].items():
+            path = folder.folder / name
             if not path.is_file() or sha256(path) != digest:
                 raise InvalidMerge(
-                    f"{path} is missing or spoilt (SHA-256 differs); make shard {shard.shard} again"
+                    f"{path} is missing or spoilt (SHA-256 differs); make shard {folder.shard}"
+                    " again"
                 )
-    folder = out / first.request["config"]["dataset_id"] if first.kind == "episodes" else out
-    if folder.exists():
-        raise Occupied(f"{folder} is there already; choose another --out, or remove it")
-    with staging(folder, resume=False) as partial:
-        made = {"states": _states, "episodes": _episodes, "images": _images}[first.kind](
-            ordered, partial / "whole"
-        )
-        made.rename(folder)
-        shutil.rmtree(partial)
-    return folder
+
+
+def _whole_request(ordered: Sequence[ShardFolder]) -> dict[str, Any]:
+    """The request of the whole run that the folders are shards of."""
+    return {**ordered[0].request, "shard": asdict(Shard())}
 
 
 def _states(ordered: Sequence[ShardFolder], folder: Path) -> Path:
-    read = [read_states(shard.folder / "states.h5") for shard in ordered]
-    request = _whole(ordered[0])
+    request = _whole_request(ordered)
     config = request["config"]
-    merged = merge_states(read)
-    order = np.argsort(np.concatenate([states.nx for states in read]), kind="stable")
-    number = np.repeat(np.arange(len(read)), [len(states) for states in read])[order]
-    kept = np.flatnonzero(apart(merged.points))
-    merged, number = _rows(merged, kept), number[kept]
-    splits = merged.split.copy()
-    place = np.zeros(len(merged), dtype=np.int64)
-    for nx in config["nx"]:
-        mine = np.flatnonzero(merged.nx == nx)
-        codes = [GaussCode.parse(text) for text in merged.gauss_code[mine]]
-        splits[mine] = split(
-            codes,
-            config["split_by"],
-            config["train_share"],
-            generator(Stream.SPLIT, config["seed"], nx),
-        )
-        place[mine] = np.arange(len(mine))
-    trajectories, attributes = (
-        merged.source["trajectory"],
-        {
-            **merged.attributes,
-            "config": json.dumps(config, sort_keys=True),
-        },
-    )
-    merged = replace(
-        merged, split=splits, source={**merged.source, "trajectory": place}, attributes=attributes
-    )
+    parts = [read_states(shard.folder / "states.h5") for shard in ordered]
+    every = merge_states(parts)
+    kept = np.flatnonzero(apart(every.points))
+    from_shard = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    from_shard = from_shard[merged_order(parts)][kept]
+    merged, trajectory = _renumbered(every.taken(kept), config)
     folder.mkdir(parents=True)
     write_states(folder / "states.h5", merged)
     for nx in sorted(set(merged.nx.tolist())):
-        mine = np.flatnonzero(merged.nx == nx)
-        sequences = [
+        mine = merged.nx == nx
+        chosen = [
             Chosen(
-                output.demonstrations_folder(shard.folder / "minari", nx),
-                trajectories[mine[number[mine] == k]].tolist(),
+                state_folder.demonstrations_folder(shard.folder / "minari", nx),
+                trajectory[mine & (from_shard == k)].tolist(),
             )
             for k, shard in enumerate(ordered)
         ]
-        output.publish_demonstrations(
+        state_folder.publish_demonstrations(
             nx,
-            [one for one in sequences if one.episode_indices],
-            len(mine),
+            [episodes for episodes in chosen if episodes.episode_indices],
+            int(mine.sum()),
             folder / "minari",
             folder / "states.h5",
         )
     archives = [Archive.load(shard.folder / "archive.h5") for shard in ordered]
     search = from_json(SearchSettings, config["search"])
-    _archive(archives, search).save(folder / "archive.h5")
-    report = _report_of_states([shard.said["report"] for shard in ordered], len(order) - len(kept))
-    output.finish(folder, merged, report, request)
+    _joined_archive(archives, search).save(folder / "archive.h5")
+    reports = [shard.manifest["report"] for shard in ordered]
+    report = _report_of_states(reports, len(every) - len(kept))
+    state_folder.finish(folder, merged, report, request)
     return folder
 
 
-def _rows(states: States, rows: np.ndarray) -> States:
-    """Some rows of a table."""
-    columns: dict[str, Any] = {
-        name: getattr(states, name)[rows]
-        for name in (
-            "qpos",
-            "points",
-            "image",
-            "gauss_code",
-            "gauss_code_chiral",
-            "knot",
-            "nx",
-            "split",
-        )
-    }
-    groups: dict[str, Any] = {
-        name: {key: column[rows] for key, column in getattr(states, name).items()}
-        for name in ("quality", "source")
-    }
-    return replace(states, **columns, **groups)
+def _renumbered(states: States, config: dict[str, Any]) -> tuple[States, NDArray[np.int64]]:
+    """States split anew, with the trajectories of each nx numbered from 0; and the old numbers."""
+    splits = states.split.copy()
+    numbers = np.zeros(len(states), dtype=np.int64)
+    for nx in config["nx"]:
+        mine = np.flatnonzero(states.nx == nx)
+        codes = [GaussCode.parse(text) for text in states.gauss_code[mine]]
+        rng = generator(Stream.SPLIT, config["seed"], nx)
+        splits[mine] = split(codes, config["split_by"], config["train_share"], rng)
+        numbers[mine] = np.arange(len(mine))
+    renumbered = replace(
+        states,
+        split=splits,
+        source={**states.source, "trajectory": numbers},
+        attributes={**states.attributes, "config": json.dumps(config, sort_keys=True)},
+    )
+    return renumbered, states.source["trajectory"]
 
 
-def _archive(archives: Sequence[Archive], search: SearchSettings) -> Archive:
+def _joined_archive(archives: Sequence[Archive], search: SearchSettings) -> Archive:
     """What any of the searches found, their rounds one after another."""
-    out = archives[0]
+    joined = archives[0]
     for other in archives[1:]:
         for elites in other.niches.values():
             for elite in elites:
-                out.offer(elite, search.archive)
+                joined.offer(elite, search.archive)
         for niche, count in other.visits.items():
-            out.visits[niche] = out.visits.get(niche, 0) + count
-        out.transitions.add(other.transitions, search.most_templates)
-        rounds, actions = len(out.growth), out.growth[-1]["actions"] if out.growth else 0
-        out.growth += [
+            joined.visits[niche] = joined.visits.get(niche, 0) + count
+        joined.transitions.add(other.transitions, search.most_templates)
+        rounds = len(joined.growth)
+        actions = joined.growth[-1]["actions"] if joined.growth else 0
+        joined.growth += [
             {**row, "round": rounds + row["round"], "actions": actions + row["actions"]}
             for row in other.growth
         ]
-    return out
+    return joined
 
 
 def _report_of_states(reports: Sequence[dict[str, Any]], near: int) -> dict[str, Any]:
@@ -256,58 +250,55 @@ def _report_of_states(reports: Sequence[dict[str, Any]], near: int) -> dict[str,
 
 
 def _episodes(ordered: Sequence[ShardFolder], folder: Path) -> Path:
-    request = _whole(ordered[0])
+    request = _whole_request(ordered)
     config = from_json(CollectConfig, request["config"])
-    tally = sum((Tally(**shard.said["tally"]) for shard in ordered), Tally())
-    sources = [shard.folder / "main_data.hdf5" for shard in ordered]
-    return write_whole(config, sources, tally, folder, request, concatenate=True)
-
-
-def _whole(shard: ShardFolder) -> dict[str, Any]:
-    """The request of the whole run that a folder is a shard of."""
-    return {**shard.request, "shard": asdict(Shard())}
+    tally = sum((Tally(**shard.manifest["tally"]) for shard in ordered), Tally())
+    files = [shard.folder / "main_data.hdf5" for shard in ordered]
+    return write_whole(config, files, tally, folder, request, concatenate=True)
 
 
 def _images(ordered: Sequence[ShardFolder], folder: Path) -> Path:
-    pa = arrow()
-    tables = [path for shard in ordered for path in shards(shard.folder)]
-    points = [points_of(read_table(path, columns=["points"])) for path in tables]
-    kept = dict(
-        zip(
-            tables,
-            np.split(apart(np.concatenate(points)), np.cumsum([*map(len, points)])[:-1]),
-            strict=True,
-        )
-    )
-    near = sum(int((~rows).sum()) for rows in kept.values())
-    request = _whole(ordered[0])
+    request = _whole_request(ordered)
     config = request["config"]
+    kept = _kept_rows([path for shard in ordered for path in shards(shard.folder)])
     written: list[Path] = []
-    for name in SPLITS:
-        mine = [
-            path
-            for path in tables
-            if path.name.startswith(
-                shard_name(name, 0, 1).removeprefix("data/").split("-")[0] + "-"
-            )
-        ]
-        count = -(-sum(int(kept[path].sum()) for path in mine) // config["rows_per_file"])
-        chosen = (read_table(path).filter(pa.array(kept[path])) for path in mine)
+    for name in IMAGE_SPLITS:
+        mine = {
+            path: rows for path, rows in kept.items() if path.name.startswith(f"{file_stem(name)}-")
+        }
+        count = -(-sum(int(rows.sum()) for rows in mine.values()) // config["rows_per_file"])
+        chosen = (read_table(path).filter(arrow().array(rows)) for path, rows in mine.items())
         for index, table in enumerate(_cut(chosen, config["rows_per_file"])):
             written.append(folder / shard_name(name, index, count))
             write_table(written[-1], table)
-    image_folder.join_walks(folder / "walks.h5", [shard.folder / "walks.h5" for shard in ordered])
-    reports = [shard.said["report"] for shard in ordered]
-    report = {
-        **{name: sum(one[name] for one in reports) for name in ("walks", "frames")},
-        **{
-            name: dict(sorted(sum((Counter(one[name]) for one in reports), Counter()).items()))
-            for name in ("dropped", "refused")
-        },
+    walks = [read_walks(shard.folder / "walks.h5") for shard in ordered]
+    write_walks(folder / "walks.h5", joined_walks(walks))
+    near = sum(int((~rows).sum()) for rows in kept.values())
+    report = _report_of_images([shard.manifest["report"] for shard in ordered], near)
+    image_folder.write_card_and_manifest(folder, written, request, report)
+    return folder
+
+
+def _kept_rows(tables: Sequence[Path]) -> dict[Path, NDArray[np.bool_]]:
+    """Which rows of each file to keep: those not near an earlier one of any file."""
+    points = [points_of(read_table(path, columns=["points"])) for path in tables]
+    ends = np.cumsum([len(own) for own in points])
+    kept = np.split(apart(np.concatenate(points)), ends[:-1])
+    return dict(zip(tables, kept, strict=True))
+
+
+def _report_of_images(reports: Sequence[dict[str, Any]], near: int) -> dict[str, Any]:
+    def summed(name: str) -> dict[str, int]:
+        counts = sum((Counter(report[name]) for report in reports), Counter[str]())
+        return dict(sorted(counts.items()))
+
+    return {
+        "walks": sum(report["walks"] for report in reports),
+        "frames": sum(report["frames"] for report in reports),
+        "dropped": summed("dropped"),
+        "refused": summed("refused"),
         "near_duplicates_between_shards": near,
     }
-    image_folder.close(folder, written, request, report)
-    return folder
 
 
 def _cut(tables: Iterable[Any], most: int) -> Iterator[Any]:

@@ -1,10 +1,9 @@
-"""Datasets for the learners' own libraries: a torch Dataset, a d3rlpy replay buffer, a
-TensorDict.
-"""
+"""Datasets for the learners' own libraries: torch's Dataset, d3rlpy's buffer, a TensorDict."""
 
 from __future__ import annotations
 
 import importlib
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -33,6 +32,13 @@ class MissingExtra(KnotgymError, ImportError):
         super().__init__(f"this loader needs {needed}, which isn't installed; install it: {how}")
 
 
+class UnknownKind(KnotgymError, ValueError):
+    """A loader gives nothing of this kind."""
+
+    def __init__(self, kind: str, known: Iterable[str]) -> None:
+        super().__init__(f"kind must be one of {', '.join(known)}, got {kind!r}")
+
+
 def torch_dataset(
     dataset: Any,
     kind: str = "transitions",
@@ -41,8 +47,9 @@ def torch_dataset(
     picture: Any = None,
     relabel: str | None = None,
 ) -> Any:
-    """Make a `torch.utils.data.Dataset` that reads from the file when asked; any number of
-    DataLoader workers may share it.
+    """Make a `torch.utils.data.Dataset` that reads from the file when asked.
+
+    Any number of DataLoader workers may share it.
 
     Args:
         dataset, observation, picture, relabel: see `knotgym.loaders`.
@@ -55,18 +62,17 @@ def torch_dataset(
 
     Returns:
         A Dataset of dicts of tensors: observations uint8 (size, 2 size, 3) as the environment's, or
-            float32 (6 beads,), or a
-        dict of both; rewards float32; frames' gauss_code a str.
+        float32 (6 beads,), or a dict of both; rewards float32; frames' gauss_code a str.
 
     Raises:
         MissingExtra: torch isn't installed.
-        ValueError: no such kind.
+        UnknownKind: there is no such kind.
     """
     _needed("torch")
     from knotgym.loaders.pytorch import KINDS
 
     if kind not in KINDS:
-        raise ValueError(f"kind must be one of {', '.join(KINDS)}, got {kind!r}")
+        raise UnknownKind(kind, KINDS)
     return KINDS[kind](
         Transitions(dataset, observation=observation, picture=picture, relabel=relabel)
     )
@@ -75,8 +81,9 @@ def torch_dataset(
 def to_d3rlpy(
     dataset: Any, *, observation: str | None = None, picture: Any = None, relabel: str | None = None
 ) -> Any:
-    """Make a `d3rlpy.dataset.ReplayBuffer` that holds every transition; pictures channels first,
-    "both" a tuple of pixels and state.
+    """Make a `d3rlpy.dataset.ReplayBuffer` that holds every transition.
+
+    Pictures are channels first, "both" is a tuple of pixels and state.
 
     d3rlpy keeps T observations for T actions and drops the last transition of an episode that
     didn't terminate, here the one that pays for failing. So such an episode has its last state as
@@ -93,20 +100,17 @@ def to_d3rlpy(
     episodes = []
     for segment in range(transitions.segments):
         part = slice(*transitions.starts[segment : segment + 2])
-        actions, rewards = (
-            transitions.actions[part],
-            transitions.rewards[part, None].astype(np.float32),
-        )
+        actions = transitions.actions[part]
+        rewards = transitions.rewards[part, None].astype(np.float32)
         terminated = bool(transitions.terminals[part][-1])
         if not terminated:
-            actions, rewards = (
-                np.concatenate([actions, np.zeros_like(actions[:1])]),
-                np.concatenate([rewards, np.zeros_like(rewards[:1])]),
-            )
+            actions = np.concatenate([actions, np.zeros_like(actions[:1])])
+            rewards = np.concatenate([rewards, np.zeros_like(rewards[:1])])
         seen = transitions.observations(segment, 0, len(actions))
-        both = isinstance(seen, dict)
-        observations = (
-            tuple(_channels_first(seen[name]) for name in seen) if both else _channels_first(seen)
+        observations: Any = (
+            tuple(_channels_first(array) for array in seen.values())
+            if isinstance(seen, dict)
+            else _channels_first(seen)
         )
         episodes.append(d3rlpy.dataset.Episode(observations, actions, rewards, terminated))
     return d3rlpy.dataset.ReplayBuffer(
@@ -120,8 +124,7 @@ def to_d3rlpy(
 def to_tensordict(
     dataset: Any, *, observation: str | None = None, picture: Any = None, relabel: str | None = None
 ) -> Any:
-    """Make a `tensordict.TensorDict` of N transitions in TorchRL's layout, ready for a replay
-    buffer's `extend`.
+    """Make a `tensordict.TensorDict` of N transitions, ready for a TorchRL buffer's `extend`.
 
     Args:
         dataset, observation, picture, relabel: see `knotgym.loaders`.
@@ -164,11 +167,9 @@ def to_tensordict(
 
 
 def _channels_first(observations: NDArray[Any]) -> NDArray[Any]:
-    return (
-        np.ascontiguousarray(np.moveaxis(observations, -1, 1))
-        if observations.ndim == 4
-        else observations
-    )
+    if observations.ndim != 4:
+        return observations
+    return np.ascontiguousarray(np.moveaxis(observations, -1, 1))
 
 
 def _needed(module: str) -> Any:

@@ -1,6 +1,4 @@
-"""Perception tables for learners: a torch Dataset over pictures and padded labels, or Hugging
-Face's own.
-"""
+"""Perception tables for learners: torch's Dataset over pictures and labels, or Hugging Face's."""
 
 from __future__ import annotations
 
@@ -8,7 +6,7 @@ import importlib
 import os
 from typing import Any
 
-from knotgym.loaders.converters import MissingExtra
+from knotgym.loaders.converters import MissingExtra, UnknownKind
 
 KINDS = ("torch", "huggingface")
 
@@ -32,40 +30,41 @@ def images(
 
     Raises:
         MissingExtra: torch, or Hugging Face's datasets, isn't installed.
-        ValueError: no such kind or split, or a row has more than max_nx crossings.
-        FileNotFoundError: there is nothing at path.
+        UnknownKind: there is no such kind.
+        InvalidImages: no such split, or a row has more than max_nx crossings.
+        MissingFile: there is nothing at path.
     """
     if kind not in KINDS:
-        raise ValueError(f"kind must be one of {', '.join(KINDS)}, got {kind!r}")
+        raise UnknownKind(kind, KINDS)
     if kind == "torch":
         _needed("torch", "Tensor", "torch")
         from knotgym.loaders.picture_dataset import PictureDataset
 
         return PictureDataset(path, split, max_nx)
-    from knotgym.datasets.image_table import shards
+    from knotgym.datasets.image_table import file_stem, shards  # here, for it needs OpenCV
 
     library = _needed("datasets", "load_dataset", "huggingface")
     files: dict[str, list[str]] = {}
     for shard in shards(path, split):
         files.setdefault(shard.name.partition("-")[0], []).append(str(shard))
-    return library.load_dataset(
-        "parquet", data_files=files, split=None if split is None else split.replace("-", "_")
-    )
+    wanted = None if split is None else file_stem(split)
+    return library.load_dataset("parquet", data_files=files, split=wanted)
 
 
 def _needed(module: str, name: str, extra: str) -> Any:
-    """Import a module that has `name`; the link `datasets` of a checkout, found first from its top,
-    doesn't.
+    """Import a module that has `name`.
+
+    The link `datasets` of a checkout, found first from its top, doesn't.
     """
     how = f"pip install 'knotgym[{extra}]'"
     try:
-        found = importlib.import_module(module)
+        imported = importlib.import_module(module)
     except ModuleNotFoundError as error:
         raise MissingExtra(str(error.name), how) from error
-    if not hasattr(found, name):
+    if not hasattr(imported, name):
         raise MissingExtra(
             module,
             f"{how}; and don't run from the top of a checkout of knotgym, whose folder {module}"
             " hides it",
         )
-    return found
+    return imported

@@ -15,6 +15,7 @@ from knotgym.datasets.image_table import GRADES, InvalidImages, arrow, read_tabl
 from knotgym.topology.gauss import GaussCode
 
 _COLUMNS = ("image", "gauss_code_chiral", "nx", "crossings", "grade", "accepted", "split")
+_OF_A_CROSSING = ("x", "y", "over_place", "under_place")
 
 
 class PictureDataset(Dataset[dict[str, Any]]):
@@ -24,9 +25,9 @@ class PictureDataset(Dataset[dict[str, Any]]):
         nx          int64 ()
         visits      int64 (2 max_nx,): +label over, -label under, in the order of the walk
         signs       int64 (max_nx,): +1 for "c", -1 for "a", in order of labels
-        crossings   float32 (max_nx, 4): pixel x, y, place of the over strand and of the under
-        strand, beads grade       int64 (): index in `knotgym.datasets.image_table.GRADES` accepted
-        bool ()
+        crossings   float32 (max_nx, 4): pixel x, y, places of over and under strand, beads
+        grade       int64 (): index in `knotgym.datasets.image_table.GRADES`
+        accepted    bool ()
 
     The PNGs stay in memory, about 3 kB a picture of 128 x 128, shared by forked workers; labels are
     tensors from the start. Pictures of one size batch by themselves; those of several sizes need a
@@ -54,10 +55,8 @@ class PictureDataset(Dataset[dict[str, Any]]):
         self._png = arrow("pyarrow.compute").struct_field(table["image"].combine_chunks(), "bytes")
         self.codes: list[str] = []
         self.splits: list[str] = table["split"].to_pylist()
-        visits, signs = (
-            np.zeros((len(nx), 2 * most), dtype=np.int64),
-            np.zeros((len(nx), most), dtype=np.int64),
-        )
+        visits = np.zeros((len(nx), 2 * most), dtype=np.int64)
+        signs = np.zeros((len(nx), most), dtype=np.int64)
         for row, text in enumerate(table["gauss_code_chiral"].to_pylist()):
             code = GaussCode.parse(text)
             self.codes.append(str(code))
@@ -94,8 +93,8 @@ class PictureDataset(Dataset[dict[str, Any]]):
 
 
 def _crossings(rows: list[list[dict[str, float]]], most: int) -> NDArray[np.float32]:
-    out = np.zeros((len(rows), most, 4), dtype=np.float32)
+    padded = np.zeros((len(rows), most, 4), dtype=np.float32)
     for row, crossings in enumerate(rows):
-        for place, one in enumerate(crossings):
-            out[row, place] = one["x"], one["y"], one["over_place"], one["under_place"]
-    return out
+        for place, crossing in enumerate(crossings):
+            padded[row, place] = [crossing[name] for name in _OF_A_CROSSING]
+    return padded

@@ -23,10 +23,8 @@ class TransitionDataset(Dataset[dict[str, Any]]):
     def __getitem__(self, index: int) -> dict[str, Any]:
         row = _checked(index, len(self))
         segment, step = self.transitions.place(row)
-        seen, own = (
-            self.transitions.observations(segment, step, step + 2),
-            self.transitions.columns(segment),
-        )
+        seen = self.transitions.observations(segment, step, step + 2)
+        own = self.transitions.columns(segment)
         return {
             "observation": _tensor(_at(seen, 0)),
             "action": torch.from_numpy(own.actions[step].copy()),
@@ -90,14 +88,12 @@ def _checked(index: int, length: int) -> int:
 
 
 def _at(seen: Any, row: int) -> Any:
-    return (
-        {name: array[row] for name, array in seen.items()} if isinstance(seen, dict) else seen[row]
-    )
+    if isinstance(seen, dict):
+        return {name: array[row] for name, array in seen.items()}
+    return seen[row]
 
 
 def _tensor(seen: Any) -> Any:
-    return (
-        {name: _tensor(array) for name, array in seen.items()}
-        if isinstance(seen, dict)
-        else torch.from_numpy(np.ascontiguousarray(seen))
-    )
+    if isinstance(seen, dict):
+        return {name: _tensor(array) for name, array in seen.items()}
+    return torch.from_numpy(np.ascontiguousarray(seen))

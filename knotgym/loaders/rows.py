@@ -1,6 +1,4 @@
-"""A whole dataset in memory, as a dict of arrays with one row a transition (the keys of D4RL and
-OGBench).
-"""
+"""A whole dataset in memory: a dict of arrays, a row a transition (keys of D4RL and OGBench)."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""A dataset as one long row of transitions: small columns kept once they are read, observations
-read or drawn when asked for.
+"""A dataset as one long row of transitions.
 
-Segments lie one after another: an episode as it was, or, with hindsight, the part of one that leads
-to a code it reached.
+Small columns are kept once they are read, observations are read or drawn when asked for. Segments
+lie one after another: an episode as it was, or, with hindsight, the part of one that leads to a
+code it reached.
 """
 
 from __future__ import annotations
@@ -15,14 +15,13 @@ from numpy.typing import NDArray
 
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.trajectory import goal_steps
+from knotgym.reward import success_at_last
 
 _KEPT = 256  # segments whose codes are kept
 
 
 class Columns(NamedTuple):
-    """What is small of the T transitions of a segment: float32 (T, 6), float64 (T,), bool (T,),
-    bool (T,).
-    """
+    """What is small of the T transitions of a segment: (T, 6), and (T,) each."""
 
     actions: NDArray[np.float32]
     rewards: NDArray[np.float64]
@@ -31,8 +30,9 @@ class Columns(NamedTuple):
 
 
 class Transitions:
-    """N transitions in S segments; pickles, and reads from any process. A million open at once:
-    columns are read when needed.
+    """N transitions in S segments; pickles, and reads from any process.
+
+    Columns are read when needed, so a million open at once.
 
     Attributes:
         episode: int64 (S,), index in the dataset of the episode that a segment is of.
@@ -104,24 +104,17 @@ class Transitions:
         return self._all(3, np.empty(0, bool))
 
     def columns(self, segment: int) -> Columns:
-        """The small columns of a segment of T transitions, read when first asked for and then
-        kept.
-        """
+        """The small columns of a segment, read when first asked for and then kept."""
         if segment not in self._read:
             index, goal = int(self.episode[segment]), int(self.goal_step[segment])
-            own = [
+            actions, *outcome = (
                 self._reader.column(index, name)
                 for name in ("actions", "rewards", "terminations", "truncations")
-            ]
+            )
             if self._relabelled:
-                end = np.arange(goal) == goal - 1
-                own = [
-                    own[0][:goal],
-                    np.where(end, self._reader.task.success_reward, 0.0),
-                    end,
-                    np.zeros(goal, dtype=bool),
-                ]
-            self._read[segment] = Columns(*own)
+                actions = actions[:goal]
+                outcome = list(success_at_last(goal, self._reader.task.success_reward))
+            self._read[segment] = Columns(actions, *outcome)
         return self._read[segment]
 
     def _all(self, column: int, empty: NDArray[Any]) -> NDArray[Any]:
@@ -150,8 +143,7 @@ class Transitions:
         return segment, int(frame - starts[segment])
 
     def observations(self, segment: int, start: int = 0, stop: int | None = None) -> Any:
-        """Observations of the states [start, stop) of a segment of T transitions; its states are 0
-        to T.
+        """Observations of the states [start, stop), of 0 to T, of a segment of T transitions.
 
         Returns:
             uint8 (n, size, 2 size, 3), float32 (n, 6 beads), or a dict of both.
@@ -164,9 +156,7 @@ class Transitions:
         )
 
     def codes(self, segment: int) -> list[str]:
-        """The Gauss codes of a segment's T + 1 states; those of the segments asked for last are
-        kept.
-        """
+        """The Gauss codes of a segment's T + 1 states; of the last segments asked for, kept."""
         if segment not in self._codes:
             if len(self._codes) == _KEPT:
                 del self._codes[next(iter(self._codes))]

@@ -1,5 +1,6 @@
-"""What a perception picture may vary without its label becoming false: colours, width, background,
-camera, noise, blur, size.
+"""What a perception picture may vary without its label becoming false.
+
+Colours, width, background, camera, noise, blur and size may vary.
 
 A turn or a zoom moves the crossings' pixels (they are recomputed) and no code. Under colours
 "published" and "gradient" the picture shows which way the walk runs: towards red, or from the
@@ -18,8 +19,9 @@ from numpy.typing import NDArray
 
 from knotgym.errors import KnotgymError
 from knotgym.rendering.picture import RGB, PictureConfig, draw, project, rope_colours
-from knotgym.rope import Array
 from knotgym.streams import Stream, generator
+
+Array = NDArray[np.float64]
 
 VARIED = ("colours", "width", "background", "turn", "zoom", "noise", "blur")
 SIZES = (64, 512)  # pixels, smallest and largest
@@ -123,9 +125,8 @@ class Appearance:
             return rope_colours(beads)
         last = self.first if self.colours == "single" else self.last
         along = np.linspace(0.0, 1.0, beads)[:, None]
-        colours: NDArray[np.uint8] = np.rint(
-            (1 - along) * np.array(self.first) + along * np.array(last)
-        ).astype(np.uint8)
+        blend = (1 - along) * np.array(self.first) + along * np.array(last)
+        colours: NDArray[np.uint8] = np.rint(blend).astype(np.uint8)
         colours[0] = 255
         return colours
 
@@ -141,16 +142,13 @@ def appearance(points: Array, config: AppearanceConfig, rng: np.random.Generator
         most = _largest_zoom(points, turn, width)
         low, high = config.zoom
         zoom = float(rng.uniform(min(low, most), min(high, most)))
-    kind = (
-        ("published", "single", "gradient")[int(rng.integers(3))]
-        if "colours" in vary
-        else plain.colours
-    )
+    kind = plain.colours
+    if "colours" in vary:
+        kind = ("published", "single", "gradient")[int(rng.integers(3))]
     background = _rgb(rng.integers(0, 81, 3)) if "background" in vary else plain.background
     first, last = _rgb(rng.integers(150, 256, 3)), plain.last
-    if (
-        kind == "gradient"
-    ):  # from bright to dark, another hue at the end, never as dark as a background
+    # from bright to dark, another hue at the end, never as dark as a background
+    if kind == "gradient":
         dark = rng.integers(20, 60, 3)
         dark[rng.integers(3)] = rng.integers(150, 200)
         last = _rgb(dark)
@@ -185,11 +183,9 @@ def render(points: Array, look: Appearance) -> NDArray[np.uint8]:
 def _largest_zoom(points: Array, turn: float, width: float) -> float:
     """The zoom at which the rope comes within MARGIN of the picture's edge."""
     plain = PictureConfig(turn=turn, width=width)
-    out = (
-        np.abs(project(points, plain) - plain.size / 2).max() / plain.pixels_per_metre
-        + plain.drawn_radius
-    )
-    return float((plain.size / 2 - MARGIN) / plain.pixels_per_metre / out)
+    outermost = np.abs(project(points, plain) - plain.size / 2).max() / plain.pixels_per_metre
+    outermost += plain.drawn_radius
+    return float((plain.size / 2 - MARGIN) / plain.pixels_per_metre / outermost)
 
 
 def _rgb(levels: NDArray[np.integer]) -> RGB:

@@ -1,5 +1,4 @@
-"""The picture of a rope by MuJoCo's classic renderer: capsules with flat colours, the same picture
-as knotgym.rendering.picture draws, through OpenGL.
+"""The picture of a rope by MuJoCo's classic renderer: what `picture` draws, through OpenGL.
 
 Imported only when a picture with renderer="mujoco" is asked for. OpenGL contexts are costly and
 belong to one thread of one process, so one is kept for each (process, thread, side of the canvas);
@@ -23,13 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.errors import KnotgymError
-from knotgym.rendering.picture import PictureConfig, average
+from knotgym.rendering.camera import PictureConfig
+from knotgym.rendering.rasterizer import average
 
-# metres: nearest thing the camera sees; free space kept above and below the rope
-_NEAR, _MARGIN = (
-    0.01,
-    0.5,
-)
+_NEAR = 0.01  # metres to the nearest thing the camera sees
+_MARGIN = 0.5  # metres of free space kept above and below the rope
 
 _STAGE = """
 <mujoco>
@@ -54,8 +51,7 @@ class GraphicsUnavailable(KnotgymError):
 
 
 class Painter:
-    """An OpenGL canvas of one size, and the scene that is drawn on it; to be used in the thread
-    that made it.
+    """An OpenGL canvas of one size and the scene drawn on it; for the thread that made it.
 
     Args:
         side: pixels of the canvas, both sides.
@@ -84,12 +80,14 @@ class Painter:
     def paint(
         self, points: NDArray[np.float64], colours: NDArray[np.uint8], config: PictureConfig
     ) -> NDArray[np.uint8]:
-        """Paint a rope on the canvas: uint8, shape (side, side, 3), row 0 at the top, not yet
-        averaged to the picture's size.
+        """Paint a rope on the canvas.
 
         Args:
             points: float64, shape (beads, 3), metres.
             colours: uint8, shape (beads, 3).
+
+        Returns:
+            uint8, shape (side, side, 3), row 0 at the top, not yet averaged to the picture's size.
         """
         points = points - points.mean(axis=0)
         beads = len(points)
@@ -98,11 +96,8 @@ class Painter:
         self._look(points, config)
         rgba = np.ones((beads, 4), dtype=np.float32)
         rgba[:, :3] = colours / 255.0
-        nowhere, upright, capsule = (
-            np.zeros(3),
-            np.eye(3).ravel(),
-            mujoco.mjtGeom.mjGEOM_CAPSULE.value,
-        )
+        nowhere, upright = np.zeros(3), np.eye(3).ravel()
+        capsule = mujoco.mjtGeom.mjGEOM_CAPSULE.value
         geoms = self._scene.geoms
         for bead in range(beads):
             mujoco.mjv_initGeom(geoms[bead], capsule, nowhere, nowhere, upright, rgba[bead])
@@ -110,9 +105,8 @@ class Painter:
                 geoms[bead], capsule, config.drawn_radius, points[bead], points[(bead + 1) % beads]
             )
         self._scene.ngeom = beads
-        if any(
-            config.background
-        ):  # an unlit picture is black by itself; any other background is a floor under the rope
+        # an unlit picture is black by itself; any other background is a floor under the rope
+        if any(config.background):
             floor = np.array([100.0, 100.0, 0.01])
             below = np.array([0.0, 0.0, points[:, 2].min() - 0.5 * _MARGIN])
             shade = np.array(
@@ -180,9 +174,8 @@ def draw(
                 "start workers by 'spawn' or 'forkserver', or use renderer='opencv'",
             )
         _painters[key] = Painter(side)
-        if (
-            not _processes
-        ):  # not before the first context, so as to run before the backend's own clearing up
+        # not before the first context, so as to run before the backend's own clearing up
+        if not _processes:
             atexit.register(close)
         _processes.add(process)
     return average(_painters[key].paint(points, colours, config), config.supersampling)

@@ -1,5 +1,4 @@
-"""What the agent sees of a rope and its goal: the picture of both side by side, or the vertices of
-both.
+"""What the agent sees of a rope and its goal: both pictures side by side, or both's vertices.
 
 The environment, the datasets and the loaders all observe through this one module, so that a stored
 observation is the environment's byte for byte.
@@ -18,12 +17,8 @@ from knotgym.tasks import TaskConfig
 
 def picture_config(task: TaskConfig) -> PictureConfig:
     """How a task's environment draws."""
-    settings: dict[str, Any] = {
-        "size": task.image_size,
-        "camera": task.camera,
-        "renderer": task.renderer,
-    }
-    return PictureConfig(**settings)
+    drawn: dict[str, Any] = {"camera": task.camera, "renderer": task.renderer}
+    return PictureConfig(size=task.image_size, **drawn)
 
 
 def pixels(
@@ -44,14 +39,19 @@ def pixels(
 
 
 def state(points: ArrayLike, goal_points: ArrayLike) -> NDArray[np.float32]:
-    """Vertices of ropes (n, beads, 3), then those of their one goal (beads, 3), metres: float32 (n,
-    6 beads).
+    """Vertices of ropes, then those of their one goal.
+
+    Args:
+        points: float64 (n, beads, 3), metres.
+        goal_points: float64 (beads, 3), metres.
+
+    Returns:
+        float32 (n, 6 beads), metres.
     """
     ropes = np.asarray(points, dtype=np.float64)
     ropes = ropes.reshape(len(ropes), -1)
-    return np.concatenate(
-        [ropes, np.broadcast_to(np.ravel(goal_points), ropes.shape)], axis=1
-    ).astype(np.float32)
+    goals = np.broadcast_to(np.ravel(goal_points), ropes.shape)
+    return np.concatenate([ropes, goals], axis=1).astype(np.float32)
 
 
 def observe(

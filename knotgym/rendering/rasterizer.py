@@ -1,4 +1,4 @@
-"""Outlines of a drawn rope: its beads cut into convex polygons, compiled.
+"""Outlines of a drawn rope, its beads cut into convex polygons; and samples averaged to pixels.
 
 Each bead is cut across into as many equal pieces as its span of heights asks for. Where two beads
 meet, each ends at the bisector of the joint, as the capsules themselves do, so that neighbours
@@ -7,18 +7,17 @@ neither overlap nor gape and the order of painting them does not matter.
 
 from typing import Any
 
+import cv2
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
 # Painter's algorithm: pieces of beads are painted from the lowest to the highest, each at the
-# height of its midpoint. That is the true order
-# at every crossing of a rope whose capsules sink into each other by 2 mm at most: two axes that
-# cross in the picture are then at least
+# height of its midpoint. That is the true order at every crossing of a rope whose capsules sink
+# into each other by 2 mm at most: two axes that cross in the picture are then at least
 # 2 * 5 - 2 = 8 mm apart in height, while a piece that spans at most this height never leaves its
-# midpoint's by more than 3.35 mm; 2 * 3.35 < 8.
-# Under the perspective camera the same holds with "distance to the camera along the line of sight"
-# for "height".
+# midpoint's by more than 3.35 mm; 2 * 3.35 < 8. Under the perspective camera the same holds with
+# "distance to the camera along the line of sight" for "height".
 _PIECE_SPAN = 0.0067
 
 SHIFT = 6  # OpenCV takes coordinates in 1/2**SHIFT pixels
@@ -26,14 +25,12 @@ SHIFT = 6  # OpenCV takes coordinates in 1/2**SHIFT pixels
 _FAR = 2.0**23
 # pixels by which OpenCV's convex polygons, which own their outline, come out wider than the polygon
 EDGE = 0.48
-_STEEP = (
-    1.0  # pieces seen so nearly end-on that they appear shorter than this many radii get round ends
-)
+# pieces seen so nearly end-on that they appear shorter than this many radii get round ends
+_STEEP = 1.0
 # The vertices of one end of a piece: a mitred end, where the rope turns left, is cut along the
-# bisector of the joint, with a short arc on the
-# outer side and one corner, given twice, on the inner side; _ARC is where on the arc, of half the
-# turn. Cosines and sines of the two corners of
-# a square end, and of the vertices of a round one, from right to left:
+# bisector of the joint, with a short arc on the outer side and one corner, given twice, on the
+# inner side; _ARC is where on the arc, of half the turn. Cosines and sines of the two corners of a
+# square end, and of the vertices of a round one, from right to left:
 _ARC = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
 _SQUARE = np.array([[np.cos(angle), np.sin(angle)] for angle in (-0.5 * np.pi, 0.5 * np.pi)])
 _CAP = np.stack(
@@ -86,11 +83,32 @@ def polygons(
     return corners[order], bead[order]
 
 
+def average(canvas: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
+    """Average the samples of each pixel.
+
+    Args:
+        canvas: uint8, shape (rows, columns, 3).
+        factor: samples along each side of a pixel.
+
+    Returns:
+        uint8, shape (rows / factor, columns / factor, 3).
+    """
+    while factor % 2 == 0:  # halving twice is three times as fast as quartering
+        canvas = _shrink(canvas, 2)
+        factor //= 2
+    return canvas if factor == 1 else _shrink(canvas, factor)
+
+
+def _shrink(canvas: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
+    rows, columns = canvas.shape[0] // factor, canvas.shape[1] // factor
+    return np.asarray(
+        cv2.resize(canvas, (columns, rows), interpolation=cv2.INTER_AREA), dtype=np.uint8
+    )
+
+
 @numba.njit(cache=True, nogil=True)
 def _directions(step: NDArray[np.float64], length: NDArray[np.float64]) -> Any:
-    """Unit vectors of the beads (n, 2), and sine and cosine, (n,) each, of the turns at their
-    starts.
-    """
+    """Unit vectors of the beads (n, 2), sine and cosine (n,) of the turns at their starts."""
     n = len(step)
     along, sine, cosine = np.empty((n, 2)), np.empty(n), np.empty(n)
     for i in range(n):
@@ -120,18 +138,17 @@ def _pieces(
     cap: NDArray[np.float64],
     side: int,
 ) -> Any:
-    """The pieces in the picture, bead after bead: corners int32 (m, 14, 2), bead (m,), height of
-    the middle (m,).
+    """The pieces in the picture, bead after bead.
+
+    Returns:
+        corners int32 (m, 14, 2), bead (m,), height of the middle (m,).
     """
     n = len(pixels)
     most = 0
     for i in range(n):
         most += int(max(np.ceil(abs(height[(i + 1) % n] - height[i]) / _PIECE_SPAN), 1.0))
-    corners, bead, middle = (
-        np.empty((most, 14, 2), np.int32),
-        np.empty(most, np.intp),
-        np.empty(most),
-    )
+    corners = np.empty((most, 14, 2), np.int32)
+    bead, middle = np.empty(most, np.intp), np.empty(most)
     own = np.empty((14, 2))
     m = 0
     for i in range(n):
@@ -207,8 +224,7 @@ def _end(
     cap: NDArray[np.float64],
     out: NDArray[np.float64],
 ) -> None:
-    """The vertices of a piece's end, from right to left, relative to the joint's pixel, into out
-    (7, 2).
+    """Write the vertices of a piece's end, from right to left, from the joint's pixel: out (7, 2).
 
     Args:
         x, y: unit vector out of the piece.

@@ -19,8 +19,8 @@ from knotgym.control.transition_graph import (
     TransitionGraphConfig,
     shipped_transition_graph,
 )
-from knotgym.episode_batch import Episodes
-from knotgym.generate.states.curation import codes_of
+from knotgym.episode_batch import EpisodeBatch
+from knotgym.topology.knots import codes_of
 from knotgym.rope import Rope
 from knotgym.simulation import Simulation
 from knotgym.tasks import TaskConfig
@@ -104,7 +104,7 @@ def test_a_foreign_file_holds_no_transitions(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("base_shift", [0, 14, 86])
 def test_a_bead_is_found_again_by_its_arc(base_shift: int, rope: Rope, states_path: str) -> None:
-    episodes = Episodes(TaskConfig(task="unknot", nx=3, states=states_path))
+    episodes = EpisodeBatch(TaskConfig(task="unknot", nx=3, states=states_path))
     episodes.begin(0, np.random.default_rng(0))
     places = Places(find_crossings(episodes.simulation.points[0]), 100, base_shift)
     assert [places.bead(places.arc(bead)) for bead in range(100)] == list(range(100))
@@ -140,7 +140,7 @@ def test_the_graph_that_ships_has_a_path_to_every_code_of_up_to_four_crossings()
 
 
 def test_a_plan_that_is_solved_ends_in_the_goal_when_acted_out(states_path: str) -> None:
-    episodes = Episodes(
+    episodes = EpisodeBatch(
         TaskConfig(task="unknot", nx=1, states=states_path, split="test", observation="state")
     )
     episodes.begin(0, np.random.default_rng(3))
@@ -164,7 +164,7 @@ def test_a_plan_that_is_solved_ends_in_the_goal_when_acted_out(states_path: str)
 
 def test_a_plan_holds_the_goal_as_long_as_asked(states_path: str) -> None:
     task = TaskConfig(task="tie", nx=1, states=states_path, hold=3, observation="state")
-    episodes, expert = Episodes(task), Expert(PlannerConfig(budget=3000, batch_size=4))
+    episodes, expert = EpisodeBatch(task), Expert(PlannerConfig(budget=3000, batch_size=4))
     episodes.begin(0, np.random.default_rng(0))
     expert.begin(episodes, 0, np.random.default_rng(1))
     ended = False
@@ -207,7 +207,7 @@ def test_planning_keeps_its_budget_and_says_what_it_spent() -> None:
 
 
 def test_with_its_budget_gone_the_expert_goes_on_without_looking_ahead(states_path: str) -> None:
-    episodes = Episodes(TaskConfig(task="tie", nx=4, states=states_path, observation="state"))
+    episodes = EpisodeBatch(TaskConfig(task="tie", nx=4, states=states_path, observation="state"))
     expert = Expert(PlannerConfig(budget=0))
     episodes.begin(0, np.random.default_rng(0))
     expert.begin(episodes, 0, np.random.default_rng(1))

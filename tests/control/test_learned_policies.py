@@ -15,7 +15,7 @@ import pytest
 from numpy.typing import NDArray
 
 from knotgym.control.policies import InvalidPolicy, PolicyConfig, make_policy
-from knotgym.episode_batch import Episodes
+from knotgym.episode_batch import EpisodeBatch
 from knotgym.tasks import TaskConfig
 
 OBSERVATIONS = ("state", "pixels", "both")
@@ -34,7 +34,7 @@ def chosen(path: Path, states_path: str, observation: str) -> tuple[NDArray[np.f
     task = TaskConfig(
         task="unknot", nx=2, states=states_path, observation=observation, image_size=16
     )
-    episodes, policy = Episodes(task, 3), make_policy(PolicyConfig(policy=str(path)))
+    episodes, policy = EpisodeBatch(task, 3), make_policy(PolicyConfig(policy=str(path)))
     for index in range(3):
         episodes.begin(index, np.random.default_rng(index))
         policy.begin(episodes, index, np.random.default_rng(index))

@@ -18,7 +18,7 @@ from knotgym.control.policies import (
     policy_names,
     register_policy,
 )
-from knotgym.episode_batch import Episodes
+from knotgym.episode_batch import EpisodeBatch
 from knotgym.tasks import TaskConfig
 
 QUICK = PlannerConfig(budget=16, batch_size=2)
@@ -29,7 +29,7 @@ def act_once(
 ) -> NDArray[np.float32]:
     """Two actions of each of `count` episodes: float32 (count, 2, 6)."""
     task = TaskConfig(task="unknot", nx=2, states=states_path, observation="state")
-    episodes, policy = Episodes(task, count), make_policy(config)
+    episodes, policy = EpisodeBatch(task, count), make_policy(config)
     for index in range(count):
         episodes.begin(index, np.random.default_rng([seed, index]))
         policy.begin(episodes, index, np.random.default_rng([seed, index, 1]))
@@ -71,7 +71,9 @@ def test_actions_are_float32_inside_the_box(name: str, states_path: str) -> None
 
 
 def test_a_noisy_expert_of_noise_one_is_never_the_expert(states_path: str) -> None:
-    episodes = Episodes(TaskConfig(task="unknot", nx=2, states=states_path, observation="state"))
+    episodes = EpisodeBatch(
+        TaskConfig(task="unknot", nx=2, states=states_path, observation="state")
+    )
     policy = make_policy(PolicyConfig(policy="noisy-expert", noise=1.0, planner=QUICK))
     episodes.begin(0, np.random.default_rng(0))
     policy.begin(episodes, 0, np.random.default_rng(1))
@@ -80,7 +82,7 @@ def test_a_noisy_expert_of_noise_one_is_never_the_expert(states_path: str) -> No
 
 
 def test_a_mixed_policy_with_one_share_is_that_policy(states_path: str) -> None:
-    episodes = Episodes(TaskConfig(task="tie", nx=2, states=states_path, observation="state"))
+    episodes = EpisodeBatch(TaskConfig(task="tie", nx=2, states=states_path, observation="state"))
     for name in MIXED:
         shares = tuple(float(other == name) for other in MIXED)
         policy = make_policy(PolicyConfig(policy="mixed", shares=shares, planner=QUICK))

@@ -24,7 +24,7 @@ from typer.testing import CliRunner
 import knotgym
 from knotgym.datasets.episode_reader import EpisodeReader, InvalidEpisodeFile
 from knotgym.datasets.episode_verification import replay, show_episodes, verify_episodes
-from knotgym.datasets.episode_writer import EpisodeWriter, merge
+from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
 from knotgym.datasets.minari_dataset import MinariMetadata, compact, metadata_of, publish
 from knotgym.datasets.trajectory import (
     INFOS,
@@ -316,7 +316,9 @@ def test_merging_gives_the_same_bytes_whatever_the_shards(
 def test_merging_closes_gaps_in_the_numbers(
     tmp_path: Path, task: TaskConfig, episodes: list[Episode]
 ) -> None:
-    merge([write(tmp_path / "a.h5", task, {7: episodes[1], 3: episodes[0]})], tmp_path / "b.h5")
+    merge_episodes(
+        [write(tmp_path / "a.h5", task, {7: episodes[1], 3: episodes[0]})], tmp_path / "b.h5"
+    )
     reader = EpisodeReader(tmp_path / "b.h5")
     assert reader.rows == [0, 1] and [one.digest() for one in reader] == [
         one.digest() for one in episodes[:2]
@@ -328,8 +330,8 @@ def test_merging_refuses_two_episodes_of_one_number(
 ) -> None:
     paths = [write(tmp_path / f"{k}.h5", task, {4: episodes[k]}) for k in range(2)]
     with pytest.raises(InvalidEpisodeFile, match="number 4"):
-        merge(paths, tmp_path / "c.h5")
-    merge(paths[::-1], tmp_path / "c.h5", concatenate=True)
+        merge_episodes(paths, tmp_path / "c.h5")
+    merge_episodes(paths[::-1], tmp_path / "c.h5", concatenate=True)
     assert [one.digest() for one in EpisodeReader(tmp_path / "c.h5")] == [
         episodes[1].digest(),
         episodes[0].digest(),
@@ -341,7 +343,7 @@ def test_merging_refuses_files_of_different_tasks(
 ) -> None:
     paths = [write(tmp_path / f"{nx}.h5", replace(task, nx=nx), {nx: episodes[0]}) for nx in (2, 3)]
     with pytest.raises(InvalidEpisodeFile, match="one task"):
-        merge(paths, tmp_path / "c.h5")
+        merge_episodes(paths, tmp_path / "c.h5")
 
 
 def test_to_the_compact_form_and_back_gives_the_same_bytes(tmp_path: Path, root: Path) -> None:
@@ -357,7 +359,7 @@ def test_to_the_compact_form_and_back_gives_the_same_bytes(tmp_path: Path, root:
 
 
 def test_to_other_observations_and_back_gives_the_same_bytes(tmp_path: Path, root: Path) -> None:
-    merge([root / ID], tmp_path / "state.h5", store="state")
+    merge_episodes([root / ID], tmp_path / "state.h5", store="state")
     assert EpisodeReader(tmp_path / "state.h5").task.observation == "state"
     publish([tmp_path / "state.h5"], METADATA, tmp_path / "root", store="both")
     assert sha(tmp_path / "root" / ID / "data" / "main_data.hdf5") == sha(
@@ -375,7 +377,7 @@ def test_a_dataset_is_replaced_only_when_asked(root: Path, tmp_path: Path) -> No
 @pytest.mark.parametrize("content", [b"", b"not HDF5"])
 def test_a_foreign_file_is_refused_in_one_line(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "a.h5").write_bytes(content)
-    with pytest.raises(InvalidEpisodeFile, match="isn't a whole HDF5 file") as caught:
+    with pytest.raises(InvalidEpisodeFile, match="isn't a whole episode file") as caught:
         EpisodeReader(tmp_path / "a.h5")
     assert "\n" not in str(caught.value)
 

@@ -170,7 +170,8 @@ def test_another_format_version_is_refused(saved: Path) -> None:
     with h5py.File(saved, "a") as file:
         file.attrs["format_version"] = 99
     with pytest.raises(
-        InvalidArchive, match="isn't an archive of format 'knotgym-archive' version 2 or 3"
+        InvalidArchive,
+        match="version 99; this version reads 'knotgym-archive' version 2 or 3",
     ):
         Archive.load(saved)
 

@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from knotgym.datasets.near_duplicates import NEAR, distances
+from knotgym.datasets.splits import split
 from knotgym.datasets.states import States
-from knotgym.generate.states.curation import codes_of, is_near_duplicate, split
-from knotgym.rope import noised
+from knotgym.topology.knots import codes_of, is_near_duplicate
+from knotgym.reset_noise import noised
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import knot_type
 

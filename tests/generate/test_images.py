@@ -21,7 +21,6 @@ from knotgym.datasets import image_table as tables
 from knotgym.datasets.image_rows import Row, record
 from knotgym.datasets.image_table import (
     COLUMNS,
-    SPLITS,
     InvalidImages,
     MissingArrow,
     decode,
@@ -33,6 +32,7 @@ from knotgym.datasets.image_table import (
 )
 from knotgym.datasets.image_verification import image_faults, row_faults
 from knotgym.datasets.near_duplicates import NEAR, distances
+from knotgym.datasets.splits import IMAGE_SPLITS
 from knotgym.difficulty import grade
 from knotgym.generate.images import image_recipe
 from knotgym.generate.images.image_recipe import make_images
@@ -106,7 +106,7 @@ def test_the_largest_nx_is_for_test_nx_alone(rows: list[dict[str, Any]]) -> None
 
 
 def test_every_check_passes(folder: Path) -> None:
-    assert list(image_faults(folder, workers=1)) == []
+    assert list(image_faults(folder)) == []
 
 
 def test_no_two_rows_are_near_duplicates(folder: Path) -> None:
@@ -185,7 +185,7 @@ def test_a_leak_between_splits_is_found(
     shutil.copytree(folder, copy)
     test, train = shards(copy, "test")[0], next(row for row in rows if row["split"] == "train")
     write_rows(test, [{**row, "split": "test"} for row in [*read_rows(test), train]])
-    found = "\n".join(image_faults(copy, workers=1))
+    found = "\n".join(image_faults(copy))
     assert (
         "SHA-256 differs" in found
         and "near-duplicates" in found
@@ -205,7 +205,7 @@ def test_a_near_duplicate_in_another_split_is_found(
     points = points + (0.1, 0, 0) + np.random.default_rng(0).normal(0, 0.001, points.shape)
     planted = Row(points, label(points), "test", {**train["source"], "family": 10**6, "row": 10**6})
     write_rows(tmp_path / "data.parquet", [train, record(planted, AppearanceConfig())])
-    [fault] = image_faults(tmp_path / "data.parquet", workers=1)
+    [fault] = image_faults(tmp_path / "data.parquet")
     assert "(train)" in fault and "1000000 (test)" in fault and "are near-duplicates" in fault
 
 
@@ -216,20 +216,20 @@ def test_a_walk_that_ends_elsewhere_is_found(folder: Path, tmp_path: Path) -> No
     some = list(read_rows(first))
     some[0]["source"]["roll"] += 1
     write_rows(first, some)
-    assert any("does not end in its points" in fault for fault in image_faults(copy, workers=1))
+    assert any("does not end in its points" in fault for fault in image_faults(copy))
 
 
 def test_a_missing_shard_is_found(folder: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy"
     shutil.copytree(folder, copy)
     shards(copy, "test")[0].unlink()
-    assert "data/test-00000-of-00001.parquet is missing" in list(image_faults(copy, workers=1))
+    assert "data/test-00000-of-00001.parquet is missing" in list(image_faults(copy))
 
 
 def test_a_torn_shard_is_one_fault(folder: Path, tmp_path: Path) -> None:
     torn = tmp_path / "torn.parquet"
     torn.write_bytes(shards(folder)[0].read_bytes()[:-100])
-    assert len(list(image_faults(torn, workers=1))) == 1
+    assert len(list(image_faults(torn))) == 1
 
 
 def test_a_foreign_parquet_file_is_refused(tmp_path: Path) -> None:
@@ -301,7 +301,7 @@ def test_quotas_add_up_and_hold_the_shares() -> None:
     config = ImagesConfig(nx=(0, 1, 2, 3, 4), count=1003)
     wanted = quotas(config, {0: 1, 1: 2, 2: 8, 3: 46, 4: 344})
     assert sum(wanted.values()) == 1003
-    assert {split for split, _ in wanted} == set(SPLITS)
+    assert {split for split, _ in wanted} == set(IMAGE_SPLITS)
     assert {nx for split, nx in wanted if split == "test-code"} == {2, 3}
 
 
@@ -435,7 +435,8 @@ def test_hugging_face_reads_every_column_of_every_split(
     way: str, folder: Path, rows: list[dict[str, Any]], hugging_face: Any
 ) -> None:
     wanted = {
-        split.replace("-", "_"): [row for row in rows if row["split"] == split] for split in SPLITS
+        split.replace("-", "_"): [row for row in rows if row["split"] == split]
+        for split in IMAGE_SPLITS
     }
     wanted = {name: own for name, own in wanted.items() if own}
     if way == "our loader":

@@ -17,7 +17,7 @@ import pytest
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.datasets.episode_writer import EpisodeWriter, merge
+from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
 from knotgym.datasets.trajectory import Episode
 from knotgym.loaders import (
     MissingExtra,
@@ -108,8 +108,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
             for number in range(k, 50, 3):
                 writer.add(ALL[number], number)
     shards = [room / f"shard{k}.h5" for k in range(3)]
-    merge(shards, room / "state.h5")
-    merge(shards, room / "compact.h5", store="none")
+    merge_episodes(shards, room / "state.h5")
+    merge_episodes(shards, room / "compact.h5", store="none")
     with EpisodeWriter(
         room / "both.h5", replace(TASK, observation="both", image_size=16)
     ) as writer:

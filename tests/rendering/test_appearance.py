@@ -12,7 +12,8 @@ from knotgym.rendering.appearance import (
     appearance,
     render,
 )
-from knotgym.rendering.picture import crossing_pixels, draw, shown_strands
+from knotgym.rendering.picture import crossing_pixels, draw
+from knotgym.rendering.picture_check import shown_strands
 from knotgym.rope import Array, Rope
 from knotgym.topology.crossings import find_crossings, label
 

@@ -26,8 +26,8 @@ from knotgym.rendering.picture import (
     draw_many,
     project,
     rope_colours,
-    shown_strands,
 )
+from knotgym.rendering.picture_check import shown_strands
 from knotgym.rendering.rasterizer import polygons
 from knotgym.topology.crossings import find_crossings
 

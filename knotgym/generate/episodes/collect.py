@@ -21,9 +21,9 @@ from knotgym.atomic_files import atomic_write, sha256
 from knotgym.configuration import as_json
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import rollout
-from knotgym.datasets.episode_reader import minari_root
-from knotgym.datasets.episode_writer import EpisodeWriter, merge
+from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
+from knotgym.datasets.minari_folder import minari_root
 from knotgym.datasets.states import states_file
 from knotgym.errors import KnotgymError
 from knotgym.rope import RopeConfig
@@ -211,7 +211,7 @@ class EpisodeRecipe:
         if self.shard.is_whole:
             return write_whole(self.config, paths, self.tally, folder, request)
         folder.mkdir()
-        merge(paths, folder / "main_data.hdf5")
+        merge_episodes(paths, folder / "main_data.hdf5")
         files = {"main_data.hdf5": sha256(folder / "main_data.hdf5")}
         _report(folder / REPORT, request, self.tally, files)
         return folder

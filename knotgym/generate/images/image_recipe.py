@@ -24,7 +24,8 @@ from knotgym.atomic_files import atomic_write
 from knotgym.configuration import as_json
 from knotgym.datasets.image_folder import finish
 from knotgym.datasets.image_rows import Row, TableFile, write_table_file
-from knotgym.datasets.image_table import SPLITS, arrow, shard_name
+from knotgym.datasets.image_table import arrow, shard_name
+from knotgym.datasets.splits import IMAGE_SPLITS
 from knotgym.generate.images.images_config import (
     ImagesConfig,
     InvalidImagesConfig,
@@ -198,7 +199,7 @@ class ImageRecipe:
         config, rows = self.config, _Provenance(self.start, self.walked, self.config.seed)
         files: list[TableFile] = []
         number = self.shard.first
-        for place, split in enumerate(SPLITS):
+        for place, split in enumerate(IMAGE_SPLITS):
             chosen = [choice for choice in self.chooser.chosen if choice.split == split]
             order = generator(Stream.IMAGE_ORDER, config.seed, place).permutation(len(chosen))
             count = -(-len(chosen) // config.rows_per_file)
@@ -230,7 +231,7 @@ class ImageRecipe:
             "dropped": dict(sorted(dropped.items())),
             "refused": dict(sorted(self.chooser.refused.items())),
         }
-        finish(self.table, self.written, request, report, self.start, self.walked)
+        finish(self.table, self.written, request, report, self.start.states, self.walked)
         return self.table
 
     def summary(self) -> str:

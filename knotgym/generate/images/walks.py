@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -29,8 +28,8 @@ from knotgym.datasets.label_limits import LabelLimits, pressed_together, visits_
 from knotgym.difficulty import ease
 from knotgym.quality import Limits, measure
 from knotgym.relaxation import RelaxationConfig, relaxed
-from knotgym.rope import Array, Rope
-from knotgym.simulation import Simulation
+from knotgym.rope import Array, Rope, RopeConfig
+from knotgym.simulation_pool import simulation_of
 from knotgym.streams import Stream, generator
 from knotgym.topology.crossings import count_crossings, find_crossings
 from knotgym.topology.reference_labeller import pyknotid_code
@@ -139,7 +138,7 @@ class _Met(NamedTuple):
 def make_walks(unit: Unit) -> Frames:
     """Make the walks of a unit; each depends on its number, its seed state and the seed alone."""
     count, config = len(unit.walks), unit.config
-    simulation, ids = _simulation(), np.arange(count)
+    simulation, ids = simulation_of(WALKS, RopeConfig()), np.arange(count)
     simulation.restore(unit.states, ids)
     rngs = [generator(Stream.IMAGE_WALK, unit.seed, walk.number) for walk in unit.walks]
     gentle = [bool(rng.random() < config.gentle) for rng in rngs]
@@ -227,25 +226,3 @@ def judged(points: Array, limits: LabelLimits) -> tuple[str, float]:
     if pyknotid_code(points) != crossings.code:
         return "labellers disagree", 0.0
     return "", ease(quality, Limits())
-
-
-def retrace(states: Array, beads: NDArray[np.int16], forces: NDArray[np.float32]) -> Array:
-    """Make walks again: float64 (walks, pulls + 1, beads, 3), metres, where they were after each
-    pull.
-
-    Args:
-        states: float64 (walks, nstate), at most WALKS; where they begin.
-        beads, forces: as in Frames.
-    """
-    simulation, ids = _simulation(), np.arange(len(states))
-    simulation.restore(states, ids)
-    out = [simulation.points[ids].copy()]
-    for step in range(beads.shape[1]):
-        step_ropes(simulation, beads[:, step], forces[:, step], ids)
-        out.append(simulation.points[ids].copy())
-    return np.stack(out, axis=1)
-
-
-@lru_cache(maxsize=1)
-def _simulation() -> Simulation:
-    return Simulation(WALKS, Rope())

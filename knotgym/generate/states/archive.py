@@ -13,7 +13,6 @@ import json
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -22,7 +21,8 @@ from knotgym.atomic_files import atomic_write, new_hdf5
 from knotgym.configuration import check_numbers
 from knotgym.control.action_sequence import ActionSequence
 from knotgym.control.transition_counts import TransitionCounts
-from knotgym.errors import KnotgymError, MissingFile
+from knotgym.errors import KnotgymError
+from knotgym.hdf5_files import opened_hdf5
 from knotgym.rope import Array
 from knotgym.topology.diagrams import chiralities
 from knotgym.topology.gauss import GaussCode
@@ -181,71 +181,53 @@ class Archive:
         """Read an archive.
 
         Raises:
-            FileNotFoundError: there is none.
+            MissingFile: there is none.
             InvalidArchive: the file is foreign, truncated, or of an unknown format.
         """
-        if not Path(path).is_file():
-            raise MissingFile(f"no archive at {path}")
-        try:
-            with h5py.File(path, "r") as file:
-                said = file.attrs.get("format"), file.attrs.get("format_version")
-                if said not in ((FORMAT, 2), (FORMAT, FORMAT_VERSION)):
-                    raise InvalidArchive(
-                        f"{path} isn't an archive of format {FORMAT!r} version 2 or"
-                        f" {FORMAT_VERSION}"
-                    )
-                names = _OLD if said[1] == 2 else {name: name for name in _OLD}
-                archive = cls(
-                    visits={
-                        GaussCode.parse(code): int(count)
-                        for code, count in json.loads(file["visits"][()]).items()
-                    },
-                    growth=json.loads(file["growth"][()]),
-                    settings=json.loads(file["settings"][()]),
-                    transitions=(
-                        TransitionCounts.read(file["transitions"])
-                        if "transitions" in file
-                        else TransitionCounts()
-                    ),
+        with opened_hdf5(
+            path,
+            what="archive",
+            format=FORMAT,
+            versions=(2, FORMAT_VERSION),
+            error=InvalidArchive,
+        ) as file:
+            old = file.attrs["format_version"] == 2
+            names = _OLD if old else {name: name for name in _OLD}
+            archive = cls(
+                visits={
+                    GaussCode.parse(code): int(count)
+                    for code, count in json.loads(file["visits"][()]).items()
+                },
+                growth=json.loads(file["growth"][()]),
+                settings=json.loads(file["settings"][()]),
+                transitions=(
+                    TransitionCounts.read(file["transitions"])
+                    if "transitions" in file
+                    else TransitionCounts()
+                ),
+            )
+            ends = np.cumsum(file["length"][()])
+            beads, forces, states = file["beads"][()], file["forces"][()], file["state"][()]
+            if {len(beads), len(forces)} != {int(ends[-1])}:
+                raise InvalidArchive(f"{path} isn't a whole archive: its sequences are cut short")
+            rows = zip(
+                file["code"].asstr()[()],
+                file[names["base_shift"]][()],
+                file["reverse"][()],
+                file[names["objective"]][()],
+                states,
+                np.concatenate([[0], ends[:-1]]),
+                ends,
+                strict=True,
+            )
+            for text, base_shift, reverse, objective, state, start, end in rows:
+                code = GaussCode.parse(text)
+                sequence = ActionSequence(beads[start:end], forces[start:end])
+                elite = Elite(
+                    code, int(base_shift), bool(reverse), sequence, state, float(objective)
                 )
-                ends = np.cumsum(file["length"][()])
-                beads, forces, states = file["beads"][()], file["forces"][()], file["state"][()]
-                if {len(beads), len(forces)} != {int(ends[-1])}:
-                    raise ValueError("its action sequences are cut short")
-                walks = zip(
-                    file["code"].asstr()[()],
-                    file[names["base_shift"]][()],
-                    file["reverse"][()],
-                    file[names["objective"]][()],
-                    strict=True,
-                )
-                for row, (text, base_shift, reverse, objective) in enumerate(walks):
-                    code, start = GaussCode.parse(text), 0 if row == 0 else ends[row - 1]
-                    sequence = ActionSequence(beads[start : ends[row]], forces[start : ends[row]])
-                    elite = Elite(
-                        code,
-                        int(base_shift),
-                        bool(reverse),
-                        sequence,
-                        states[row],
-                        float(objective),
-                    )
-                    archive.niches.setdefault(mirror_images(code)[0], []).append(elite)
-                return archive
-        except InvalidArchive:
-            raise
-        except (
-            OSError,
-            KeyError,
-            RuntimeError,
-            TypeError,
-            ValueError,
-            AttributeError,
-            IndexError,
-        ) as error:  # whatever h5py says to foreign bytes
-            raise InvalidArchive(
-                f"{path} isn't a whole archive: {' '.join(str(error).split())}"
-            ) from error
+                archive.niches.setdefault(mirror_images(code)[0], []).append(elite)
+            return archive
 
     def _elites(self) -> Iterator[Elite]:
         for elites in self.niches.values():

@@ -19,10 +19,12 @@ from knotgym.configuration import check_numbers
 from knotgym.control.action_sequence import NO_ACTIONS, ActionSequence, resting, step_ropes
 from knotgym.generate.states.archive import Elite
 from knotgym.generate.states.hill_climb import HillClimbConfig, hill_climb
-from knotgym.generate.states.search import readings, simulation_of
+from knotgym.generate.states.search import readings
 from knotgym.quality import Limits, Quality, measure, noise_survival
-from knotgym.rope import Array, Rope, RopeConfig, noised
+from knotgym.reset_noise import noised
+from knotgym.rope import Array, Rope, RopeConfig
 from knotgym.simulation import Simulation
+from knotgym.simulation_pool import simulation_of
 from knotgym.streams import generator_of
 from knotgym.topology.crossings import find_crossings, label, label_many
 from knotgym.topology.gauss import GaussCode
@@ -39,8 +41,8 @@ class CandidateConfig:
     Attributes:
         limits: of accepted states.
         hill_climb: how hard to make them legible.
-        start_noise: of the plain loop each begins as, as `rope.noised`; a tenth of a degree makes
-            three sequences in ten miss their code.
+        start_noise: of the plain loop each begins as, as `reset_noise.noised`; a tenth of a degree
+            makes three sequences in ten miss their code.
         best_share: of candidates made from the best-looking elite of their code; the others are
             made from any.
         jitter: of sequences that hold nearly, at most (see `ActionSequence.jittered`).

@@ -26,6 +26,7 @@ from knotgym.rope import Array, Rope, RopeConfig, base_shifts
 from knotgym.runs.engine import Batch
 from knotgym.runs.executors import Pool
 from knotgym.simulation import Simulation
+from knotgym.simulation_pool import simulation_of
 from knotgym.streams import Stream, generator
 from knotgym.topology.crossings import find_crossings, label_many
 from knotgym.topology.gauss import GaussCode
@@ -376,16 +377,3 @@ def _parents(archive: Archive, config: SearchConfig, number: int) -> list[Elite]
     for niche in chosen:
         archive.visits[niche] = archive.visits.get(niche, 0) + 1
     return [able[niche][rng.integers(len(able[niche]))] for niche in chosen]
-
-
-_simulations: dict[tuple[int, RopeConfig], Simulation] = {}
-
-
-def simulation_of(count: int, config: RopeConfig) -> Simulation:
-    """This process's simulation of this size, made once; whoever asks lays or restores every rope
-    before use.
-    """
-    key = count, config
-    if key not in _simulations:
-        _simulations[key] = Simulation(count, Rope(config))
-    return _simulations[key]

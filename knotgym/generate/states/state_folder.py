@@ -15,18 +15,20 @@ import mujoco
 import numpy as np
 
 import knotgym
+from knotgym.actions import steps_taken
 from knotgym.atomic_files import sha256
 from knotgym.datasets.episode_writer import EpisodeWriter
 from knotgym.datasets.gallery import write_gallery
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
+from knotgym.datasets.splits import split
 from knotgym.datasets.state_card import card, summary
 from knotgym.datasets.states import States, write_states
 from knotgym.datasets.trajectory import Episode
 from knotgym.generate.states.candidates import Candidate
-from knotgym.generate.states.curation import split
 from knotgym.generate.states.curation_run import CurationRun
 from knotgym.quality import UNITS, Quality
 from knotgym.rendering.picture import draw_many
+from knotgym.reward import success_at_last
 from knotgym.rope import RopeConfig
 from knotgym.streams import Stream, generator
 from knotgym.tasks import TaskConfig
@@ -194,36 +196,26 @@ def episode_of(candidate: Candidate) -> Episode:
     """
     steps, codes = len(candidate.actions), label_many(candidate.points)
     shown = np.array([code.matches(candidate.code) for code in codes])
-    end = np.arange(steps + 1) == steps
-    beads, forces = _pulled(candidate)
+    beads, forces = steps_taken(candidate.actions, candidate.points, RopeConfig())
+    outcome = success_at_last(steps)
     return Episode(
         start_qpos=candidate.start_qpos,
         points=candidate.points,
         goal_points=candidate.points[-1],
         actions=candidate.actions,
-        rewards=np.where(end[1:], TaskConfig(task="tie").success_reward, 0.0),
-        terminations=end[1:],
-        truncations=np.zeros(steps, dtype=bool),
+        rewards=outcome.rewards,
+        terminations=outcome.terminated,
+        truncations=outcome.truncated,
         gauss_code=np.array([str(code) for code in codes]),
         gauss_code_chiral=np.array([code.chiral for code in codes]),
         crossings=np.array([code.nx for code in codes], dtype=np.int64),
         bead=beads,
         force=forces,
-        is_success=end,
+        is_success=np.concatenate([[False], outcome.terminated]),
         simulation_failed=np.zeros(steps + 1, dtype=bool),
         goal_gauss_code=str(candidate.code),
         policy=POLICY,
         hold=int(np.argmin(shown[:0:-1])) if not shown[1:].all() else steps,
-    )
-
-
-def _pulled(candidate: Candidate) -> tuple[np.ndarray, np.ndarray]:
-    """Bead int64 (T + 1,) and force float64 (T + 1, 3), newtons, that led to each state."""
-    rope = RopeConfig()
-    places = rope.reach * candidate.actions[:, None, :3].astype(np.float64)
-    beads = np.argmin(((candidate.points[:-1] - places) ** 2).sum(axis=2), axis=1)
-    return np.concatenate([[-1], beads]), np.concatenate(
-        [np.zeros((1, 3)), rope.max_force * candidate.actions[:, 3:].astype(np.float64)]
     )
 
 

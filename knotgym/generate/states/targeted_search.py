@@ -13,9 +13,10 @@ from knotgym.control.action_sequence import ActionSequence, step_ropes
 from knotgym.control.planner import PlannerConfig, plan
 from knotgym.control.transition_graph import shipped_transition_graph
 from knotgym.generate.states.archive import Elite
-from knotgym.generate.states.search import SearchConfig, readings, simulation_of
+from knotgym.generate.states.search import SearchConfig, readings
 from knotgym.quality import Limits
 from knotgym.rope import Array
+from knotgym.simulation_pool import simulation_of
 from knotgym.streams import generator_of
 from knotgym.topology.gauss import GaussCode
 

@@ -1,0 +1,139 @@
+"""What `knotgym dataset show` prints of states, of pictures and of episodes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from knotgym.datasets.episode_verification import show_episodes
+from knotgym.datasets.image_card import summary as image_summary
+from knotgym.datasets.image_table import GRADES, shards
+from knotgym.datasets.manifest_check import read_manifest
+from knotgym.datasets.state_card import growth, known_and_accepted, most_first
+from knotgym.datasets.state_card import summary as state_summary
+from knotgym.datasets.states import read_states
+
+
+def print_states(path: str, file: Path, console: Console) -> None:
+    """Print what a state file holds, and what its folder's manifest says of the run.
+
+    Args:
+        path: as the user named it.
+        file: the state file.
+        console: where to.
+    """
+    states = read_states(file, images=False)
+    facts = state_summary(states)
+    report = read_manifest(file.parent)[0].get("report", {})
+    existing = report.get("existing_codes", {})
+    counts = _table(
+        ("nx", "states", "codes", "of", "chiral", "train", "test", "both", "c / a", "actions"),
+        title=f"{path}: {len(states)} states",
+    )
+    for nx, count in facts["nx"].items():
+        counts.add_row(
+            nx,
+            str(count["states"]),
+            str(count["codes"]),
+            str(existing.get(nx, "?")),
+            str(count["codes_with_chirality"]),
+            str(count["train"]),
+            str(count["test"]),
+            str(count["codes_in_both_splits"]),
+            f"{count['positive_crossings']}/{count['negative_crossings']}",
+            "/".join(map(str, count["actions_to_reach"])),
+        )
+    console.print(counts)
+    _say(
+        console,
+        "of: codes there are; chiral: codes with chirality; both: codes in both splits; actions:"
+        " fewest/median/most to reach",
+    )
+    quality = _table(
+        ("measure", "unit", "min", "median", "max"), title="quality", left=("measure", "unit")
+    )
+    for name, spread in facts["quality"].items():
+        numbers = (f"{spread[key]:.3g}" for key in ("min", "median", "max"))
+        quality.add_row(name, spread["unit"], *numbers)
+    console.print(quality)
+    _print_growth(report, console)
+    _print_rejected(report, console)
+
+
+def print_images(path: str, console: Console) -> None:
+    """Print what a perception table holds."""
+    facts, size = image_summary(path), sum(shard.stat().st_size for shard in shards(path))
+    _say(
+        console,
+        f"{path}: {facts['pictures']} pictures, {size / facts['pictures']:.0f} bytes each",
+    )
+    for by in ("nx", "splits"):
+        counts = _table((by, "pictures", "codes", "chiral", "of a code", "accepted", *GRADES))
+        for name, count in facts[by].items():
+            counts.add_row(
+                name,
+                str(count["pictures"]),
+                str(count["codes"]),
+                str(count["codes_with_chirality"]),
+                "/".join(map(str, count["of_a_code"])),
+                str(count["accepted"]),
+                *map(str, count["grade"].values()),
+            )
+        console.print(counts)
+    _say(
+        console,
+        "chiral: codes with chirality; of a code: fewest/most pictures; accepted: as good as"
+        " curated states",
+    )
+    for name, (low, middle, high) in facts["quality"].items():
+        _say(console, f"{name:24} 5 % {low:<9.3g} median {middle:<9.3g} 95 % {high:.3g}")
+    _say(console, f"sizes {facts['sizes']}, colours {facts['colours']}")
+
+
+def print_episodes(path: str, console: Console) -> None:
+    """Print what an episode file or a Minari dataset holds."""
+    for name, value in show_episodes(path).items():
+        _say(console, f"{name:20} {json.dumps(value) if isinstance(value, dict) else value}")
+
+
+def _print_growth(report: Mapping[str, Any], console: Console) -> None:
+    rows = growth(report)
+    if not rows:
+        return
+    grown = _table(
+        ("steps", *(f"nx {nx}" for nx in rows[-1]["known"])),
+        title="growth: codes known to the search / states accepted",
+    )
+    for row in rows:
+        grown.add_row(str(row["steps"]), *known_and_accepted(row))
+    console.print(grown)
+
+
+def _print_rejected(report: Mapping[str, Any], console: Console) -> None:
+    rejected = report.get("rejected", {})
+    if not rejected:
+        return
+    _say(
+        console,
+        f"{report['attempts']} candidates made; rejected, by reason (a candidate can have"
+        " several):",
+    )
+    for nx, reasons in rejected.items():
+        counts = ", ".join(f"{reason} {count}" for reason, count in most_first(reasons))
+        _say(console, f"  nx {nx}: {counts}")
+
+
+def _table(columns: Iterable[str], title: str | None = None, left: Sequence[str] = ()) -> Table:
+    table = Table(title=title, title_justify="left")
+    for column in columns:
+        table.add_column(column, justify="left" if column in left else "right", no_wrap=True)
+    return table
+
+
+def _say(console: Console, line: str) -> None:
+    console.print(line, highlight=False, markup=False, soft_wrap=True)

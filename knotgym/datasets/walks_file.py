@@ -1,0 +1,165 @@
+"""`walks.h5`: the walks that the configurations of a perception table come from.
+
+It holds the states that walks set out from and the steps of every walk that a row comes from, so
+that each configuration can be made again without the archive.
+
+    /       attributes: format, format_version, rope
+    state   float64 (s, nstate)     integration states, each that some walk sets out from
+    number  int64 (w,)              of the walk, as rows name it
+    start   int64 (w,)              row of `state`
+    beads   int16 (w, T)            stepped, one after the other
+    forces  float32 (w, T, 3)       in units of the largest force; a shorter walk ends with zeros
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.atomic_files import atomic_write, new_hdf5
+from knotgym.errors import KnotgymError
+from knotgym.hdf5_files import opened_hdf5
+from knotgym.rope import Array, RopeConfig
+from knotgym.simulation_pool import simulation_of
+
+FORMAT = "knotgym-walks"
+FORMAT_VERSION = 1
+
+_COMPRESSED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
+
+
+class InvalidWalks(KnotgymError, ValueError):
+    """A file that holds no walks this version can make again."""
+
+
+class WalksMade(Protocol):
+    """Walks as they were made.
+
+    Attributes:
+        numbers, bases: int64 (w,), of the walk and of the state it set out from.
+        beads, forces: as in `Walks`.
+    """
+
+    @property
+    def numbers(self) -> NDArray[np.int64]: ...
+    @property
+    def bases(self) -> NDArray[np.int64]: ...
+    @property
+    def beads(self) -> NDArray[np.int16]: ...
+    @property
+    def forces(self) -> NDArray[np.float32]: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Walks:
+    """The columns of the file, by name; see the module."""
+
+    state: Array
+    number: NDArray[np.int64]
+    start: NDArray[np.int64]
+    beads: NDArray[np.int16]
+    forces: NDArray[np.float32]
+
+
+def walks_of(states: Array, made: Sequence[WalksMade], used: set[int]) -> Walks:
+    """The walks whose numbers are used, of all that were made.
+
+    Args:
+        states: float64 (n, nstate), that `bases` count in.
+        made: in any pieces.
+        used: numbers of walks, at least one.
+    """
+    walks = [
+        (number, piece, row)
+        for piece in made
+        for row, number in enumerate(piece.numbers.tolist())
+        if number in used
+    ]
+    bases, start = np.unique([piece.bases[row] for _, piece, row in walks], return_inverse=True)
+    longest = max(piece.beads.shape[1] for _, piece, _ in walks)
+    return Walks(
+        state=states[bases],
+        number=np.array([number for number, _, _ in walks], dtype=np.int64),
+        start=start.astype(np.int64),
+        beads=np.stack([_padded(piece.beads[row], longest) for _, piece, row in walks]),
+        forces=np.stack([_padded(piece.forces[row], longest) for _, piece, row in walks]),
+    )
+
+
+def joined_walks(pieces: Sequence[Walks]) -> Walks:
+    """The walks of several files, whose numbers differ, one file after the other."""
+    firsts = np.cumsum([0, *(len(piece.state) for piece in pieces[:-1])])
+    longest = max(piece.beads.shape[1] for piece in pieces)
+    return Walks(
+        state=np.concatenate([piece.state for piece in pieces]),
+        number=np.concatenate([piece.number for piece in pieces]),
+        start=np.concatenate(
+            [piece.start + first for piece, first in zip(pieces, firsts, strict=True)]
+        ),
+        beads=np.concatenate(
+            [np.stack([_padded(walk, longest) for walk in piece.beads]) for piece in pieces]
+        ),
+        forces=np.concatenate(
+            [np.stack([_padded(walk, longest) for walk in piece.forces]) for piece in pieces]
+        ),
+    )
+
+
+def write_walks(path: str | os.PathLike[str], walks: Walks) -> None:
+    """Write the file; it appears whole or not at all."""
+    with atomic_write(path) as temporary, new_hdf5(temporary) as file:
+        file.attrs["format"], file.attrs["format_version"] = FORMAT, FORMAT_VERSION
+        file.attrs["rope"] = RopeConfig().fingerprint
+        for name, column in vars(walks).items():
+            options = {} if name in ("number", "start") else _COMPRESSED
+            file.create_dataset(name, data=column, **options)
+
+
+def read_walks(path: str | os.PathLike[str]) -> Walks:
+    """Read the file.
+
+    Raises:
+        MissingFile: there is none.
+        InvalidWalks: foreign, truncated, of a format this version doesn't know, or of another rope.
+    """
+    with opened_hdf5(
+        path, what="file of walks", format=FORMAT, versions=(FORMAT_VERSION,), error=InvalidWalks
+    ) as file:
+        rope = file.attrs["rope"]
+        if rope != RopeConfig().fingerprint:
+            raise InvalidWalks(
+                f"{path} was made with rope model {rope}, this version has"
+                f" {RopeConfig().fingerprint}"
+            )
+        return Walks(**{name: file[name][()] for name in Walks.__dataclass_fields__})
+
+
+def retrace(states: Array, beads: NDArray[np.int16], forces: NDArray[np.float32]) -> Array:
+    """Make walks again: where each rope was after every step.
+
+    Args:
+        states: float64 (w, nstate), where they begin.
+        beads, forces: as in `Walks`.
+
+    Returns:
+        float64 (w, T + 1, beads, 3), metres.
+    """
+    simulation = simulation_of(len(states), RopeConfig())
+    simulation.restore(states)
+    largest = simulation.rope.config.max_force
+    frames = [simulation.points.copy()]
+    for step in range(beads.shape[1]):
+        pulls = largest * forces[:, step].astype(np.float64)
+        simulation.act(simulation.actions(beads[:, step], pulls))
+        frames.append(simulation.points.copy())
+    return np.stack(frames, axis=1)
+
+
+def _padded(steps: NDArray[np.generic], longest: int) -> NDArray[np.generic]:
+    """The steps of a walk, then as many without force, which no row looks at, as make `longest`."""
+    return np.pad(steps, [(0, longest - len(steps)), *[(0, 0)] * (steps.ndim - 1)])

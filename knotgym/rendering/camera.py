@@ -1,0 +1,213 @@
+"""Where the camera of a picture stands, what it shows where, and how the beads are coloured.
+
+The camera looks straight down z at the rope's centre of mass. Pixel coordinates are continuous, x
+to the right and y down: pixel (row, column) covers [column, column + 1) x [row, row + 1), so its
+centre lies at (column + 0.5, row + 0.5). Image right is world +x, image up is world +y.
+Source: arXiv 2505.18028 (camera, colours).
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from knotgym.errors import KnotgymError
+
+RGB = tuple[int, int, int]
+
+_NEAR = 0.01  # metres; nothing nearer to the perspective camera is seen
+
+
+class PictureError(KnotgymError, ValueError):
+    """A picture was asked for that cannot be drawn."""
+
+
+def require(met: bool, rule: str, given: object) -> None:
+    """Raise PictureError, with the rule and what was given, unless it is met."""
+    if not met:
+        raise PictureError(f"{rule}, got {given!r}")
+
+
+def _is_int(value: object) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _rgb(name: str, value: Any) -> RGB:
+    levels = tuple(value) if isinstance(value, tuple | list) else ()
+    require(
+        len(levels) == 3 and all(_is_int(level) and 0 <= level <= 255 for level in levels),
+        f"{name} must be three levels from 0 to 255",
+        value,
+    )
+    return levels[0], levels[1], levels[2]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PictureConfig:
+    """What a picture shows; together with the points it determines every byte of it.
+
+    Attributes:
+        size: pixels, both sides, 16 to 4096.
+        view: metres that a side of the orthographic picture shows.
+        camera: "orthographic" (parallel to z, so that the picture shows the crossings that the
+            Gauss code names) or "perspective" (published).
+        camera_height: metres of the perspective camera above the centre of mass.
+        fovy: vertical field of view of the perspective camera, degrees.
+        turn: radians by which the camera is turned about z, anticlockwise seen from above; the rope
+            appears turned the other way.
+        zoom: magnification about the picture's centre.
+        rope_radius: metres.
+        width: factor on the rope's radius, in the picture alone.
+        colours: "published" (see bead_colours) or one RGB for the whole rope, whose base bead stays
+            white.
+        background: RGB.
+        renderer: "opencv" (needs no GL), "mujoco" (the same picture by OpenGL), or "auto", which is
+            "opencv".
+        supersampling: samples along each side of a pixel, averaged; 1 to 8.
+
+    Raises:
+        PictureError: a value is out of range.
+    """
+
+    size: int = 128
+    view: float = 0.66
+    camera: Literal["orthographic", "perspective"] = "orthographic"
+    camera_height: float = 0.8
+    fovy: float = 45.0
+    turn: float = 0.0
+    zoom: float = 1.0
+    rope_radius: float = 0.005
+    width: float = 1.0
+    colours: Literal["published"] | RGB = "published"
+    background: RGB = (0, 0, 0)
+    renderer: Literal["auto", "opencv", "mujoco"] = "auto"
+    supersampling: int = 4
+
+    def __post_init__(self) -> None:
+        require(
+            _is_int(self.size) and 16 <= self.size <= 4096,
+            "size must be a whole number of pixels from 16 to 4096",
+            self.size,
+        )
+        require(
+            _is_int(self.supersampling) and 1 <= self.supersampling <= 8,
+            "supersampling must be a whole number from 1 to 8",
+            self.supersampling,
+        )
+        for name in ("view", "camera_height", "zoom", "rope_radius", "width"):
+            require(
+                0.0 < getattr(self, name) < math.inf,
+                f"{name} must be positive and finite",
+                getattr(self, name),
+            )
+        require(0.0 < self.fovy < 180.0, "fovy must lie between 0 and 180 degrees", self.fovy)
+        require(math.isfinite(self.turn), "turn must be finite", self.turn)
+        require(
+            self.camera in ("orthographic", "perspective"),
+            "camera must be 'orthographic' or 'perspective'",
+            self.camera,
+        )
+        require(
+            self.renderer in ("auto", "opencv", "mujoco"),
+            "renderer must be 'auto', 'opencv' or 'mujoco'",
+            self.renderer,
+        )
+        object.__setattr__(self, "background", _rgb("background", self.background))
+        if self.colours != "published":
+            object.__setattr__(self, "colours", _rgb("colours", self.colours))
+
+    @property
+    def pixels_per_metre(self) -> float:
+        """Scale of the picture; in perspective, at the height of the centre of mass."""
+        if self.camera == "orthographic":
+            return self.zoom * self.size / self.view
+        shown = 2.0 * self.camera_height * math.tan(math.radians(self.fovy) / 2.0)  # metres
+        return self.zoom * self.size / shown
+
+    @property
+    def drawn_radius(self) -> float:
+        """Radius of the rope as drawn, metres."""
+        return self.rope_radius * self.width
+
+
+DEFAULT = PictureConfig()
+
+
+def bead_colours(beads: int) -> NDArray[np.uint8]:
+    """Colour the beads round the colour circle, the base bead white.
+
+    Returns:
+        uint8, shape (beads, 3), RGB: 0.5 + 0.5 sin(2 pi (i / beads + (0, 0.33, 0.67))) of 255, to
+        the nearest.
+
+    >>> bead_colours(100)[[0, 25]].tolist()  # the base bead; red, a quarter of the way along
+    [[255, 255, 255], [255, 66, 66]]
+    """
+    place = np.arange(beads)[:, None] / beads
+    wave = 0.5 + 0.5 * np.sin(2.0 * np.pi * (place + np.array([0.0, 0.33, 0.67])))
+    colours: NDArray[np.uint8] = np.rint(255.0 * wave).astype(np.uint8)
+    colours[:1] = 255
+    return colours
+
+
+def rope_colours(beads: int, config: PictureConfig = DEFAULT) -> NDArray[np.uint8]:
+    """The colours that config gives to a rope: uint8, shape (beads, 3), RGB, the caller's."""
+    if config.colours == "published":
+        return bead_colours(beads)
+    colours = np.tile(np.array(config.colours, dtype=np.uint8), (beads, 1))
+    colours[:1] = 255
+    return colours
+
+
+def project(
+    points: ArrayLike, config: PictureConfig = DEFAULT, center: ArrayLike | None = None
+) -> NDArray[np.float64]:
+    """Where points of the world appear in the picture.
+
+    Args:
+        points: float, shape (n, 3), metres, world frame.
+        center: shape (3,), metres: the world point in the middle of the picture. By default the
+            mean of the points; for anything but the whole rope, hand in the rope's mean.
+
+    Returns:
+        float64, shape (n, 2): pixel coordinates (x right, y down; see the module). They may lie
+        outside the picture; they are NaN for points less than 1 cm in front of the perspective
+        camera, or behind it.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    middle = points.mean(axis=0) if center is None else np.asarray(center, dtype=np.float64)
+    offset = points - middle
+    right, up = offset[:, 0], offset[:, 1]
+    if config.turn != 0.0:
+        cos, sin = math.cos(config.turn), math.sin(config.turn)
+        right, up = cos * right + sin * up, cos * up - sin * right
+    scale = pixels_per_metre_at(offset, config)
+    return np.stack([0.5 * config.size + scale * right, 0.5 * config.size - scale * up], axis=-1)
+
+
+def pixels_per_metre_at(offset: NDArray[np.float64], config: PictureConfig) -> NDArray[np.float64]:
+    """Scale of the picture at points (n, 3) given from the centre of mass.
+
+    Returns:
+        float64, shape (n,), NaN where the camera sees nothing.
+    """
+    if config.camera == "orthographic":
+        return np.full(len(offset), config.pixels_per_metre)
+    depth = config.camera_height - offset[:, 2]
+    return config.pixels_per_metre * config.camera_height / np.where(depth > _NEAR, depth, np.nan)
+
+
+def checked_points(points: ArrayLike, axes: int) -> NDArray[np.float64]:
+    """One rope (axes 2) or many (axes 3) that can be drawn, float64; else raise PictureError."""
+    points = np.asarray(points, dtype=np.float64)
+    form = "(beads, 3)" if axes == 2 else "(m, beads, 3)"
+    fits = points.ndim == axes and points.shape[-1] == 3 and points.shape[-2] >= 3
+    require(fits, f"points must have shape {form}, at least 3 beads", points.shape)
+    if not np.isfinite(points).all():
+        raise PictureError(
+            f"points must be finite, got {int((~np.isfinite(points)).sum())} coordinates that"
+            " are not"
+        )
+    return points

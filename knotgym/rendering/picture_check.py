@@ -1,0 +1,123 @@
+"""The check that a picture tells the truth: which strand it shows on top at each crossing."""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from knotgym.rendering.camera import (
+    DEFAULT,
+    PictureConfig,
+    PictureError,
+    checked_points,
+    rope_colours,
+)
+from knotgym.rendering.picture import crossing_pixels
+from knotgym.topology.crossings import Crossings
+
+
+def shown_strands(
+    image: NDArray[np.uint8],
+    crossings: Crossings,
+    points: ArrayLike,
+    config: PictureConfig = DEFAULT,
+    *,
+    colours: NDArray[np.uint8] | None = None,
+    window: float = 2.0,
+    colour_gap: float = 25.0,
+) -> NDArray[np.str_]:
+    """Read off a picture which strand lies on top at each crossing.
+
+    The pixel that holds the crossing is compared with the colours of the two beads that cross and
+    of their neighbours along the rope (all the blends of two neighbours count, for a pixel can
+    straddle a joint); the nearer strand is the one shown.
+
+    Args:
+        image: uint8, shape (size, size, 3), drawn from points with config and colours,
+            orthographic.
+        crossings: those of points.
+        points: float64, shape (beads, 3), metres.
+        window: beads along the rope, either way, that count as the same strand.
+        colour_gap: RGB levels (Euclidean) below which the colours of two crossing beads are too
+            alike to tell; beads 1, 2, 3 apart along a published rope of 100 differ by 10, 20, 29.
+
+    Returns:
+        str, shape (n,): "over" (the picture is right), "under" (it is wrong), or "ambiguous" where
+        the pixel cannot tell: it is outside the picture; the two beads' colours are within
+        colour_gap; or a third strand that is higher than the over strand runs so near (its axis
+        within the drawn radius and half a pixel's diagonal of the crossing) that it may cover the
+        pixel.
+
+    Raises:
+        PictureError: config's camera is not orthographic, so that the picture's crossings are
+            others; or its pixels are larger than 1.1 drawn radii, so that the over strand need not
+            fill most of a crossing's pixel.
+    """
+    if config.camera != "orthographic":
+        raise PictureError(
+            "only an orthographic picture shows the crossings of the code; this one's camera is"
+            f" {config.camera!r}"
+        )
+    pixel = 1.0 / config.pixels_per_metre
+    if pixel > 1.1 * config.drawn_radius:
+        raise PictureError(
+            f"pixels of {1e3 * pixel:.1f} mm are too coarse to read a rope drawn"
+            f" {1e3 * config.drawn_radius:.1f} mm in radius; draw it with size at least"
+            f" {math.ceil(config.size * pixel / (1.1 * config.drawn_radius))}"
+        )
+    points = checked_points(points, 2)
+    palette = (rope_colours(len(points), config) if colours is None else colours).astype(np.float64)
+    reach = config.drawn_radius + math.sqrt(0.5) * pixel
+    shown = np.full(len(crossings.position), "ambiguous", dtype="<U9")
+    pixels = np.floor(crossing_pixels(crossings, points, config)).astype(int)
+    for k, (column, row) in enumerate(pixels):
+        over = float(crossings.over_place[k]) % len(points)
+        under = float(crossings.under_place[k]) % len(points)
+        if not (0 <= row < config.size and 0 <= column < config.size):
+            continue
+        if np.linalg.norm(palette[int(over)] - palette[int(under)]) < colour_gap:
+            continue
+        third = _third_strand_height(points, crossings.position[k], (over, under), reach, window)
+        if third > crossings.over_z[k]:
+            continue
+        seen = image[row, column].astype(np.float64)
+        to_over = _distance_to_strand(seen, palette, int(over))
+        to_under = _distance_to_strand(seen, palette, int(under))
+        shown[k] = "over" if to_over < to_under else "under"
+    return shown
+
+
+def _third_strand_height(
+    points: NDArray[np.float64],
+    position: NDArray[np.float64],
+    places: tuple[float, float],
+    reach: float,
+    window: float,
+) -> float:
+    """Greatest height at which another strand comes within reach of a position; else -inf.
+
+    The stretches of the rope within window of the two places are left out.
+    """
+    beads = len(points)
+    fraction = np.linspace(0.0, 1.0, 5)[:-1]
+    place = (np.arange(beads)[:, None] + fraction).ravel()
+    away = np.min([np.abs((place - own + beads / 2) % beads - beads / 2) for own in places], axis=0)
+    samples = (
+        points[:, None] + fraction[:, None] * (np.roll(points, -1, axis=0) - points)[:, None]
+    ).reshape(-1, 3)
+    near = (np.hypot(*(samples[:, :2] - position).T) < reach) & (away > window)
+    return float(samples[near, 2].max()) if near.any() else -math.inf
+
+
+def _distance_to_strand(
+    seen: NDArray[np.float64], palette: NDArray[np.float64], bead: int
+) -> float:
+    """RGB distance from a colour to the path through the colours of a bead and its neighbours."""
+    path = palette[np.arange(bead - 1, bead + 2) % len(palette)]
+    step = np.diff(path, axis=0)
+    fraction = np.clip(
+        np.sum((seen - path[:-1]) * step, axis=1) / np.maximum(np.sum(step * step, axis=1), 1e-9),
+        0.0,
+        1.0,
+    )
+    return float(np.linalg.norm(seen - path[:-1] - fraction[:, None] * step, axis=1).min())
