@@ -5,6 +5,7 @@ that links lead somewhere.
 from __future__ import annotations
 
 import ast
+import hashlib
 import importlib
 import importlib.util
 import inspect
@@ -316,6 +317,32 @@ def test_the_episode_file_is_as_its_page_says(dataset: Path) -> None:
         episode = file["episode_0"]
         assert names(said["Attributes of an episode"]) - {"hold"} == {*episode.attrs}
         check_datasets("episodes.md", "Datasets of an episode", episode)
+
+
+def test_the_digest_is_made_as_the_page_of_episodes_says(dataset: Path) -> None:
+    page = (DOCS / "formats/episodes.md").read_text(encoding="utf-8")
+    found = re.search(r"in the order (.*?):", page, re.S)
+    assert found is not None
+    with h5py.File(dataset / "main_data.hdf5") as file:
+        episode = file["episode_0"]
+        said = dict(episode.attrs)
+        labels = {
+            "goal_gauss_code": said["goal_gauss_code"],
+            "hold": int(said["hold"]) if "hold" in said else None,
+            "options": {name: int(said[f"options/{name}"]) for name in ("start", "goal")},
+            "policy": said["policy"],
+            "relabelled": bool(said["relabelled"]),
+            "seed": int(said["seed"]),
+        }
+        hashed = hashlib.sha256(json.dumps(labels, sort_keys=True).encode())
+        by_name = {name.rpartition("/")[2]: data for name, data in datasets_of(episode).items()}
+        for name in re.split(r",\s+", found[1]):
+            values = by_name[name][()]
+            text = values.dtype.kind == "S"
+            code = "U" if text else values.dtype.str
+            data = b"\n".join(values.tolist()) if text else values.tobytes()
+            hashed.update(f"{name} {values.shape} {code} ".encode() + data)
+    assert hashed.hexdigest() == said["digest"]
 
 
 def test_minari_s_metadata_are_as_their_page_says(dataset: Path) -> None:
