@@ -1,22 +1,82 @@
 """knotgym: a closed rope in MuJoCo, goals that are Gauss codes, and the data to learn to tie them.
 
 Importing this registers the environments knotgym/Unknot-v0, knotgym/Tie-v0 and knotgym/Convert-v0
-with Gymnasium.
+with Gymnasium; the names below are imported when they are first used.
 """
 
 from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING
 
 import gymnasium
 
-from knotgym.errors import KnotgymError
-from knotgym.topology.gauss import GaussCode
+if TYPE_CHECKING:
+    from knotgym.datasets.states import InvalidStates, States, read_states, shipped
+    from knotgym.datasets.verification import verify
+    from knotgym.env import KnotEnv, KnotVectorEnv
+    from knotgym.errors import KnotgymError
+    from knotgym.rendering.picture import PictureConfig, draw
+    from knotgym.rope import InvalidCurve, Rope, RopeConfig
+    from knotgym.simulation import InvalidAction
+    from knotgym.tasks import InvalidSetting, TaskConfig
+    from knotgym.topology.crossings import InvalidPoints, label
+    from knotgym.topology.gauss import GaussCode, InvalidGaussCode
+else:
+    from knotgym.lazy_exports import lazy_exports
+
+    __getattr__, __dir__ = lazy_exports(
+        __name__,
+        {
+            "GaussCode": "knotgym.topology.gauss",
+            "InvalidAction": "knotgym.simulation",
+            "InvalidCurve": "knotgym.rope",
+            "InvalidGaussCode": "knotgym.topology.gauss",
+            "InvalidPoints": "knotgym.topology.crossings",
+            "InvalidSetting": "knotgym.tasks",
+            "InvalidStates": "knotgym.datasets.states",
+            "KnotEnv": "knotgym.env",
+            "KnotVectorEnv": "knotgym.env",
+            "KnotgymError": "knotgym.errors",
+            "PictureConfig": "knotgym.rendering.picture",
+            "Rope": "knotgym.rope",
+            "RopeConfig": "knotgym.rope",
+            "States": "knotgym.datasets.states",
+            "TaskConfig": "knotgym.tasks",
+            "draw": "knotgym.rendering.picture",
+            "label": "knotgym.topology.crossings",
+            "read_states": "knotgym.datasets.states",
+            "shipped": "knotgym.datasets.states",
+            "verify": "knotgym.datasets.verification",
+        },
+    )
 
 try:
     __version__ = version("knotgym")
 except PackageNotFoundError:  # a checkout that isn't installed
     __version__ = "0+unknown"
 
-__all__ = ["GaussCode", "KnotgymError", "__version__"]
+__all__ = [
+    "GaussCode",
+    "InvalidAction",
+    "InvalidCurve",
+    "InvalidGaussCode",
+    "InvalidPoints",
+    "InvalidSetting",
+    "InvalidStates",
+    "KnotEnv",
+    "KnotVectorEnv",
+    "KnotgymError",
+    "PictureConfig",
+    "Rope",
+    "RopeConfig",
+    "States",
+    "TaskConfig",
+    "__version__",
+    "draw",
+    "label",
+    "read_states",
+    "shipped",
+    "verify",
+]
 
 for _task in ("unknot", "tie", "convert"):
     gymnasium.register(

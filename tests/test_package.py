@@ -137,11 +137,6 @@ def test_nothing_is_imported_through_the_links() -> None:
     assert imported(f"import {names}") & {"generate", "datasets", "loaders"} == set()
 
 
-def test_public_names_are_these() -> None:
-    assert sorted(knotgym.__all__) == ["GaussCode", "KnotgymError", "__version__"]
-    assert all(hasattr(knotgym, name) for name in knotgym.__all__)
-
-
 def test_the_version_is_that_of_the_distribution() -> None:
     assert knotgym.__version__ == importlib.metadata.version("knotgym")
 

@@ -9,13 +9,37 @@ Every loader takes a dataset as a Minari id, a folder, an episode file (compact 
     relabel         "last" or "all": hindsight, the code reached becomes the goal (see
                     `Transitions`)
 
-Torch, d3rlpy and TensorDict are imported only by the loaders that are for them.
+Torch, d3rlpy and TensorDict are imported only by the loaders that are for them; the names below
+when they are first used.
 """
 
-from knotgym.loaders.converters import MissingExtra, to_d3rlpy, to_tensordict, torch_dataset
-from knotgym.loaders.perception import images
-from knotgym.loaders.rows import arrays
-from knotgym.loaders.transitions import Transitions
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from knotgym.loaders.converters import (
+        MissingExtra,
+        to_d3rlpy,
+        to_tensordict,
+        torch_dataset,
+    )
+    from knotgym.loaders.perception import images
+    from knotgym.loaders.rows import arrays
+    from knotgym.loaders.transitions import Transitions
+else:
+    from knotgym.lazy_exports import lazy_exports
+
+    __getattr__, __dir__ = lazy_exports(
+        __name__,
+        {
+            "MissingExtra": "knotgym.loaders.converters",
+            "Transitions": "knotgym.loaders.transitions",
+            "arrays": "knotgym.loaders.rows",
+            "images": "knotgym.loaders.perception",
+            "to_d3rlpy": "knotgym.loaders.converters",
+            "to_tensordict": "knotgym.loaders.converters",
+            "torch_dataset": "knotgym.loaders.converters",
+        },
+    )
 
 __all__ = [
     "MissingExtra",

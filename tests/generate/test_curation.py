@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from knotgym.datasets.near_duplicates import NEAR, distances
 from knotgym.datasets.splits import split
 from knotgym.datasets.states import States
-from knotgym.topology.knots import codes_of, is_near_duplicate
+from knotgym.generate.states.curation import is_near_duplicate
+from knotgym.topology.knots import codes_of
 from knotgym.reset_noise import noised
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import knot_type

@@ -1,0 +1,58 @@
+"""Whether a dataset of any kind tells the truth: one function that finds out what a path or an id
+holds and asks the check that is for it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import h5py
+
+from knotgym.datasets.episode_verification import verify_episodes
+from knotgym.datasets.image_table import is_images
+from knotgym.datasets.state_verification import folder_faults, state_faults
+from knotgym.datasets.states import FORMAT, read_states
+
+
+def verify(source: str | os.PathLike[str]) -> list[str]:
+    """Check everything that a dataset says: checksums, schema, labels by two labellers, replays bit
+    for bit, pictures, splits.
+
+    Args:
+        source: a folder or a file that knotgym wrote, or the id of a Minari dataset.
+
+    Returns:
+        Faults, each naming the file and where it can the row or step; empty when all is well.
+
+    Raises:
+        FileNotFoundError: there is nothing at `source`.
+        MissingArrow: it is a perception table and pyarrow isn't installed.
+    """
+    return list(faults(source))
+
+
+def faults(source: str | os.PathLike[str]) -> Iterator[str]:
+    """As `verify`, each fault as soon as it is found."""
+    given = Path(source)
+    if is_images(given):
+        # here, because it alone needs pyarrow and the walks' simulation
+        from knotgym.datasets.image_verification import image_faults
+
+        yield from image_faults(given)
+    elif given.is_dir() and any((given / n).is_file() for n in ("manifest.json", "states.h5")):
+        yield from folder_faults(given)
+    elif given.is_file() and _format(given) in (FORMAT, None):
+        yield from state_faults(read_states(given))
+    else:
+        yield from verify_episodes(str(source), act_out=True, threads=0)
+
+
+def _format(path: Path) -> str | None:
+    """What an HDF5 file says it is; None if it says nothing or isn't one."""
+    try:
+        with h5py.File(path, "r") as file:
+            return None if "format" not in file.attrs else str(file.attrs["format"])
+    except OSError:
+        return None

@@ -1,0 +1,209 @@
+"""The public names: all there, listed once more by hand, light to import, and seen by mypy."""
+
+import ast
+import importlib
+import importlib.util
+import pkgutil
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+from typing import Any, assert_type
+
+import h5py
+import numpy as np
+import pytest
+
+import knotgym
+from knotgym.datasets.states import States, write_states
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("knotgym", "knotgym.datasets", "knotgym.generate", "knotgym.loaders")
+EAGER = {"__version__"}  # all others are imported when they are first used
+
+
+def package(name: str) -> ModuleType:
+    return importlib.import_module(name)
+
+
+def tree_of(name: str) -> ast.Module:
+    return ast.parse(Path(package(name).__file__ or "").read_text(encoding="utf-8"))
+
+
+def checked_imports(name: str) -> dict[str, str]:
+    """What a package imports for type checkers: public name -> "module:name"."""
+    (guard,) = (node for node in tree_of(name).body if isinstance(node, ast.If))
+    assert ast.unparse(guard.test) == "TYPE_CHECKING"
+    return {
+        alias.asname or alias.name: f"{node.module}:{alias.name}"
+        for node in guard.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+
+
+def lazy_imports(name: str) -> dict[str, str]:
+    """What a package imports when it is asked: public name -> "module:name"."""
+    tables = [node for node in ast.walk(tree_of(name)) if isinstance(node, ast.Dict)]
+    table: dict[str, str] = ast.literal_eval(tables[0])
+    return {
+        public: place if ":" in place else f"{place}:{public}" for public, place in table.items()
+    }
+
+
+def modules_after(statement: str) -> set[str]:
+    """The modules that a fresh interpreter holds after a statement."""
+    code = f"import sys\n{statement}\nprint(*sys.modules)"
+    run = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    return set(run.stdout.split())
+
+
+def test_the_names_a_user_needs_are_there() -> None:
+    assert {
+        "GaussCode",
+        "KnotEnv",
+        "KnotVectorEnv",
+        "KnotgymError",
+        "Rope",
+        "TaskConfig",
+        "__version__",
+        "draw",
+        "label",
+        "read_states",
+        "shipped",
+        "verify",
+    } <= set(knotgym.__all__)
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_public_names_are_sorted_and_listed_once(name: str) -> None:
+    names = package(name).__all__
+    assert names == sorted(set(names))
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_type_checkers_and_the_interpreter_see_the_same_names(name: str) -> None:
+    assert checked_imports(name) == lazy_imports(name)
+    assert {*lazy_imports(name), *EAGER} & {*package(name).__all__} == {*package(name).__all__}
+    assert {*lazy_imports(name)} <= {*package(name).__all__}
+
+
+@pytest.mark.parametrize(
+    ("name", "public"), [(name, public) for name in PACKAGES for public in package(name).__all__]
+)
+def test_a_public_name_is_what_its_module_holds(name: str, public: str) -> None:
+    if public in EAGER:
+        assert isinstance(getattr(package(name), public), str)
+        return
+    module, _, there = lazy_imports(name)[public].partition(":")
+    assert getattr(package(name), public) is getattr(importlib.import_module(module), there)
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_a_public_name_is_never_that_of_a_module_beside_it(name: str) -> None:
+    # whichever came last, the module or the name, would be what the package gives
+    beside = {module.name for module in pkgutil.iter_modules(package(name).__path__)}
+    assert beside & {*package(name).__all__} == set()
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_dir_lists_the_public_names_and_a_wrong_one_is_refused(name: str) -> None:
+    assert {*package(name).__all__} <= {*dir(package(name))}
+    with pytest.raises(AttributeError, match=f"module '{name}' has no attribute 'knotty'"):
+        _ = package(name).knotty
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_importing_a_package_imports_nothing_heavy(name: str) -> None:
+    heavy = {"cv2", "dask", "h5py", "minari", "mujoco", "numba", "pyarrow", "rich", "torch"}
+    assert modules_after(f"import {name}") & heavy == set()
+
+
+def test_every_error_a_user_catches_is_a_knotgym_error() -> None:
+    for name in PACKAGES:
+        for public in package(name).__all__:
+            found = getattr(package(name), public)
+            if isinstance(found, type) and issubclass(found, Exception):
+                assert issubclass(found, knotgym.KnotgymError), public
+
+
+SNIPPET = """\
+import knotgym, knotgym.datasets, knotgym.generate, knotgym.loaders
+
+reveal_type(knotgym.read_states)
+reveal_type(knotgym.verify)
+reveal_type(knotgym.label)
+reveal_type(knotgym.datasets.EpisodeReader)
+reveal_type(knotgym.generate.collect)
+reveal_type(knotgym.loaders.arrays)
+knotgym.knotty
+"""
+
+
+@pytest.mark.slow  # with nothing cached mypy reads the whole package
+@pytest.mark.skipif(importlib.util.find_spec("mypy") is None, reason="mypy isn't installed")
+def test_mypy_sees_the_types_and_refuses_a_wrong_name(tmp_path: Path) -> None:
+    (tmp_path / "snippet.py").write_text(SNIPPET, encoding="utf-8")
+    run = subprocess.run(
+        [
+            *(sys.executable, "-m", "mypy", "--no-error-summary", "--hide-error-context"),
+            *("--config-file", ROOT / "pyproject.toml", "--cache-dir", ROOT / ".mypy_cache"),
+            tmp_path / "snippet.py",
+        ],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
+    lines = run.stdout.splitlines()
+    assert "Module has no attribute" in lines.pop(), run.stdout + run.stderr
+    assert len(lines) == 6 and not any(
+        'Revealed type is "Any"' in line or "def (*Any" in line for line in lines
+    ), run.stdout
+    assert "-> list[str]" in lines[1].replace("builtins.", "")
+
+
+def test_verify_names_what_is_wrong(states: States, tmp_path: Path) -> None:
+    write_states(tmp_path / "states.h5", states)
+    assert any("source/start_qpos" in fault for fault in knotgym.verify(tmp_path))
+
+
+def test_verify_asks_the_check_that_is_for_what_is_there(tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.setattr(
+        "knotgym.datasets.verification.verify_episodes", lambda source, **_: [f"{source} bad"]
+    )
+    with h5py.File(tmp_path / "tie.h5", "w") as file:
+        file.attrs["format"] = "knotgym-episodes"
+    assert knotgym.verify(tmp_path / "tie.h5") == [f"{tmp_path / 'tie.h5'} bad"]
+    assert knotgym.verify("knotgym/tie-nx2/expert-v0") == ["knotgym/tie-nx2/expert-v0 bad"]
+    monkeypatch.setattr(
+        "knotgym.datasets.image_verification.image_faults", lambda path: iter([f"{path.name} bad"])
+    )
+    (tmp_path / "train.parquet").write_bytes(b"PAR1")
+    assert knotgym.verify(tmp_path / "train.parquet") == ["train.parquet bad"]
+    (tmp_path / "made").mkdir()
+    (tmp_path / "made" / "manifest.json").write_text("{}")
+    monkeypatch.setattr(
+        "knotgym.datasets.verification.folder_faults", lambda path: iter([f"{path.name} bad"])
+    )
+    assert knotgym.verify(tmp_path / "made") == ["made bad"]
+
+
+def test_verify_refuses_a_path_where_there_is_nothing(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match="no episodes at"):
+        knotgym.verify(tmp_path / "nothing")
+
+
+def test_types_are_what_mypy_is_told() -> None:
+    """Where mypy reads this file, it checks these too."""
+    assert_type(knotgym.label(knotgym.Rope().loop()), knotgym.GaussCode)
+    assert_type(knotgym.read_states(knotgym.shipped(), images=False), knotgym.States)
+    assert_type(knotgym.TaskConfig(task="tie").nx, int)
+
+
+def test_draw_and_label_take_a_rope_as_it_lies() -> None:
+    points = knotgym.Rope().loop()
+    picture = knotgym.draw(points, knotgym.PictureConfig(size=64))
+    assert picture.shape == (64, 64, 3) and picture.dtype == np.uint8
+    assert knotgym.label(points) == knotgym.GaussCode(())

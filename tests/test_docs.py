@@ -1,0 +1,426 @@
+"""What people read: that examples run, that tables name what files and environments really have,
+that links lead somewhere.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib
+import importlib.util
+import inspect
+import json
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import h5py
+import numpy as np
+import pytest
+import typer.main
+from gymnasium.vector import AutoresetMode
+from typer.testing import CliRunner
+
+import knotgym
+from knotgym.cli.main import app
+from knotgym.control import transition_counts
+from knotgym.control.learned_policies import load_model
+from knotgym.datasets import episode_reader, image_table, states
+from knotgym.generate.states import archive
+from knotgym.generate.states.archive import Archive
+from knotgym.tasks import TaskConfig
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *sorted(DOCS.rglob("*.md")),
+]
+LOOK_UPS = {
+    "reward",
+    "reset noise",
+    "rendering",
+    "command line",
+    "RL transitions",
+    "split",
+    "image check",
+    "trajectory type",
+    "simulation pool",
+    "state schema",
+}
+
+Rows = list[list[str]]
+
+needs_arrow = pytest.mark.skipif(
+    importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed"
+)
+
+
+def page_name(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def tables(page: Path) -> dict[str, Rows]:
+    """The rows of all tables below each heading of a page, cell by cell, without their heads."""
+    found: dict[str, Rows] = {}
+    heading, in_table = "", False
+    for line in page.read_text(encoding="utf-8").splitlines():
+        if line.startswith("#"):
+            heading = line.lstrip("#").strip()
+        if not line.startswith("|"):
+            in_table = False
+        elif line.startswith("| ---"):
+            in_table = True
+        elif in_table:
+            cells = re.split(r"(?<!\\)\|", line.strip().strip("|"))
+            found.setdefault(heading, []).append([cell.strip() for cell in cells])
+    return found
+
+
+def code_words(cell: str) -> list[str]:
+    """What stands in backquotes."""
+    return re.findall(r"`([^`]+)`", cell)
+
+
+def names(rows: Rows) -> set[str]:
+    """The names that the first cells of a table's rows are about."""
+    return {word for row in rows for word in code_words(row[0])}
+
+
+def blocks(page: Path) -> list[str]:
+    """The Python of a page, block by block."""
+    return re.findall(r"^```python\n(.*?)^```$", page.read_text(encoding="utf-8"), re.M | re.S)
+
+
+def listed(page: str, heading: str) -> dict[str, tuple[str, str]]:
+    """Type and shape of everything in a table of datasets."""
+    rows = tables(DOCS / "formats" / page)[heading]
+    return {code_words(row[0])[0]: (row[1], row[2]) for row in rows}
+
+
+def datasets_of(group: h5py.Group) -> dict[str, h5py.Dataset]:
+    found: dict[str, h5py.Dataset] = {}
+    group.visititems(
+        lambda name, item: found.update({name: item}) if isinstance(item, h5py.Dataset) else None
+    )
+    return found
+
+
+def kind_of(dtype: np.dtype[Any]) -> str:
+    """How the pages call a dtype."""
+    return "string" if h5py.check_string_dtype(dtype) else dtype.name
+
+
+def check_datasets(page: str, heading: str, group: h5py.Group) -> None:
+    """Names, types and ranks of a table and of a file are the same."""
+    said, found = listed(page, heading), datasets_of(group)
+    assert set(found) == set(said)
+    for name, data in found.items():
+        kind, shape = said[name]
+        assert kind.partition(",")[0] == kind_of(data.dtype), name
+        sizes = [size.strip() for size in shape.strip("()").split(",") if size.strip()]
+        assert len(sizes) == data.ndim, name
+        for size, real in zip(sizes, data.shape, strict=True):
+            assert not size.isdigit() or int(size) == real, name
+
+
+def typed(*words: object) -> None:
+    """Type a `knotgym` command."""
+    ended = CliRunner().invoke(app, [str(word) for word in words], catch_exceptions=False)
+    assert ended.exit_code == 0, ended.output
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small Minari dataset."""
+    root = tmp_path_factory.mktemp("minari")
+    typed(
+        *("collect", "--task", "tie", "--nx", 1, "--policy", "scripted", "--episodes", 1),
+        *("--horizon", 2, "--image-size", 16, "--author", "Ada", "--author-email", "ada@example"),
+        *("--code-permalink", "https://example.org", "--workers", 1, "--quiet", "--out", root),
+    )
+    return root / "knotgym/tie-nx1/scripted-v0/data"
+
+
+@pytest.fixture(scope="module")
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four pictures."""
+    folder = tmp_path_factory.mktemp("pictures") / "nx0-1"
+    typed(
+        *("images", "--nx", "0,1", "--count", 4, "--test-nx", "none", "--code-share", 0),
+        *("--workers", 1, "--quiet", "--out", folder),
+    )
+    return folder
+
+
+def test_the_ten_lines_of_the_readme_run(capsys: pytest.CaptureFixture[str]) -> None:
+    ten = blocks(ROOT / "README.md")[0]
+    assert sum(bool(line.strip()) for line in ten.splitlines()) <= 10
+    exec(compile(ten, "README.md", "exec"), {})
+    first, second = capsys.readouterr().out.splitlines()
+    assert " -> " in first and second.startswith("177 ")
+
+
+def test_the_example_to_train_has_fewer_than_forty_lines() -> None:
+    assert len(blocks(ROOT / "README.md")[1].splitlines()) < 40
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="torch isn't installed")
+def test_the_example_to_train_learns_a_policy_that_evaluate_takes(tmp_path: Path) -> None:
+    typed(
+        *("collect", "--task", "unknot", "--nx", 2, "--policy", "scripted", "--episodes", 4),
+        *("--id", "knotgym/unknot-nx2/expert-v0", "--observation", "state", "--horizon", 5),
+        *("--workers", 1, "--quiet", "--out", tmp_path),
+    )
+    (tmp_path / "train.py").write_text(blocks(ROOT / "README.md")[1], encoding="utf-8")
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    subprocess.run(
+        [sys.executable, "train.py"],
+        cwd=tmp_path,
+        env={**os.environ, "MINARI_DATASETS_PATH": str(tmp_path), "PYTHONPATH": path},
+        check=True,
+    )
+    policy = load_model(tmp_path / "cloned.pt")
+    actions = policy(np.zeros((3, 600), dtype=np.float32))
+    assert actions.shape == (3, 6) and (np.abs(actions) <= 1).all()
+
+
+@pytest.mark.parametrize("page", ["environment.md", "extending.md", "formats/states.md"])
+def test_examples_that_need_no_dataset_run(page: str) -> None:
+    for block in blocks(DOCS / page):
+        exec(compile(block, page, "exec"), {})
+
+
+@pytest.mark.parametrize("page", PAGES, ids=page_name)
+def test_examples_name_what_is_there(page: Path) -> None:
+    for block in blocks(page):
+        for node in ast.walk(ast.parse(block)):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("knotgym"):
+                module = importlib.import_module(node.module or "")
+                assert all(hasattr(module, alias.name) for alias in node.names), ast.unparse(node)
+            if isinstance(node, ast.Attribute) and ast.unparse(node).startswith("knotgym."):
+                found: Any = knotgym
+                for word in ast.unparse(node).split(".")[1:]:
+                    found = getattr(found, word)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=page_name)
+def test_links_lead_to_files(page: Path) -> None:
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.S)
+    for target in re.findall(r"\]\(([^)]+)\)", text):
+        if not target.startswith(("https://", "#")):
+            assert (page.parent / target.partition("#")[0]).exists(), target
+
+
+@pytest.mark.parametrize("page", PAGES, ids=page_name)
+def test_files_named_in_prose_exist(page: Path) -> None:
+    named = re.findall(
+        r"`((?:knotgym|tests|benchmarks|examples|docs)/[\w./-]*(?:\.\w+|/))[`:]",
+        re.sub(r"^\|.*", "", page.read_text(encoding="utf-8"), flags=re.M),
+    )
+    assert [path for path in named if not (ROOT / path).exists()] == []
+
+
+def test_a_newcomer_s_look_ups_are_listed() -> None:
+    rows = tables(ROOT / "CONTRIBUTING.md")["Where do I find ..."]
+    assert {row[0] for row in rows} >= LOOK_UPS
+
+
+@pytest.mark.parametrize(
+    "path",
+    sorted(
+        path
+        for row in tables(ROOT / "CONTRIBUTING.md")["Where do I find ..."]
+        for path in code_words(row[1])
+    ),
+)
+def test_a_path_in_the_table_of_look_ups_exists(path: str) -> None:
+    assert (ROOT / path).is_file()
+
+
+def test_every_command_and_option_is_on_the_page_of_commands() -> None:
+    place = importlib.util.spec_from_file_location("hooks", DOCS / "hooks.py")
+    assert place is not None and place.loader is not None
+    hooks = importlib.util.module_from_spec(place)
+    place.loader.exec_module(hooks)
+    text = hooks.on_page_markdown((DOCS / "commands.md").read_text(encoding="utf-8"))
+    assert hooks.MARK not in text
+    commands = dict(hooks.commands("knotgym", typer.main.get_command(app)))
+    assert {"knotgym generate", "knotgym collect", "knotgym dataset verify"} <= commands.keys()
+    for name, command in commands.items():
+        start = text.index(f"## `{name}`")
+        part = text[start : text.find("\n## ", start)] if text.find("\n## ", start) > 0 else text
+        assert command.help and " ".join(command.help.split()) in part
+        for parameter in command.params:
+            assert parameter.help, f"{name}: {parameter.name} says nothing"
+            assert all(word in part for word in parameter.opts if word.startswith("-"))
+
+
+def test_the_page_of_the_environment_names_every_keyword_and_its_default() -> None:
+    said = {
+        code_words(row[0])[0]: ast.literal_eval(code_words(row[1])[0])
+        for row in tables(DOCS / "environment.md")["Keywords"]
+    }
+    assert said == {
+        field.name: field.default for field in fields(TaskConfig) if field.name != "task"
+    }
+
+
+def test_the_page_of_the_environment_names_what_info_holds(states_path: str) -> None:
+    env = gym.make("knotgym/Tie-v0", nx=1, states=states_path, observation="state")
+    info = env.reset(seed=0)[1]
+    rows = tables(DOCS / "environment.md")["Info"]
+    assert names(rows) == info.keys()
+    for row in rows:
+        kind, value = row[1], info[code_words(row[0])[0]]
+        assert kind == (
+            f"{value.dtype} {value.shape}"
+            if isinstance(value, np.ndarray)
+            else type(value).__name__
+        )
+
+
+def test_the_page_of_the_environment_names_the_keywords_of_many_at_once() -> None:
+    parameters = dict(inspect.signature(knotgym.KnotVectorEnv).parameters)
+    said = {
+        code_words(row[0])[0]: ast.literal_eval(code_words(row[1])[0])
+        for row in tables(DOCS / "environment.md")["Many at once"]
+    }
+    said["autoreset_mode"] = AutoresetMode[said["autoreset_mode"].upper()]
+    assert said == {name: parameters.pop(name).default for name in said}
+    assert parameters.keys() == {"task", "render_mode", "settings"}
+
+
+def test_the_state_file_is_as_its_page_says() -> None:
+    with h5py.File(knotgym.shipped()) as file:
+        check_datasets("states.md", "Datasets", file)
+        assert names(tables(DOCS / "formats/states.md")["Attributes of the file"]) == {*file.attrs}
+        for name, unit in {
+            code_words(row[0])[0]: row[3] for row in tables(DOCS / "formats/states.md")["Datasets"]
+        }.items():
+            if name.startswith("quality/"):
+                assert file[name].attrs["unit"] == unit
+
+
+def test_the_episode_file_is_as_its_page_says(dataset: Path) -> None:
+    said = tables(DOCS / "formats/episodes.md")
+    with h5py.File(dataset / "main_data.hdf5") as file:
+        assert names(said["Attributes of the file"]) == {*file.attrs}
+        episode = file["episode_0"]
+        assert names(said["Attributes of an episode"]) - {"hold"} == {*episode.attrs}
+        check_datasets("episodes.md", "Datasets of an episode", episode)
+
+
+def test_the_digest_is_made_as_the_page_of_episodes_says(dataset: Path) -> None:
+    page = (DOCS / "formats/episodes.md").read_text(encoding="utf-8")
+    found = re.search(r"in the order (.*?):", page, re.S)
+    assert found is not None
+    with h5py.File(dataset / "main_data.hdf5") as file:
+        episode = file["episode_0"]
+        said = dict(episode.attrs)
+        labels = {
+            "goal_gauss_code": said["goal_gauss_code"],
+            "hold": int(said["hold"]) if "hold" in said else None,
+            "options": {name: int(said[f"options/{name}"]) for name in ("start", "goal")},
+            "policy": said["policy"],
+            "relabelled": bool(said["relabelled"]),
+            "seed": int(said["seed"]),
+        }
+        hashed = hashlib.sha256(json.dumps(labels, sort_keys=True).encode())
+        by_name = {name.rpartition("/")[2]: data for name, data in datasets_of(episode).items()}
+        for name in re.split(r",\s+", found[1]):
+            values = by_name[name][()]
+            text = values.dtype.kind == "S"
+            code = "U" if text else values.dtype.str
+            data = b"\n".join(values.tolist()) if text else values.tobytes()
+            hashed.update(f"{name} {values.shape} {code} ".encode() + data)
+    assert hashed.hexdigest() == said["digest"]
+
+
+def test_minari_s_metadata_are_as_their_page_says(dataset: Path) -> None:
+    entries = json.loads((dataset / "metadata.json").read_text(encoding="utf-8"))
+    said = names(tables(DOCS / "formats/episodes.md")["Entries of metadata.json"])
+    scores = {"ref_min_score", "ref_max_score", "num_episodes_average_score"}
+    assert said - scores == entries.keys() - scores
+
+
+@needs_arrow
+def test_the_table_of_pictures_is_as_its_page_says(pictures: Path) -> None:
+    import pyarrow.parquet
+
+    found: dict[str, str] = {}
+
+    def flatten(name: str, kind: Any) -> None:
+        inner = kind.value_type if str(kind).startswith("list") else kind
+        struct = str(inner).startswith("struct")
+        found[name] = (
+            re.sub(r"<.*>", "<struct>" if inner is not kind else "", str(kind))
+            if struct
+            else str(kind).replace("element: ", "")
+        )
+        for field in inner if struct else ():
+            flatten(f"{name}.{field.name}", field.type)
+
+    (shard,) = pictures.glob("data/*.parquet")
+    for field in pyarrow.parquet.read_schema(shard):
+        flatten(field.name, field.type)
+    rows = tables(DOCS / "formats/images.md")["Columns"]
+    assert {code_words(row[0])[0]: row[1] for row in rows} == found
+
+
+@needs_arrow
+def test_the_walks_are_as_their_page_says(pictures: Path) -> None:
+    said = tables(DOCS / "formats/images.md")
+    with h5py.File(pictures / "walks.h5") as file:
+        assert names(said["Attributes of walks.h5"]) == {*file.attrs}
+        check_datasets("images.md", "Datasets of walks.h5", file)
+        assert file.attrs["format"] == "knotgym-walks" and file.attrs["format_version"] == 1
+
+
+def test_the_archive_is_as_its_page_says(searched: Archive, tmp_path: Path) -> None:
+    searched.save(tmp_path / "archive.h5")
+    said = tables(DOCS / "formats/search.md")
+    with h5py.File(tmp_path / "archive.h5") as file:
+        assert names(said["Attributes of archive.h5"]) == {*file.attrs}
+        assert names(said["Datasets of archive.h5"]) == {*file}
+        assert names(said["Datasets of transitions"]) == {*file["transitions"]}
+        kinds = {code_words(row[0])[0]: row[1] for row in said["Datasets of archive.h5"]}
+        for name, data in file.items():
+            if isinstance(data, h5py.Dataset):
+                assert kinds[name].partition(",")[0] == kind_of(data.dtype), name
+
+
+def test_formats_and_versions_are_those_of_the_overview() -> None:
+    said = {
+        code_words(row[2])[0]: int(re.findall(r"\d+", row[2])[0])
+        for row in tables(DOCS / "formats/index.md")["File formats"]
+    }
+    assert said == {
+        module.FORMAT: module.FORMAT_VERSION
+        for module in (states, episode_reader, image_table, archive, transition_counts)
+    } | {"knotgym-walks": 1}
+
+
+@pytest.mark.parametrize(
+    "package", ["knotgym", "knotgym.datasets", "knotgym.generate", "knotgym.loaders"]
+)
+def test_the_reference_has_every_public_name(package: str) -> None:
+    page = DOCS / "reference" / f"{package.rpartition('.')[2]}.md"
+    said = re.findall(rf"^::: {package}\.(\w+)$", page.read_text(encoding="utf-8"), re.M)
+    public = importlib.import_module(package).__all__
+    assert sorted(said) == sorted(set(public) - {"__version__"})
+
+
+def test_the_citation_has_the_version_of_the_package() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"\nversion: {project['version']}\n" in citation
+    assert all((ROOT / name).is_file() for name in project["license-files"])
