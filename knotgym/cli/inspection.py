@@ -11,12 +11,10 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from knotgym.cli.summaries import print_episodes, print_images, print_states
+from knotgym.datasets import verification
 from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.datasets.episode_verification import verify_episodes
 from knotgym.datasets.episode_writer import merge_episodes
 from knotgym.datasets.image_table import is_images
-from knotgym.datasets.image_verification import image_faults
-from knotgym.datasets.state_verification import folder_faults, state_faults
 from knotgym.datasets.states import merge_states, read_states, write_states
 from knotgym.datasets.video import FRAMES_PER_SECOND, captioned, write_film
 from knotgym.errors import KnotgymError
@@ -75,20 +73,10 @@ def show(path: str, console: Console) -> None:
 
 def faults(path: str, console: Console | None) -> Iterator[str]:
     """Check a dataset; yield its faults."""
-    given = Path(path)
     if console:
         console.print(f"verifying {path}", highlight=False, soft_wrap=True)
-    if is_images(given):
-        with executor(0) as pool:
-            yield from image_faults(given, pool.map)
-    elif given.is_dir() and (
-        (given / "manifest.json").is_file() or (given / "states.h5").is_file()
-    ):
-        yield from folder_faults(given)
-    elif given.is_file() and hdf5_format(given) in ("knotgym-states", None):
-        yield from state_faults(read_states(given))
-    else:
-        yield from verify_episodes(path, act_out=True, threads=0)
+    with executor(0) as pool:
+        yield from verification.faults(path, pool.map)
 
 
 def merge(sources: Sequence[str], out: Path) -> None:

@@ -5,15 +5,18 @@ holds and asks the check that is for it.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-
-import h5py
+from typing import Any
 
 from knotgym.datasets.episode_verification import verify_episodes
 from knotgym.datasets.image_table import is_images
+from knotgym.datasets.state_schema import FORMAT
 from knotgym.datasets.state_verification import folder_faults, state_faults
-from knotgym.datasets.states import FORMAT, read_states
+from knotgym.datasets.states import read_states
+from knotgym.hdf5_files import hdf5_format
+
+Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # as the built-in `map`
 
 
 def verify(source: str | os.PathLike[str]) -> list[str]:
@@ -33,26 +36,17 @@ def verify(source: str | os.PathLike[str]) -> list[str]:
     return list(faults(source))
 
 
-def faults(source: str | os.PathLike[str]) -> Iterator[str]:
-    """As `verify`, each fault as soon as it is found."""
+def faults(source: str | os.PathLike[str], each: Map = map) -> Iterator[str]:
+    """As `verify`, each fault as soon as it is found; `each` as of `image_faults`."""
     given = Path(source)
     if is_images(given):
         # here, because it alone needs pyarrow and the walks' simulation
         from knotgym.datasets.image_verification import image_faults
 
-        yield from image_faults(given)
+        yield from image_faults(given, each)
     elif given.is_dir() and any((given / n).is_file() for n in ("manifest.json", "states.h5")):
         yield from folder_faults(given)
-    elif given.is_file() and _format(given) in (FORMAT, None):
+    elif given.is_file() and hdf5_format(given) in (FORMAT, None):
         yield from state_faults(read_states(given))
     else:
         yield from verify_episodes(str(source), act_out=True, threads=0)
-
-
-def _format(path: Path) -> str | None:
-    """What an HDF5 file says it is; None if it says nothing or isn't one."""
-    try:
-        with h5py.File(path, "r") as file:
-            return None if "format" not in file.attrs else str(file.attrs["format"])
-    except OSError:
-        return None

@@ -10,10 +10,12 @@ if TYPE_CHECKING:
     from knotgym.generate.episodes.collect import CollectConfig, InvalidCollection, collect
     from knotgym.generate.episodes.evaluate import EvaluateConfig, InvalidEvaluation
     from knotgym.generate.episodes.evaluate import run as evaluate
-    from knotgym.generate.images.image_recipe import ImagesConfig, InvalidImagesJob
-    from knotgym.generate.images.image_recipe import make as make_images
-    from knotgym.generate.states.curation_run import GenerateConfig, InvalidJob, NotEnough
+    from knotgym.generate.images.image_recipe import make_images
+    from knotgym.generate.images.images_config import ImagesConfig, InvalidImagesConfig
+    from knotgym.generate.states.generate_config import GenerateConfig, InvalidGenerateConfig
     from knotgym.generate.states.state_recipe import generate as make_states
+    from knotgym.runs.options import InvalidRun, NotEnough, RunOptions
+    from knotgym.runs.staging import Occupied
 else:
     from knotgym.lazy_exports import lazy_exports
 
@@ -22,16 +24,19 @@ else:
         {
             "CollectConfig": "knotgym.generate.episodes.collect",
             "EvaluateConfig": "knotgym.generate.episodes.evaluate",
-            "GenerateConfig": "knotgym.generate.states.curation_run",
-            "ImagesConfig": "knotgym.generate.images.image_recipe",
+            "GenerateConfig": "knotgym.generate.states.generate_config",
+            "ImagesConfig": "knotgym.generate.images.images_config",
             "InvalidCollection": "knotgym.generate.episodes.collect",
             "InvalidEvaluation": "knotgym.generate.episodes.evaluate",
-            "InvalidImagesJob": "knotgym.generate.images.image_recipe",
-            "InvalidJob": "knotgym.generate.states.curation_run",
-            "NotEnough": "knotgym.generate.states.curation_run",
+            "InvalidGenerateConfig": "knotgym.generate.states.generate_config",
+            "InvalidImagesConfig": "knotgym.generate.images.images_config",
+            "InvalidRun": "knotgym.runs.options",
+            "NotEnough": "knotgym.runs.options",
+            "Occupied": "knotgym.runs.staging",
+            "RunOptions": "knotgym.runs.options",
             "collect": "knotgym.generate.episodes.collect",
             "evaluate": "knotgym.generate.episodes.evaluate:run",
-            "make_images": "knotgym.generate.images.image_recipe:make",
+            "make_images": "knotgym.generate.images.image_recipe",
             "make_states": "knotgym.generate.states.state_recipe:generate",
         },
     )
@@ -43,9 +48,12 @@ __all__ = [
     "ImagesConfig",
     "InvalidCollection",
     "InvalidEvaluation",
-    "InvalidImagesJob",
-    "InvalidJob",
+    "InvalidGenerateConfig",
+    "InvalidImagesConfig",
+    "InvalidRun",
     "NotEnough",
+    "Occupied",
+    "RunOptions",
     "collect",
     "evaluate",
     "make_images",

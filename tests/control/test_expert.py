@@ -20,12 +20,12 @@ from knotgym.control.transition_graph import (
     shipped_transition_graph,
 )
 from knotgym.episode_batch import EpisodeBatch
-from knotgym.topology.knots import codes_of
 from knotgym.rope import Rope
 from knotgym.simulation import Simulation
 from knotgym.tasks import TaskConfig
 from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.knots import codes_of
 
 KINK = GaussCode.parse("1+a,1-a")
 FLAT = GaussCode.parse("")

@@ -12,10 +12,9 @@ from knotgym.datasets.near_duplicates import NEAR, distances
 from knotgym.datasets.splits import split
 from knotgym.datasets.states import States
 from knotgym.generate.states.curation import is_near_duplicate
-from knotgym.topology.knots import codes_of
 from knotgym.reset_noise import noised
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import knot_type
+from knotgym.topology.knots import codes_of, knot_type
 
 EIGHT = list(codes_of("0_1", 2))
 
