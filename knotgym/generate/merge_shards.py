@@ -189,7 +189,7 @@ def _states(ordered: Sequence[ShardFolder], folder: Path) -> Path:
             folder / "states.h5",
         )
     archives = [Archive.load(shard.folder / "archive.h5") for shard in ordered]
-    search = from_json(SearchSettings, config["search"])
+    search = from_json(SearchSettings, config.get("search", {}))
     _archive(archives, search).save(folder / "archive.h5")
     report = _report_of_states([shard.said["report"] for shard in ordered], len(order) - len(kept))
     output.finish(folder, merged, report, config)
