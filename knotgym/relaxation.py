@@ -51,46 +51,68 @@ def relaxed(points: Array, rounds: int, rope: Rope) -> Array | None:
 
 @numba.njit(cache=True, nogil=True)
 def _iterate(p: Array, length: float, iterations: int) -> None:
-    n = len(p)
-    push = np.empty((n, 3))
+    """Relax vertices float64 (beads, 3), metres, in place; a step is 0.15 of a bead at most."""
+    push = np.empty((len(p), 3))
+    most = 0.15 * length
     for _ in range(iterations):
-        for i in range(n):
-            a, b, c, d = (i - 2) % n, (i - 1) % n, (i + 1) % n, (i + 2) % n
+        _straighten(p, push)
+        _part(p, push, length)
+        for i in range(len(p)):
             for k in range(3):
-                push[i, k] = -0.03 * (p[a, k] - 4 * p[b, k] + 6 * p[i, k] - 4 * p[c, k] + p[d, k])
+                p[i, k] += min(most, max(-most, push[i, k]))
+        _restore_lengths(p, length)
+
+
+@numba.njit(cache=True, nogil=True)
+def _straighten(p: Array, push: Array) -> None:
+    """Set `push` to what eases bends."""
+    n = len(p)
+    for i in range(n):
+        a, b, c, d = (i - 2) % n, (i - 1) % n, (i + 1) % n, (i + 2) % n
+        for k in range(3):
+            push[i, k] = -0.03 * (p[a, k] - 4 * p[b, k] + 6 * p[i, k] - 4 * p[c, k] + p[d, k])
+
+
+@numba.njit(cache=True, nogil=True)
+def _part(p: Array, push: Array, length: float) -> None:
+    """Add to `push` what parts strands in the picture, and lifts them apart where they cross."""
+    n = len(p)
+    for i in range(n):
+        for j in range(i + APART, n):
+            if i + n - j < APART:
+                continue
+            x, y = p[i, 0] - p[j, 0], p[i, 1] - p[j, 1]
+            apart = np.sqrt(x * x + y * y)
+            if apart >= REACH:
+                continue
+            if apart < 1.5 * length:  # they cross, or nearly: over and under keep apart
+                z = p[i, 2] - p[j, 2]
+                lack = HEIGHT - abs(z)
+                if lack > 0:
+                    lift = 0.25 * lack if z >= 0 else -0.25 * lack
+                    push[i, 2] += lift
+                    push[j, 2] -= lift
+            if apart > 1e-9:
+                strength = 0.012 * (1 - apart / REACH) ** 2 * length / apart
+                push[i, 0] += strength * x
+                push[i, 1] += strength * y
+                push[j, 0] -= strength * x
+                push[j, 1] -= strength * y
+
+
+@numba.njit(cache=True, nogil=True)
+def _restore_lengths(p: Array, length: float) -> None:
+    """Give beads their length again, eight times round the rope."""
+    n = len(p)
+    for _ in range(8):
         for i in range(n):
-            for j in range(i + APART, n):
-                if i + n - j < APART:
-                    continue
-                x, y = p[i, 0] - p[j, 0], p[i, 1] - p[j, 1]
-                apart = np.sqrt(x * x + y * y)
-                if apart >= REACH:
-                    continue
-                if apart < 1.5 * length:  # they cross, or nearly: over and under keep apart
-                    z = p[i, 2] - p[j, 2]
-                    lack = HEIGHT - abs(z)
-                    if lack > 0:
-                        lift = 0.25 * lack if z >= 0 else -0.25 * lack
-                        push[i, 2] += lift
-                        push[j, 2] -= lift
-                if apart > 1e-9:
-                    strength = 0.012 * (1 - apart / REACH) ** 2 * length / apart
-                    push[i, 0] += strength * x
-                    push[i, 1] += strength * y
-                    push[j, 0] -= strength * x
-                    push[j, 1] -= strength * y
-        for i in range(n):
-            for k in range(3):
-                p[i, k] += min(0.15 * length, max(-0.15 * length, push[i, k]))
-        for _ in range(8):
-            for i in range(n):
-                j = (i + 1) % n
-                x, y, z = p[j, 0] - p[i, 0], p[j, 1] - p[i, 1], p[j, 2] - p[i, 2]
-                now = np.sqrt(x * x + y * y + z * z)
-                share = 0.5 * (now - length) / max(now, 1e-12)
-                p[i, 0] += share * x
-                p[i, 1] += share * y
-                p[i, 2] += share * z
-                p[j, 0] -= share * x
-                p[j, 1] -= share * y
-                p[j, 2] -= share * z
+            j = (i + 1) % n
+            x, y, z = p[j, 0] - p[i, 0], p[j, 1] - p[i, 1], p[j, 2] - p[i, 2]
+            now = np.sqrt(x * x + y * y + z * z)
+            share = 0.5 * (now - length) / max(now, 1e-12)
+            p[i, 0] += share * x
+            p[i, 1] += share * y
+            p[i, 2] += share * z
+            p[j, 0] -= share * x
+            p[j, 1] -= share * y
+            p[j, 2] -= share * z
