@@ -17,8 +17,9 @@ import h5py
 
 @contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary path beside `path`; what is written there takes its name at the end, or
-    vanishes with an error.
+    """Yield a temporary path beside `path`; what is written there takes its name at the end.
+
+    With an error it vanishes.
 
     Works for a file and for a folder (make it at the yielded path). A kill in between leaves only a
     `.part-` name. An existing target is replaced; a folder is replaced by renaming, the old one
@@ -26,16 +27,16 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
-    room = Path(tempfile.mkdtemp(prefix=f".part-{target.name}-", dir=target.parent))
-    part = room / target.name
+    staged = Path(tempfile.mkdtemp(prefix=f".part-{target.name}-", dir=target.parent))
+    part = staged / target.name
     try:
         yield part
         _sync(part)
         if target.is_dir() and part.exists():
-            target.rename(room / "replaced")
+            target.rename(staged / "replaced")
         part.replace(target)
     finally:
-        shutil.rmtree(room, ignore_errors=True)
+        shutil.rmtree(staged, ignore_errors=True)
 
 
 @contextmanager
@@ -52,10 +53,9 @@ def new_hdf5(path: str | os.PathLike[str], **options: Any) -> Iterator[h5py.File
             with h5py.File(sink, "w", **options) as file:
                 yield file
         finally:
-            if sink.trouble is not None:
-                raise OSError(
-                    sink.trouble.errno, sink.trouble.strerror, str(path)
-                ) from sink.trouble
+            trouble = sink.trouble
+            if trouble is not None:
+                raise OSError(trouble.errno, trouble.strerror, str(path)) from trouble
 
 
 class _Sink:
@@ -77,14 +77,14 @@ class _Sink:
         return len(view)
 
     def read(self, size: int) -> bytes:
-        out = bytearray(size)
-        self.readinto(out)
-        return bytes(out)
+        data = bytearray(size)
+        self.readinto(data)
+        return bytes(data)
 
     def readinto(self, buffer: Any) -> int:
         view = memoryview(buffer)
-        found = os.pread(self._file.fileno(), len(view), self._at)
-        view[:] = found.ljust(len(view), b"\0")  # what went nowhere reads as nothing
+        present = os.pread(self._file.fileno(), len(view), self._at)
+        view[:] = present.ljust(len(view), b"\0")  # what went nowhere reads as nothing
         self._at += len(view)
         return len(view)
 

@@ -59,8 +59,7 @@ class Spots:
     faces: Array
 
     def crampedness(self, limits: Limits) -> float:
-        """How far all of them together are from comfortable, where `Limits.objective` asks the
-        worst.
+        """How far all of them together are from comfortable; `Limits.objective` asks the worst.
 
         A rope with several tight spots gets better as any of them opens. Same scale as
         `Limits.objective`; 0 for a roomy picture.
@@ -79,12 +78,8 @@ def spots_of(points: Array, crossings: Crossings, config: PictureConfig = DEFAUL
     """The spots of a configuration, float64 (beads, 3), metres."""
     at = crossings.position * config.pixels_per_metre
     apart = np.linalg.norm(at[:, None] - at[None, :], axis=2)[np.triu_indices(crossings.nx, 1)]
-    angles = np.array(
-        [
-            _angle(points, over, under)
-            for over, under in zip(crossings.over_place, crossings.under_place, strict=True)
-        ]
-    )
+    places = zip(crossings.over_place, crossings.under_place, strict=True)
+    angles = np.array([_angle(points, over, under) for over, under in places])
     return Spots(angles, apart, _faces(project(points, config), crossings))
 
 
@@ -109,7 +104,7 @@ def measure(
         All but noise_survival, which has a function of its own; NaN where left out.
     """
     p = np.ascontiguousarray(points, dtype=np.float64)
-    found = find_crossings(p) if crossings is None else crossings
+    crossings = find_crossings(p) if crossings is None else crossings
     scale = config.pixels_per_metre
     size = float(config.size)
     seen = project(p, config)
@@ -117,53 +112,49 @@ def measure(
     chord = np.roll(p, -1, axis=0) - p
     length = np.linalg.norm(chord, axis=1)
     unit = chord / length[:, None]
-    curvature = np.arccos(np.clip((unit * np.roll(unit, -1, axis=0)).sum(axis=1), -1, 1)).sum() / (
-        2 * np.pi
-    )
+    bends = np.arccos(np.clip((unit * np.roll(unit, -1, axis=0)).sum(axis=1), -1, 1))
     radius = config.rope_radius * scale
     regions = _regions(pixels, 2 * radius)[0]
-    spots = spots_of(p, found, config) if spots is None else spots
-    clearance = 1000 * float((found.over_z - found.under_z).min(initial=np.inf))
+    spots = spots_of(p, crossings, config) if spots is None else spots
+    strand_spacing = _strand_spacing(pixels, crossings.over_place, crossings.under_place, WALK)
+    excess = float("nan") if quick else _average_crossing_number(p) - crossings.nx
+    clearance = 1000 * float((crossings.over_z - crossings.under_z).min(initial=np.inf))
     return Quality(
         crossing_angle=float(spots.angles.min(initial=90.0)),
         crossing_spacing=float(spots.apart.min(initial=size)),
-        base_spacing=base_spacing(p, found, 0, config),
-        strand_spacing=min(
-            size, _strand_spacing(pixels, found.over_place, found.under_place, WALK)
-        ),
-        smallest_region=float(regions.min()) if len(regions) == found.nx + 2 else 0.0,
+        base_spacing=base_spacing(p, crossings, 0, config),
+        strand_spacing=min(size, strand_spacing),
+        smallest_region=float(regions.min()) if len(regions) == crossings.nx + 2 else 0.0,
         smallest_face=float(spots.faces.min()),
         margin=float(min(seen.min(), size - seen.max()) - radius),
         clearance=min(clearance, 1000.0 * config.rope_radius * 4),
-        excess_crossing_number=float("nan") if quick else _average_crossing_number(p) - found.nx,
-        total_curvature=float(curvature),
-        writhe=float(found.sign.sum()),
+        excess_crossing_number=excess,
+        total_curvature=float(bends.sum() / (2 * np.pi)),
+        writhe=float(crossings.sign.sum()),
     )
 
 
 def base_spacing(
     points: Array, crossings: Crossings, base: int = 0, config: PictureConfig = DEFAULT
 ) -> float:
-    """Walk from the base bead, between the vertices `base` and `base + 1`, to the nearest crossing:
-    pixels; 0 on the base bead.
+    """Walk along the drawing from the base bead to the nearest crossing, pixels; 0 on that bead.
+
+    The base bead lies between the vertices `base` and `base + 1`.
     """
     if not crossings.nx:
         return float(config.size)
     pixels = np.roll(project(points, config), -base, axis=0)
     places = (np.concatenate([crossings.over_place, crossings.under_place]) - base) % len(points)
-    walked = np.concatenate(
-        [[0.0], np.cumsum(np.linalg.norm(np.roll(pixels, -1, axis=0) - pixels, axis=1))]
-    )
+    lengths = np.linalg.norm(np.roll(pixels, -1, axis=0) - pixels, axis=1)
+    walked = np.concatenate([[0.0], np.cumsum(lengths)])
     at = np.interp(places, np.arange(len(walked)), walked)
     return float(min(config.size, max(0.0, min((at - walked[1]).min(), walked[-1] - at.max()))))
 
 
 def tightest_spot(points: Array, config: PictureConfig = DEFAULT) -> Array:
     """Middle of the smallest region that the drawn rope encloses, float64 (2,), metres."""
-    areas, centres = _regions(
-        np.ascontiguousarray(project(points, config)),
-        2 * config.rope_radius * config.pixels_per_metre,
-    )
+    pixels = np.ascontiguousarray(project(points, config))
+    areas, centres = _regions(pixels, 2 * config.rope_radius * config.pixels_per_metre)
     offset = (centres[np.argmin(areas)] - config.size / 2) / config.pixels_per_metre
     return np.asarray(points[:, :2].mean(axis=0) + offset * (1, -1))
 
@@ -171,17 +162,16 @@ def tightest_spot(points: Array, config: PictureConfig = DEFAULT) -> Array:
 def noise_survival(
     points: ArrayLike, scale: float, rng: np.random.Generator, draws: int = NOISE_DRAWS
 ) -> float:
-    """Share of reset-noise draws, none of them drawn again, that keep the Gauss code with its
-    chirality.
-    """
+    """Share of reset-noise draws that keep the Gauss code and chirality; none is drawn again."""
     p = np.asarray(points, dtype=np.float64)
     codes = label_many(np.stack([p, *(noised(p, scale, rng) for _ in range(draws))]))
     return float(np.mean([code == codes[0] for code in codes[1:]]))
 
 
 def _angle(points: Array, over: float, under: float) -> float:
-    """Angle in the picture between the strands at two places, each direction taken over two beads,
-    degrees in [0, 90].
+    """Angle in the picture between the strands at two places, degrees in [0, 90].
+
+    Each direction is taken over two beads.
     """
     beads = len(points)
 
@@ -195,8 +185,9 @@ def _angle(points: Array, over: float, under: float) -> float:
 
 
 def _faces(pixels: Array, crossings: Crossings) -> Array:
-    """Areas of the faces of the curve, the outer one among them, square pixels: half the sum of p x
-    dp round each, edge by edge.
+    """Areas of the faces of the curve, the outer one among them, square pixels.
+
+    Each is half the sum of p x dp round it, edge by edge.
     """
     after = np.roll(pixels, -1, axis=0)
     swept = pixels[:, 0] * after[:, 1] - pixels[:, 1] * after[:, 0]
@@ -212,20 +203,22 @@ def _faces(pixels: Array, crossings: Crossings) -> Array:
 
 @lru_cache(maxsize=10_000)
 def _borders(code: GaussCode) -> Array:
-    """Which way each edge is walked round each face, its left: float64 (nx + 2, 2 nx) of -1, 0,
-    1.
+    """Which way each edge is walked round each face, its left.
+
+    Returns float64 (nx + 2, 2 nx) of -1, 0, 1.
     """
     walks = faces(code)
-    out = np.zeros((len(walks), 2 * code.nx))
+    walked = np.zeros((len(walks), 2 * code.nx))
     for row, darts in enumerate(walks):
         for dart in darts:
-            out[row, dart // 2] += -1 if dart % 2 else 1
-    return out
+            walked[row, dart // 2] += -1 if dart % 2 else 1
+    return walked
 
 
 def _regions(pixels: Array, width: float, fine: int = 3) -> tuple[Array, Array]:
-    """Draw the rope as a closed band, `fine` dots a pixel: areas (n,) and centres (n, 2) of the
-    pieces of background left, pixels.
+    """Draw the rope as a closed band, `fine` dots a pixel, and measure the background left.
+
+    Returns areas (n,), square pixels, and centres (n, 2), pixels, of its connected pieces.
     """
     low = np.floor(pixels.min(axis=0)) - 4
     high = np.ceil(pixels.max(axis=0)) + 4 - low
@@ -241,44 +234,14 @@ def _regions(pixels: Array, width: float, fine: int = 3) -> tuple[Array, Array]:
 
 @numba.njit(cache=True, nogil=True)
 def _strand_spacing(pixels: Array, over: Array, under: Array, walk: float) -> float:
-    """Smallest distance between vertices and edges whose walk along the drawing is longer than
-    `walk`.
-    """
-    beads, crossings = len(pixels), len(over)
+    """Smallest distance, pixels, between beads more than `walk` pixels apart along the drawing."""
+    beads = len(pixels)
     along = np.zeros(beads + 1)
     for i in range(beads):
         step = pixels[(i + 1) % beads] - pixels[i]
         along[i + 1] = along[i] + np.sqrt((step * step).sum())
     total = along[beads]
-    # visits: 2k over, 2k + 1 under; the walk between two visits, turning at crossings for nothing
-    at = np.empty(2 * crossings)
-    for k in range(crossings):
-        for side in range(2):
-            place = over[k] if side == 0 else under[k]
-            i = min(int(place), beads - 1)
-            at[2 * k + side] = along[i] + (place - i) * (along[i + 1] - along[i])
-    n = 2 * crossings
-    between = np.empty((n, n))
-    for a in range(n):
-        for b in range(n):
-            gap = abs(at[a] - at[b])
-            between[a, b] = 0.0 if a // 2 == b // 2 else min(gap, total - gap)
-    for m in range(n):
-        for a in range(n):
-            for b in range(n):
-                between[a, b] = min(between[a, b], between[a, m] + between[m, b])
-    to_visit = np.empty((beads, n))
-    for i in range(beads):
-        for b in range(n):
-            gap = abs(along[i] - at[b])
-            to_visit[i, b] = min(gap, total - gap)
-    from_bead = np.empty((beads, n))  # shortest walk from a bead to a visit over any crossings
-    for i in range(beads):
-        for b in range(n):
-            best = np.inf
-            for a in range(n):
-                best = min(best, to_visit[i, a] + between[a, b])
-            from_bead[i, b] = best
+    to_visit, from_bead = _walks_to_visits(along, over, under)
     nearest = np.inf
     for i in range(beads):
         for j in range(i + 1, beads):
@@ -290,17 +253,60 @@ def _strand_spacing(pixels: Array, over: Array, under: Array, walk: float) -> fl
             apart = np.sqrt(dx * dx + dy * dy)
             if apart >= nearest:
                 continue
-            for b in range(n):
-                gap = min(gap, from_bead[i, b] + to_visit[j, b])
+            for visit in range(to_visit.shape[1]):
+                gap = min(gap, from_bead[i, visit] + to_visit[j, visit])
             if gap > walk:
                 nearest = apart
     return nearest
 
 
 @numba.njit(cache=True, nogil=True)
+def _walks_to_visits(along: Array, over: Array, under: Array) -> tuple[Array, Array]:
+    """How far a bead is from a visit along the drawing, pixels.
+
+    Args:
+        along: float64 (beads + 1,), walked until each bead, and until the first again.
+        over, under: float64 (nx,), places of the visits; visits 2k and 2k + 1 are crossing k's.
+
+    Returns:
+        float64 (beads, 2 nx) twice: straight along the rope, and turning at any crossings.
+    """
+    beads, visits = len(along) - 1, 2 * len(over)
+    total = along[beads]
+    at = np.empty(visits)
+    for k in range(len(over)):
+        for side in range(2):
+            place = over[k] if side == 0 else under[k]
+            i = min(int(place), beads - 1)
+            at[2 * k + side] = along[i] + (place - i) * (along[i + 1] - along[i])
+    # the shortest walks between visits (Floyd and Warshall); turning at a crossing costs nothing
+    between = np.empty((visits, visits))
+    for a in range(visits):
+        for b in range(visits):
+            gap = abs(at[a] - at[b])
+            between[a, b] = 0.0 if a // 2 == b // 2 else min(gap, total - gap)
+    for m in range(visits):
+        for a in range(visits):
+            for b in range(visits):
+                between[a, b] = min(between[a, b], between[a, m] + between[m, b])
+    straight, turning = np.empty((beads, visits)), np.empty((beads, visits))
+    for i in range(beads):
+        for b in range(visits):
+            gap = abs(along[i] - at[b])
+            straight[i, b] = min(gap, total - gap)
+        for b in range(visits):
+            best = np.inf
+            for a in range(visits):
+                best = min(best, straight[i, a] + between[a, b])
+            turning[i, b] = best
+    return straight, turning
+
+
+@numba.njit(cache=True, nogil=True)
 def _average_crossing_number(points: Array) -> float:
-    """Crossings seen on average over all directions of view, by the exact solid angles of Banchoff
-    (Klenin and Langowski, 2000).
+    """Crossings seen on average over all directions of view.
+
+    By the exact solid angles of Banchoff (Klenin and Langowski, 2000).
     """
     beads = len(points)
     total = 0.0
@@ -314,12 +320,8 @@ def _average_crossing_number(points: Array) -> float:
 
 @numba.njit(cache=True, nogil=True)
 def _solid_angle(a: Array, b: Array, c: Array, d: Array) -> float:
-    n0, n1, n2, n3 = (
-        _normal(c - a, d - a),
-        _normal(d - a, d - b),
-        _normal(d - b, c - b),
-        _normal(c - b, c - a),
-    )
+    n0, n1 = _normal(c - a, d - a), _normal(d - a, d - b)
+    n2, n3 = _normal(d - b, c - b), _normal(c - b, c - a)
     return abs(_arcsine(n0, n1) + _arcsine(n1, n2) + _arcsine(n2, n3) + _arcsine(n3, n0))
 
 

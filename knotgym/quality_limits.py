@@ -15,8 +15,9 @@ FACE = 20.0
 
 @dataclass(frozen=True)
 class Quality:
-    """The measures of one state; where there is no crossing, those about crossings have the value
-    of a perfect one.
+    """The measures of one state.
+
+    Where there is no crossing, those about crossings have the value of a perfect one.
 
     Attributes:
         crossing_angle: smallest angle at which two strands cross in the picture, degrees in [0,
@@ -113,8 +114,9 @@ class Limits:
         return missed
 
     def objective(self, quality: Quality, nx: int) -> float:
-        """How far from comfortable: nothing for a measure twice as good as its limit, 1 for each
-        one just at it, more beyond.
+        """How far from comfortable, to be made small.
+
+        Nothing for a measure twice as good as its limit, 1 for each one just at it, more beyond.
         """
         total = max(0.0, 2 - quality.smallest_face / FACE) ** 2
         for limit in fields(self):

@@ -67,8 +67,9 @@ class RewardRule:
 
 
 def success_at_last(steps: int, success_reward: float = SUCCESS_REWARD) -> Outcome:
-    """The outcome of an episode of so many steps whose goal is reached at the last, as one that was
-    cut there in hindsight.
+    """The outcome of so many steps of which the last, and no other, succeeds.
+
+    Such is an episode that was cut in hindsight where it reached the goal it now has.
 
     >>> success_at_last(3).rewards
     array([0., 0., 5.])

@@ -13,6 +13,7 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass
 from functools import lru_cache
+from typing import Any
 
 import mujoco
 import numba
@@ -303,16 +304,22 @@ def _compile(config: RopeConfig) -> mujoco.MjModel:
     spec.option.timestep = config.timestep
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     spec.option.solver = mujoco.mjtSolver.mjSOL_PGS
-    length, beads = config.bead_length, config.beads
-    turn = 2 * np.pi / beads
-    radius = length / (2 * np.sin(np.pi / beads))
+    for first, last in sub_chains(config):
+        _add_chain(spec, config, first, last)
+    for _, last in sub_chains(config):
+        _join(spec, config, last, (last + 1) % config.beads)
+    return spec.compile()
 
-    def add_bead(
-        parent: mujoco.MjsBody, index: int, pos: list[float], angle: float
-    ) -> mujoco.MjsBody:
-        body = parent.add_body(
-            name=f"bead{index}", pos=pos, quat=[np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)]
-        )
+
+def _add_chain(spec: mujoco.MjSpec, config: RopeConfig, first: int, last: int) -> None:
+    """Add the beads first to last, an open chain of ball joints that hangs from one free bead."""
+    length, turn = config.bead_length, 2 * np.pi / config.beads
+    radius = length / (2 * np.sin(np.pi / config.beads))
+    joint = {"type": mujoco.mjtJoint.mjJNT_BALL, "damping": [config.joint_damping, 0.0, 0.0]}
+
+    def add_bead(parent: mujoco.MjsBody, bead: int, pos: list[float], angle: float) -> Any:
+        quat = [np.cos(angle / 2), 0.0, 0.0, np.sin(angle / 2)]
+        body = parent.add_body(name=f"bead{bead}", pos=pos, quat=quat)
         body.add_geom(
             type=mujoco.mjtGeom.mjGEOM_CAPSULE,
             fromto=[0.0, 0.0, 0.0, length, 0.0, 0.0],
@@ -322,36 +329,33 @@ def _compile(config: RopeConfig) -> mujoco.MjModel:
         )
         return body
 
-    damping = [config.joint_damping, 0.0, 0.0]
-    bodies: dict[int, mujoco.MjsBody] = {}
-    for first, last in sub_chains(config):
-        root = (first + last + 1) // 2 if config.rooted == "middle" else first
-        start = [radius * np.cos(turn * root), radius * np.sin(turn * root), 0.0]
-        bodies[root] = add_bead(spec.worldbody, root, start, turn * (root + 0.5) + np.pi / 2)
-        bodies[root].add_freejoint()
-        for i in range(root + 1, last + 1):
-            bodies[i] = add_bead(bodies[i - 1], i, [length, 0.0, 0.0], turn)
-            bodies[i].add_joint(type=mujoco.mjtJoint.mjJNT_BALL, damping=damping)
-        # a bead before the root hangs from its own end, which is the start of bead i + 1
-        back = [-length * np.cos(turn), length * np.sin(turn), 0.0]
-        for i in range(root - 1, first - 1, -1):
-            bodies[i] = add_bead(bodies[i + 1], i, back, -turn)
-            bodies[i].add_joint(
-                type=mujoco.mjtJoint.mjJNT_BALL, damping=damping, pos=[length, 0.0, 0.0]
-            )
-    for _, last in sub_chains(config):
-        here, after = f"bead{last}", f"bead{(last + 1) % beads}"
-        joined = spec.add_equality(
-            type=mujoco.mjtEq.mjEQ_CONNECT,
-            objtype=mujoco.mjtObj.mjOBJ_BODY,
-            name1=here,
-            name2=after,
-        )
-        joined.data[0:3] = [length, 0.0, 0.0]
-        joined.solref = list(config.closure_solref)
-        joined.solimp = list(config.closure_solimp)
-        spec.add_exclude(bodyname1=here, bodyname2=after)
-    return spec.compile()
+    root = (first + last + 1) // 2 if config.rooted == "middle" else first
+    start = [radius * np.cos(turn * root), radius * np.sin(turn * root), 0.0]
+    free = add_bead(spec.worldbody, root, start, turn * (root + 0.5) + np.pi / 2)
+    free.add_freejoint()
+    body = free
+    for bead in range(root + 1, last + 1):
+        body = add_bead(body, bead, [length, 0.0, 0.0], turn)
+        body.add_joint(**joint)
+    # a bead before the root hangs from its own end, which is the start of the next bead
+    body, back = free, [-length * np.cos(turn), length * np.sin(turn), 0.0]
+    for bead in range(root - 1, first - 1, -1):
+        body = add_bead(body, bead, back, -turn)
+        body.add_joint(**joint, pos=[length, 0.0, 0.0])
+
+
+def _join(spec: mujoco.MjSpec, config: RopeConfig, last: int, after: int) -> None:
+    """Pull the end of bead `last` to the start of bead `after`."""
+    joined = spec.add_equality(
+        type=mujoco.mjtEq.mjEQ_CONNECT,
+        objtype=mujoco.mjtObj.mjOBJ_BODY,
+        name1=f"bead{last}",
+        name2=f"bead{after}",
+    )
+    joined.data[0:3] = [config.bead_length, 0.0, 0.0]
+    joined.solref = list(config.closure_solref)
+    joined.solimp = list(config.closure_solimp)
+    spec.add_exclude(bodyname1=f"bead{last}", bodyname2=f"bead{after}")
 
 
 def sub_chains(config: RopeConfig) -> list[tuple[int, int]]:

@@ -20,9 +20,7 @@ PathOrId = Annotated[
 
 @dataset_app.command()
 def show(path: PathOrId) -> None:
-    """Count what a dataset holds: by crossings, code, chirality and split; coverage, quality,
-    rejections.
-    """
+    """Count what a dataset holds: crossings, codes, chirality, splits, quality, rejections."""
     from knotgym.cli.inspection import show as look
 
     look(path, Console())
@@ -49,6 +47,7 @@ def verify(
     quiet: Annotated[bool, typer.Option("--quiet", help="Say nothing but faults.")] = False,
 ) -> None:
     """Check everything: checksums, schema, labels by two labellers, provenance by replay, splits.
+
     Exit status 1 on any fault.
     """
     from knotgym.cli.inspection import faults
@@ -98,8 +97,9 @@ def replay(
     out: Annotated[Path, typer.Option(help="Video to write, .mp4 or .gif.")] = Path("replay.gif"),
     row: Annotated[int, typer.Option(min=0, help="Which state or episode.")] = 0,
 ) -> None:
-    """Act out how a state or an episode came to be, check it bit for bit, and film it with its code
-    under the picture.
+    """Act out how a state or an episode came to be, check it bit for bit, and film it.
+
+    Its code stands under the picture.
     """
     from knotgym.cli.inspection import film
 

@@ -66,8 +66,9 @@ class EpisodeReader:
     """
 
     def __init__(self, source: Any) -> None:
-        """Open a file, a dataset's folder or id, a `Chosen`, or a `minari.MinariDataset` (of whose
-        episodes it keeps to the chosen ones).
+        """Open a file, a dataset's folder or id, a `Chosen`, or a `minari.MinariDataset`.
+
+        Of the last two only the chosen episodes are read.
 
         Raises:
             InvalidEpisodeFile: not written by knotgym, truncated, or of a format this version

@@ -104,8 +104,8 @@ class EpisodeWriter:
         labels = episode.labels()
         options = {f"options/{name}": row for name, row in labels.pop("options").items()}
         counts = {"id": number, "number": number, "total_steps": len(episode)}
-        said = {**counts, "digest": episode.digest(), **labels, **options}
-        for name, value in said.items():
+        written = {**counts, "digest": episode.digest(), **labels, **options}
+        for name, value in written.items():
             if value is not None:
                 group.attrs[name] = value
         for name, array in episode.arrays().items():
@@ -186,8 +186,9 @@ def _require_one_kind(readers: Sequence[EpisodeReader]) -> None:
 def _in_order(
     readers: Sequence[EpisodeReader], concatenate: bool
 ) -> list[tuple[EpisodeReader, int]]:
-    """The episodes of all files, each by its reader and its place there: file by file, or by their
-    numbers, which must then differ.
+    """The episodes of all files, each by its reader and its place there.
+
+    They go file by file, or by their numbers, which must then differ.
     """
     episodes = [(reader, i) for reader in readers for i in range(len(reader))]
     if concatenate:

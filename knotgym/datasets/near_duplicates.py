@@ -25,7 +25,7 @@ def apart(points: NDArray[np.float64]) -> NDArray[np.bool_]:
     # those of near-duplicates differ by less than NEAR
     size = np.sqrt((centred**2).sum(axis=(1, 2)) / points.shape[1])
     order = np.argsort(size, kind="stable")
-    first, last = (np.searchsorted(size[order], size + way * NEAR) for way in (-1, 1))
+    first, last = (np.searchsorted(size[order], size + sign * NEAR) for sign in (-1, 1))
     kept = np.ones(len(points), dtype=bool)
     for row in range(len(points)):
         like = order[first[row] : last[row]]

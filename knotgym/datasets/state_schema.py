@@ -79,7 +79,7 @@ QUALITY = tuple(
 # for bit.
 SOURCE = (
     Column("source/start_qpos", "float64", ("nq",), "m, quaternions", "where the rope is laid"),
-    Column("source/actions", "float32", (None, 6), "", "what it is pulled by, then zeros"),
+    Column("source/actions", "float32", (None, 6), "", "taken from there on; then zeros"),
     Column("source/steps", "int64", (), "actions", "how many of them are taken"),
     Column("source/seed", "int64", (None,), "", "key of the random stream it was drawn from"),
     Column("source/policy", "text", (), "", "who acted"),

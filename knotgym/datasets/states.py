@@ -210,14 +210,14 @@ def _configs(part: States) -> list[Any]:
 
 def _fields_of(columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
     """Columns by name as the fields of `States` that hold them."""
-    held: dict[str, Any] = {column.name: columns.get(column.name) for column in ROOT}
+    arrays: dict[str, Any] = {column.name: columns.get(column.name) for column in ROOT}
     for group in _GROUPS:
-        held[group] = {
+        arrays[group] = {
             name.removeprefix(f"{group}/"): values
             for name, values in columns.items()
             if name.startswith(f"{group}/")
         }
-    return held
+    return arrays
 
 
 def _write(file: h5py.File, name: str, values: NDArray[Any]) -> h5py.Dataset:

@@ -154,8 +154,8 @@ def retrace(states: Array, beads: NDArray[np.int16], forces: NDArray[np.float32]
     largest = simulation.rope.config.max_force
     frames = [simulation.points.copy()]
     for step in range(beads.shape[1]):
-        pulls = largest * forces[:, step].astype(np.float64)
-        simulation.act(simulation.actions(beads[:, step], pulls))
+        newtons = largest * forces[:, step].astype(np.float64)
+        simulation.act(simulation.actions(beads[:, step], newtons))
         frames.append(simulation.points.copy())
     return np.stack(frames, axis=1)
 

@@ -139,8 +139,8 @@ def to_tensordict(
     """
     tensordict = _needed("tensordict")
     transitions = Transitions(dataset, observation=observation, picture=picture, relabel=relabel)
-    held = rows(transitions)
-    terminated, truncated = held["terminals"][:, None], held["timeouts"][:, None]
+    columns = rows(transitions)
+    terminated, truncated = columns["terminals"][:, None], columns["timeouts"][:, None]
     running = np.zeros_like(terminated)
 
     def seen(observations: Any) -> dict[str, NDArray[Any]]:
@@ -148,15 +148,15 @@ def to_tensordict(
 
     return tensordict.TensorDict(
         {
-            **seen(held["observations"]),
-            "action": held["actions"],
+            **seen(columns["observations"]),
+            "action": columns["actions"],
             "episode": np.repeat(np.arange(transitions.segments), np.diff(transitions.starts)),
             "done": running,
             "terminated": running.copy(),
             "truncated": running.copy(),
             "next": {
-                **seen(held["next_observations"]),
-                "reward": held["rewards"][:, None].astype(np.float32),
+                **seen(columns["next_observations"]),
+                "reward": columns["rewards"][:, None].astype(np.float32),
                 "done": terminated | truncated,
                 "terminated": terminated,
                 "truncated": truncated,

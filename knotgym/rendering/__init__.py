@@ -1,3 +1,1 @@
-"""What the rope looks like: the picture, its two renderers, its appearance, and what an agent is
-shown.
-"""
+"""What the rope looks like: the picture, its two renderers, its appearance, what an agent sees."""

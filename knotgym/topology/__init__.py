@@ -1,3 +1,4 @@
-"""Knot theory of the rope's projection: crossings, Gauss codes, diagrams, knot types, symmetries;
-no simulator.
+"""Knot theory of the rope's projection: crossings, Gauss codes, diagrams, knots, symmetries.
+
+It needs no simulator.
 """

@@ -1,5 +1,4 @@
-"""The compiled search for the crossings of a closed polyline; knotgym.topology.crossings is its
-public face.
+"""The compiled search for the crossings of a closed polyline, behind `topology.crossings`.
 
 edges           by blocks of neighbours, whose bounding boxes rule out most pairs
   -> hits       (edge i, edge j > i, side of i to which j leads), decided by four signs of
@@ -104,9 +103,7 @@ def _all_finite(points: np.ndarray) -> bool:
 
 @njit(cache=True, nogil=True)
 def _boxes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The bounding boxes (x from, x to, y from, y to) of the edges, float64 (4, beads), and of the
-    blocks.
-    """
+    """Bounding boxes (x from, to, y from, to) of the edges, float64 (4, beads), and the blocks."""
     beads = points.shape[0]
     edges = np.empty((4, beads))
     blocks = np.empty((4, (beads + _BLOCK - 1) // _BLOCK))
@@ -114,10 +111,8 @@ def _boxes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     for i in range(beads):
         end = i + 1 if i + 1 < beads else 0
         for axis in range(2):
-            low, high = (
-                min(points[i, axis], points[end, axis]),
-                max(points[i, axis], points[end, axis]),
-            )
+            low = min(points[i, axis], points[end, axis])
+            high = max(points[i, axis], points[end, axis])
             edges[2 * axis, i], edges[2 * axis + 1, i] = low, high
             blocks[2 * axis, i // _BLOCK] = min(blocks[2 * axis, i // _BLOCK], low)
             blocks[2 * axis + 1, i // _BLOCK] = max(blocks[2 * axis + 1, i // _BLOCK], high)
@@ -174,9 +169,7 @@ def _crosses(points: np.ndarray, i: int, j: int) -> int:
 
 @njit(cache=True, nogil=True)
 def _locate(points: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far along its edge every strand is hit, float64 (2 n,) in [0, 1], and its height
-    there.
-    """
+    """How far along its edge every strand is hit, float64 (2 n,) in [0, 1], and how high."""
     beads = points.shape[0]
     fractions, heights = np.empty(2 * len(hits)), np.empty(2 * len(hits))
     for h in range(len(hits)):
@@ -184,17 +177,14 @@ def _locate(points: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarra
             i, j = hits[h, late], hits[h, 1 - late]
             fraction = _fraction(points, i, (i + 1) % beads, j, (j + 1) % beads)
             fractions[2 * h + late] = fraction
-            heights[2 * h + late] = points[i, 2] + fraction * (
-                points[(i + 1) % beads, 2] - points[i, 2]
-            )
+            climb = points[(i + 1) % beads, 2] - points[i, 2]
+            heights[2 * h + late] = points[i, 2] + fraction * climb
     return fractions, heights
 
 
 @njit(cache=True, nogil=True)
 def _fraction(points: np.ndarray, i: int, i_end: int, j: int, j_end: int) -> float:
-    """How far along the edge from bead i to bead i_end it meets the one from bead j to bead
-    j_end.
-    """
+    """How far along the edge from bead i to bead i_end it meets that from bead j to bead j_end."""
     dx, dy = points[j_end, 0] - points[j, 0], points[j_end, 1] - points[j, 1]
     before = dx * (points[i, 1] - points[j, 1]) - dy * (points[i, 0] - points[j, 0])
     after = dx * (points[i_end, 1] - points[j, 1]) - dy * (points[i_end, 0] - points[j, 0])
@@ -212,8 +202,9 @@ def _fraction(points: np.ndarray, i: int, i_end: int, j: int, j_end: int) -> flo
 
 @njit(cache=True, nogil=True)
 def _walk(beads: int, hits: np.ndarray, fractions: np.ndarray) -> np.ndarray:
-    """The strands in order of place: dealt out by edge, then each edge sorted by fraction, ties in
-    order of the other edge.
+    """The strands in order of place.
+
+    They are dealt out by edge, then each edge is sorted by fraction, ties by the other edge.
     """
     starts = np.zeros(beads + 1, np.int64)
     for strand in range(len(fractions)):
@@ -225,15 +216,15 @@ def _walk(beads: int, hits: np.ndarray, fractions: np.ndarray) -> np.ndarray:
     for strand in range(len(fractions)):
         edge = hits[strand // 2, strand % 2]
         other = hits[strand // 2, 1 - strand % 2]
-        slot = filled[edge]
+        place = filled[edge]
         filled[edge] += 1
-        while slot > starts[edge]:
-            rival = walk[slot - 1]
+        while place > starts[edge]:
+            rival = walk[place - 1]
             if fractions[rival] < fractions[strand]:
                 break
             if fractions[rival] == fractions[strand] and hits[rival // 2, 1 - rival % 2] < other:
                 break
-            walk[slot] = rival
-            slot -= 1
-        walk[slot] = strand
+            walk[place] = rival
+            place -= 1
+        walk[place] = strand
     return walk

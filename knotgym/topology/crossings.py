@@ -111,8 +111,9 @@ def label(points: ArrayLike) -> GaussCode:
 
 
 def label_many(points: ArrayLike) -> list[GaussCode]:
-    """Read the Gauss codes of many ropes, the search in one compiled call that lets other threads
-    run.
+    """Read the Gauss codes of many ropes.
+
+    The search is one compiled call, which lets other threads run.
 
     Args:
         points: (ropes, beads, 3), at least 3 beads, metres.
@@ -145,8 +146,9 @@ def count_crossings(points: ArrayLike) -> int:
 
 
 def visit_spacing(crossings: Crossings, beads: int) -> VisitSpacing:
-    """Measure how close the visits come; near-triple points, kinks and a crossing on the base bead
-    show as small numbers.
+    """Measure how close the visits come.
+
+    Near-triple points, kinks and a crossing on the base bead show as small numbers.
 
     Args:
         crossings: of a rope with this many beads.

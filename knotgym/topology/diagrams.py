@@ -35,8 +35,7 @@ class NotPlanar(KnotgymError, ValueError):
 
 
 def is_planar(code: GaussCode) -> bool:
-    """Say whether a closed curve seen from above can show the code, with its chirality where it has
-    one.
+    """Say whether a closed curve seen from above can show the code, and its chirality if any.
 
     >>> is_planar(GaussCode.parse("1+,2-,3+,1-,2+,3-")), is_planar(GaussCode.parse("1+,2-,1-,2+"))
     (True, False)
@@ -47,8 +46,7 @@ def is_planar(code: GaussCode) -> bool:
 
 
 def drawn(code: GaussCode) -> GaussCode:
-    """Return the code with a chirality that can be drawn: its own, or the first of chiralities()
-    where it has none.
+    """Return the code with a chirality that can be drawn: its own, or the first there is.
 
     Raises:
         NotPlanar: there is none, or its own cannot be drawn.
@@ -64,8 +62,9 @@ def drawn(code: GaussCode) -> GaussCode:
 
 
 def chiralities(code: GaussCode) -> tuple[str, ...]:
-    """List the handedness patterns with which the visits can be drawn, in alphabetical order, empty
-    when not planar.
+    """List the handedness patterns with which the visits can be drawn, in alphabetical order.
+
+    There are none when the code is not planar.
 
     The code's own chirality is not looked at. There are 2 ** parts patterns: at most 2 ** n, for n
     separate kinks.
@@ -85,8 +84,9 @@ def chiralities(code: GaussCode) -> tuple[str, ...]:
 
 
 def parts(code: GaussCode) -> tuple[int, ...]:
-    """Number the connected parts of the interlacement, one number a label, from 0 in order of first
-    visit.
+    """Number the connected parts of the interlacement, from 0 in order of first visit.
+
+    Returns one number a label.
 
     Each part, alone, is the code of one factor of the diagram as a connected sum.
 
@@ -95,17 +95,17 @@ def parts(code: GaussCode) -> tuple[int, ...]:
     """
     interlaced = _interlacement(code.visits)
     part = [-1] * code.nx
-    found = 0
+    number = 0
     for label in range(code.nx):
         if part[label] < 0:
             todo = [label]
-            part[label] = found
+            part[label] = number
             while todo:
                 for other in _labels(interlaced[todo.pop()]):
                     if part[other] < 0:
-                        part[other] = found
+                        part[other] = number
                         todo.append(other)
-            found += 1
+            number += 1
     return tuple(part)
 
 
@@ -133,8 +133,7 @@ def following(code: GaussCode) -> list[int]:
 
 
 def faces(code: GaussCode) -> list[list[int]]:
-    """List the faces of a code with chirality, each as the darts that have it on their left, in
-    walking order.
+    """List the faces of a code with chirality: the darts that have each on their left, as walked.
 
     The flat loop has no darts and lists no faces.
 
@@ -143,7 +142,7 @@ def faces(code: GaussCode) -> list[list[int]]:
     """
     onwards = following(code)
     seen = [False] * len(onwards)
-    found = []
+    walks = []
     for dart in range(len(onwards)):
         face = []
         while not seen[dart]:
@@ -151,8 +150,8 @@ def faces(code: GaussCode) -> list[list[int]]:
             face.append(dart)
             dart = onwards[dart]
         if face:
-            found.append(face)
-    return found
+            walks.append(face)
+    return walks
 
 
 def planar_codes(nx: int) -> Iterator[GaussCode]:
@@ -170,8 +169,9 @@ def planar_codes(nx: int) -> Iterator[GaussCode]:
 
 
 def _words(word: list[int], label: int) -> Iterator[list[int]]:
-    """Fill the zeros with pairs of labels, an even number of visits between the two of a pair: a
-    curve crosses a loop evenly.
+    """Fill the zeros with pairs of labels, an even number of visits between the two of a pair.
+
+    A curve crosses a loop an even number of times.
     """
     if 0 not in word:
         yield word.copy()
@@ -232,14 +232,14 @@ def _has_sphere(darts: list[int]) -> bool:
     """Count the faces; the list is used up."""
     if not darts:
         return True
-    found = 0
+    number = 0
     for start in range(len(darts)):
         if darts[start] >= 0:
-            found += 1
+            number += 1
             dart = start
             while darts[dart] >= 0:
                 darts[dart], dart = -1, darts[dart]
-    return found == len(darts) // 4 + 2
+    return number == len(darts) // 4 + 2
 
 
 def _interlacement(visits: tuple[int, ...]) -> list[int]:
@@ -276,11 +276,11 @@ def _some_turns(code: GaussCode) -> list[int] | None:
             turns[label] = 1
             todo = [label]
             while todo:
-                one = todo.pop()
-                for other in _labels(interlaced[one]):
+                known = todo.pop()
+                for other in _labels(interlaced[known]):
                     if turns[other] == 0:
-                        common = (interlaced[one] & interlaced[other]).bit_count()
-                        alike = (common + places[one][0] + places[other][0]) % 2 == 1
-                        turns[other] = turns[one] if alike else -turns[one]
+                        common = (interlaced[known] & interlaced[other]).bit_count()
+                        alike = (common + places[known][0] + places[other][0]) % 2 == 1
+                        turns[other] = turns[known] if alike else -turns[known]
                         todo.append(other)
     return turns if _has_sphere(_following(code.visits, turns)) else None

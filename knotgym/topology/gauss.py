@@ -88,16 +88,16 @@ class GaussCode:
         visits: list[int] = []
         letters: dict[int, str] = {}
         for word in text.split(","):
-            found = _VISIT.fullmatch(word)
-            if found is None:
+            visit = _VISIT.fullmatch(word)
+            if visit is None:
                 raise InvalidGaussCode(
                     f"cannot read the visit {word.strip()!r}",
                     text,
                     "a visit is a number, + or -, and perhaps a or c",
                 )
-            label = int(found[1])
-            visits.append(label if found[2] == "+" else -label)
-            if letters.setdefault(label, found[3]) != found[3]:
+            label = int(visit[1])
+            visits.append(label if visit[2] == "+" else -label)
+            if letters.setdefault(label, visit[3]) != visit[3]:
                 raise InvalidGaussCode(
                     f"crossing {label} has two different letters",
                     text,
@@ -137,12 +137,9 @@ class GaussCode:
             UnknownChirality: there are none.
         """
         letters = self._letters()
-        return ",".join(
-            [
-                f"{abs(visit)}{'+' if visit > 0 else '-'}{letters[abs(visit) - 1]}"
-                for visit in self.visits
-            ]
-        )
+        labels = [f"{visit}+" if visit > 0 else f"{-visit}-" for visit in self.visits]
+        turns = [letters[abs(visit) - 1] for visit in self.visits]
+        return ",".join([label + turn for label, turn in zip(labels, turns, strict=True)])
 
     @property
     def nx(self) -> int:
@@ -219,11 +216,9 @@ class GaussCode:
         return self.chirality
 
     def _flipped(self) -> str | None:
-        return (
-            None
-            if self.chirality is None
-            else self.chirality.translate({ord("a"): "c", ord("c"): "a"})
-        )
+        if self.chirality is None:
+            return None
+        return self.chirality.translate({ord("a"): "c", ord("c"): "a"})
 
     def _by_label(self) -> dict[int, str] | None:
         return None if self.chirality is None else dict(enumerate(self.chirality, 1))
@@ -235,8 +230,9 @@ def _renamed(visit: int, new: dict[int, int]) -> int:
 
 
 def _check_visits(visits: Iterable[int], given: object = None) -> None:
-    """Raise InvalidGaussCode, showing what was given, unless every label comes once over and once
-    under, in order.
+    """Raise InvalidGaussCode unless every label comes once over and once under, in order.
+
+    `given` is what the error shows.
     """
     given = visits if given is None else given
     awaited: list[int] = []  # per label the visit still to come, 0 when it came

@@ -27,8 +27,7 @@ ALEXANDER_DECIDES = 10
 JONES_DECIDES = 24
 
 # Every knot of at most 7 crossings, composites included. The polynomials differ, so a diagram of at
-# most 7 crossings is
-# told by its own.
+# most 7 crossings is told by its own.
 _TYPES: dict[tuple[int, ...], str] = {
     (1,): UNKNOT,
     (1, -1, 1): "3_1",
@@ -52,9 +51,7 @@ _TABLED = 7
 
 
 class UndecidedKnot(KnotgymError):
-    """The polynomials do not tell this diagram from the unknot, and it is too large for that to be
-    a proof.
-    """
+    """A diagram that the polynomials do not tell from the unknot, too large for that as a proof."""
 
     def __init__(self, code: GaussCode) -> None:
         super().__init__(
@@ -81,8 +78,7 @@ def is_unknot(code: GaussCode) -> bool:
 
 @lru_cache(maxsize=65536)
 def knot_type(code: GaussCode) -> str:
-    """Name the knot: a type of at most 7 crossings, a sum of such types joined by "#", or "unknown"
-    where that is not certain.
+    """Name the knot: types of at most 7 crossings joined by "#", or "unknown" if not certain.
 
     Args:
         code: a planar code; without chirality as for is_unknot().

@@ -65,8 +65,9 @@ def _tie(points: np.ndarray, a: int, b: int, c: int) -> int:
 
 @njit(cache=True, nogil=True)
 def _exact_sign(ax: float, ay: float, bx: float, by: float, cx: float, cy: float) -> int:
-    """The sign of (b - a) x (c - a): six products, each kept as a sum of two floats, added without
-    rounding.
+    """The sign of (b - a) x (c - a), exactly.
+
+    Six products, each kept as a sum of two floats, are added without rounding.
     """
     factors = (ax, by, -ax, cy, bx, cy, -bx, ay, cx, ay, -cx, by)
     total = np.zeros(12)  # an expansion: its parts do not overlap and grow in size

@@ -22,8 +22,7 @@ Matching = frozenset[tuple[int, int]]
 
 @lru_cache(maxsize=65536)
 def alexander_polynomial(code: GaussCode) -> tuple[int, ...]:
-    """Return the coefficients from the lowest power to the highest; a code without chirality is
-    drawn() first.
+    """Return the coefficients, lowest power first; a code without chirality is drawn() first.
 
     Raises:
         NotPlanar: no closed curve shows the code.
@@ -40,17 +39,13 @@ def alexander_polynomial(code: GaussCode) -> tuple[int, ...]:
     coefficients = _digits(_determinant(_alexander_matrix(code, 1 << digits)), digits)
     while coefficients[0] == 0:
         del coefficients[0]
-    return (
-        tuple(coefficients)
-        if sum(coefficients) > 0
-        else tuple([-coefficient for coefficient in coefficients])
-    )
+    sign = 1 if sum(coefficients) > 0 else -1
+    return tuple([sign * coefficient for coefficient in coefficients])
 
 
 @lru_cache(maxsize=65536)
 def jones_polynomial(code: GaussCode) -> JonesPolynomial:
-    """Return the (power of t, coefficient) pairs with coefficients other than 0, lowest power
-    first.
+    """Return the (power of t, coefficient) pairs, none of them 0, lowest power first.
 
     The Kauffman bracket is summed crossing by crossing over a moving frontier, so the time grows
     with the width of the diagram rather than with 2 ** n. A code without chirality is drawn()
@@ -74,12 +69,9 @@ def jones_polynomial(code: GaussCode) -> JonesPolynomial:
         for matching, weight in states.items():
             south, east, north, west = corners
             for joints, term in (
-                # what turning the upper strand left opens: A
-                (
-                    ((south, east), (north, west)),
-                    weight << digits,
-                ),
-                (((south, west), (north, east)), weight >> digits),  # and right: 1 / A
+                # what turning the upper strand left opens: A; and right: 1 / A
+                (((south, east), (north, west)), weight << digits),
+                (((south, west), (north, east)), weight >> digits),
             ):
                 joined, loops = _joined(matching, joints)
                 for _ in range(loops):
@@ -122,9 +114,7 @@ def _digits(number: int, digits: int) -> list[int]:
 
 
 def _alexander_matrix(code: GaussCode, t: int) -> list[list[int]]:
-    """Fox's matrix with the last row and column struck out; arcs run from one under-visit to the
-    next.
-    """
+    """Fox's matrix without its last row and column; arcs run from one under-visit to the next."""
     arc = 0
     over = [0] * code.nx
     before = [0] * code.nx
@@ -184,8 +174,9 @@ def _corners(code: GaussCode) -> list[tuple[int, int, int, int]]:
 
 
 def _sweep(corners: list[tuple[int, int, int, int]]) -> list[tuple[int, int, int, int]]:
-    """Order the crossings so that few edges lie between those done and those to do: next is the
-    best connected one.
+    """Order the crossings so that few edges lie between those done and those to do.
+
+    Next is always the best connected one.
     """
     left = list(corners)
     frontier: set[int] = set()
@@ -202,9 +193,7 @@ def _sweep(corners: list[tuple[int, int, int, int]]) -> list[tuple[int, int, int
 def _joined(
     matching: Matching, joints: tuple[tuple[int, int], tuple[int, int]]
 ) -> tuple[Matching, int]:
-    """Join edges of the frontier; give the new pairs of ends and the number of loops that
-    closed.
-    """
+    """Join edges of the frontier: the new pairs of ends, and how many loops closed."""
     partner: dict[int, int] = {}
     for one, other in matching:
         partner[one], partner[other] = other, one

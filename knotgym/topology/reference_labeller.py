@@ -60,9 +60,7 @@ def pyknotid_code(points: ArrayLike) -> GaussCode:
 
 @contextlib.contextmanager
 def _lent_aliases() -> Iterator[None]:
-    """Give NumPy the names that pyknotid looks for, and take away again those that were not
-    there.
-    """
+    """Give NumPy the names that pyknotid looks for, and take them away again."""
     missing = [name for name in _ALIASES if name not in vars(np)]
     for name in missing:
         setattr(np, name, _ALIASES[name])

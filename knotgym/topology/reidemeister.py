@@ -80,26 +80,23 @@ def _without_kinks(visits: list[int] | tuple[int, ...]) -> list[int]:
 
 
 def _bigon(visits: list[int], signs: tuple[int, ...]) -> tuple[int, int] | None:
-    """Two labels of opposite sign that follow each other both on the upper and on the lower
-    strand.
-    """
+    """Two labels of opposite sign that follow each other on the upper and on the lower strand."""
     count = len(visits)
     lower = {-visit: k for k, visit in enumerate(visits) if visit < 0}
     for k in range(count):
-        one, other = visits[k - 1], visits[k]
+        first, second = visits[k - 1], visits[k]
         if (
-            one > 0
-            and other > 0
-            and signs[one - 1] != signs[other - 1]
-            and (lower[one] - lower[other]) % count in (1, count - 1)
+            first > 0
+            and second > 0
+            and signs[first - 1] != signs[second - 1]
+            and (lower[first] - lower[second]) % count in (1, count - 1)
         ):
-            return one, other
+            return first, second
     return None
 
 
 def _least(code: GaussCode, effort: int) -> GaussCode:
-    """The summand with fewest crossings that is found: straight down while it goes, then on the
-    level.
+    """The summand with fewest crossings that is found: straight down first, then on the level.
 
     An alternating diagram without crossings that split it has the fewest already (Kauffman,
     Murasugi, Thistlethwaite, 1987).
@@ -143,9 +140,7 @@ def _descended(code: GaussCode) -> GaussCode:
 
 
 def _lifts(code: GaussCode, gain: int) -> Iterator[GaussCode]:
-    """Diagrams after one lift that takes away at least `gain` crossings, from above and from
-    below.
-    """
+    """Diagrams after one lift, from above or below, that takes away at least `gain` crossings."""
     for view, back in ((code, False), (code.mirrored(), True)):
         for start in range(len(view.visits)):
             for length, labels in _stretches(view.visits, start, whole=gain > 0):
@@ -156,8 +151,9 @@ def _lifts(code: GaussCode, gain: int) -> Iterator[GaussCode]:
 def _stretches(
     visits: tuple[int, ...], start: int, whole: bool
 ) -> list[tuple[int, frozenset[int]]]:
-    """Stretches from visit `start` that hang above the rest: lengths in visits and labels met, or
-    only the longest.
+    """Stretches from visit `start` that hang above the rest, all or only the longest.
+
+    Returns their lengths in visits, and the labels met.
     """
     met: set[int] = set()
     found: list[tuple[int, frozenset[int]]] = []
@@ -174,9 +170,7 @@ def _stretches(
 
 
 def _laid(code: GaussCode, end: int, labels: frozenset[int], limit: int) -> Iterator[GaussCode]:
-    """Take the stretch that ends before visit `end` off and lay it along shortest ways of at most
-    `limit` crossings.
-    """
+    """Take the stretch before visit `end` off and lay it along shortest ways of few crossings."""
     end %= len(code.visits)
     letters = dict(enumerate(code.chirality or "", 1))
     rest = GaussCode.relabelled(
@@ -191,14 +185,46 @@ def _laid(code: GaussCode, end: int, labels: frozenset[int], limit: int) -> Iter
 
 
 def _ways(onwards: list[int], limit: int) -> Iterator[list[int]]:
-    """Shortest ways from one end of the gap in the last edge to the other, as the darts stepped
-    over from their left.
+    """Shortest ways from one end of the gap in the last edge to the other.
+
+    Each is the darts stepped over from their left.
     """
-    # the missing edge's darts, stubs at its two crossings
-    leaving, arriving = (
-        len(onwards) - 2,
-        len(onwards) - 1,
-    )
+    face, borders, source, target = _gap_faces(onwards)
+    distance = {target: 0}
+    queue = deque([target])
+    while queue:
+        here = queue.popleft()
+        for dart in borders[here]:
+            there = face[dart ^ 1]
+            if there not in distance:
+                distance[there] = distance[here] + 1
+                queue.append(there)
+    if distance[source] > limit:
+        return
+    ways: list[tuple[int, list[int]]] = [(source, [])]
+    yielded = 0
+    while ways and yielded < _DETOURS:
+        here, way = ways.pop()
+        if here == target:
+            yielded += 1
+            yield way
+        else:
+            ways.extend(
+                (face[dart ^ 1], [*way, dart])
+                for dart in borders[here]
+                if distance[face[dart ^ 1]] < distance[here]
+            )
+
+
+def _gap_faces(onwards: list[int]) -> tuple[list[int], list[list[int]], int, int]:
+    """The faces of a diagram without its last edge.
+
+    Returns:
+        the face on the left of each dart; the darts round each face; and the faces into which the
+        stubs at the ends of the missing edge lead, the one it leaves from and the one it arrives
+        at.
+    """
+    leaving, arriving = len(onwards) - 2, len(onwards) - 1  # the missing edge's darts
     face = [-1] * leaving
     borders: list[list[int]] = []
     source = target = -1
@@ -218,35 +244,13 @@ def _ways(onwards: list[int], limit: int) -> Iterator[list[int]]:
                 else:
                     target = number
                 dart = onwards[leaving + arriving - dart]
-    distance = {target: 0}
-    queue = deque([target])
-    while queue:
-        here = queue.popleft()
-        for dart in borders[here]:
-            there = face[dart ^ 1]
-            if there not in distance:
-                distance[there] = distance[here] + 1
-                queue.append(there)
-    if distance[source] > limit:
-        return
-    ways: list[tuple[int, list[int]]] = [(source, [])]
-    found = 0
-    while ways and found < _DETOURS:
-        here, way = ways.pop()
-        if here == target:
-            found += 1
-            yield way
-        else:
-            ways.extend(
-                (face[dart ^ 1], [*way, dart])
-                for dart in borders[here]
-                if distance[face[dart ^ 1]] < distance[here]
-            )
+    return face, borders, source, target
 
 
 def _crossed(rest: GaussCode, way: list[int]) -> GaussCode:
-    """Close the gap in the last edge by a strand over the edges of these darts: over a forward dart
-    it is positive.
+    """Close the gap in the last edge by a strand over the edges of these darts.
+
+    Over a forward dart it is positive.
     """
     letters = dict(enumerate(rest.chirality or "", 1))
     under: dict[int, int] = {}

@@ -1,10 +1,10 @@
-"""The symmetries of a rope's diagrams: what one way to a diagram teaches about others.
+"""The symmetries of a rope's diagrams: what one demonstration of a diagram teaches about others.
 
 Turning the rope about z, looking at it in a mirror (x -> -x) and switching over and under (z -> -z)
 take rope motions to rope motions exactly. Two more do so nearly: walking the rope the other way,
 and starting the walk at another sub-chain. A rope bends more easily where its sub-chains meet
-(their closures have no damping), so that a walk that starts at any other
-bead is no symmetry: rolled by one bead, a pull ends 9 mm elsewhere, rolled by a sub-chain, 0.5 mm.
+(their closures have no damping), so that a walk that starts at any other bead is no symmetry: with
+the base shifted by one bead a step ends 9 mm elsewhere, shifted by a sub-chain, 0.5 mm.
 """
 
 from __future__ import annotations
@@ -24,8 +24,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Symmetry:
-    """Mirror and switch and turn the rope, then walk it the other way, then start at another
-    vertex.
+    """Reflect, switch and turn the rope, then walk it the other way, then from another vertex.
 
     Attributes:
         reflect: x -> -x first.
@@ -43,14 +42,10 @@ class Symmetry:
 
     def vectors(self, v: Array) -> Array:
         """Positions or forces (..., 3), as the symmetry moves them."""
-        out = v * (-1.0 if self.reflect else 1.0, 1.0, -1.0 if self.switch else 1.0)
+        mirrored = v * (-1.0 if self.reflect else 1.0, 1.0, -1.0 if self.switch else 1.0)
+        x, y, z = mirrored[..., 0], mirrored[..., 1], mirrored[..., 2]
         c, s = np.cos(self.turn), np.sin(self.turn)
-        return np.asarray(
-            np.stack(
-                [c * out[..., 0] - s * out[..., 1], s * out[..., 0] + c * out[..., 1], out[..., 2]],
-                axis=-1,
-            )
-        )
+        return np.asarray(np.stack([c * x - s * y, s * x + c * y, z], axis=-1))
 
     def configuration(self, points: Array) -> Array:
         """A configuration (beads, 3), moved and renumbered."""
@@ -63,16 +58,17 @@ class Symmetry:
         return ((-old - 1 if self.reverse else old) - self.base_shift) % count
 
     def back_to_loop(self, count: int) -> Symmetry:
-        """The exact symmetry that lays a plain loop of `count` beads, moved by this one, down as it
-        was, numbers included.
+        """The exact symmetry that lays a plain loop, moved by this one, down as it was.
+
+        The numbers of its `count` beads are then the old ones too.
 
         A loop lies as it did after a turn; one that was mirrored, or walked the other way, after a
         reflection and a turn.
         """
-        rolled, half = 2 * np.pi * self.base_shift / count, np.pi if self.reverse else 0.0
+        shifted, half = 2 * np.pi * self.base_shift / count, np.pi if self.reverse else 0.0
         if self.reflect != self.reverse:
-            return Symmetry(reflect=True, turn=self.turn - rolled - half)
-        return Symmetry(turn=-(half + rolled + self.turn))
+            return Symmetry(reflect=True, turn=self.turn - shifted - half)
+        return Symmetry(turn=-(half + shifted + self.turn))
 
     def undone(self) -> Symmetry:
         """The symmetry that takes back this one, which renumbers nothing."""
@@ -82,8 +78,9 @@ class Symmetry:
 
 
 def mirrorings(code: GaussCode) -> Iterator[tuple[GaussCode, Symmetry]]:
-    """The codes that a rope showing `code`, with chirality, shows after reflection and switch, each
-    with its symmetry; four, some twice.
+    """The codes that a rope showing `code` shows after reflection and switch; four, some twice.
+
+    Each comes with its symmetry; `code` has its chirality.
     """
     for switch in (False, True):
         for reflect in (False, True):
