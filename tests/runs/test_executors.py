@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rich.console import Console
@@ -43,7 +44,7 @@ def cluster(
     """A scheduler and its workers, each a process of its own: the address, the workers, and what
     starts another.
     """
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     file = room / "scheduler.json"
     command = [
         sys.executable,
@@ -277,7 +278,7 @@ def test_a_worker_of_several_threads_is_refused(
 def test_a_cluster_that_loses_a_worker_makes_the_same_bytes(
     curated: Path, states_path: str, tmp_path: Path
 ) -> None:
-    settings = {"resume": False, "quiet": True, "console": Console()}
+    settings: dict[str, Any] = {"resume": False, "quiet": True, "console": Console()}
     task = TaskConfig(task="unknot", nx=1, states=states_path, observation="state", horizon=4)
     config = CollectConfig(task=task, policy=PolicyConfig(policy="scripted"), episodes=6)
     with cluster(tmp_path, 2) as (scheduler, workers, _):
@@ -290,8 +291,9 @@ def test_a_cluster_that_loses_a_worker_makes_the_same_bytes(
 
 @with_dask
 @with_arrow
+@pytest.mark.slow
 def test_pictures_come_out_the_same_on_a_cluster(tmp_path: Path) -> None:
-    settings = {
+    settings: dict[str, Any] = {
         "archive": None,
         "states": None,
         "resume": False,
@@ -306,6 +308,7 @@ def test_pictures_come_out_the_same_on_a_cluster(tmp_path: Path) -> None:
 
 
 @with_dask
+@pytest.mark.slow
 def test_a_scheduler_that_dies_is_one_line_and_the_run_goes_on_elsewhere(
     curated: Path, tmp_path: Path
 ) -> None:
