@@ -12,26 +12,28 @@ from knotgym.simulation import Simulation
 from knotgym.topology.crossings import count_crossings
 
 ROPES = 32
-LONGEST = 60  # pulls before a rope starts over
+LONGEST = 60  # steps before a rope starts over
 
 
 def tangled(
     count: int, rng: np.random.Generator, least: int = 1, most: int = 15
 ) -> Iterator[Array]:
     """Yield `count` configurations (beads, 3) with `least` to `most` crossings, at most every
-    fourth pull of a rope.
+    fourth step of a rope.
     """
-    simulation, hand = Simulation(ROPES, threads=0), WaypointController(ROPES)
+    simulation, controller = Simulation(ROPES, threads=0), WaypointController(ROPES)
     loop = np.repeat(simulation.rope.qpos(simulation.rope.loop())[None], ROPES, axis=0)
     step = given = 0
     while True:
         if step % LONGEST == 0:
             simulation.lay(loop)
-            for rope in range(ROPES):
-                hand.take(rope, propose(simulation.points[rope], rng))
-        for rope in np.flatnonzero(hand.idle(simulation.points)):
-            hand.take(int(rope), propose(simulation.points[rope], rng))
-        step_ropes(simulation, hand.beads, hand.forces(simulation.points))
+            for row in range(ROPES):
+                controller.begin(row, propose(simulation.points[row], rng))
+        controller.advance(simulation.points)
+        for row in np.flatnonzero(controller.idle).tolist():
+            controller.begin(row, propose(simulation.points[row], rng))
+        controller.advance(simulation.points)
+        step_ropes(simulation, controller.beads, controller.forces(simulation.points))
         step += 1
         for points in simulation.points if step % 4 == 0 else ():
             if least <= count_crossings(points) <= most:

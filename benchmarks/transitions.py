@@ -34,7 +34,7 @@ def main() -> None:
     parser.add_argument("--max-nx", type=int, default=5)
     parser.add_argument("--least", type=int, default=2, help="times that a change was seen")
     parser.add_argument("--workers", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path("knotgym/generate/data/transitions.h5"))
+    parser.add_argument("--out", type=Path, default=Path("knotgym/control/data/transitions.h5"))
     args = parser.parse_args()
     console, table = Console(), TransitionCounts()
     for path in args.archive:
