@@ -147,7 +147,7 @@ def test_a_code_lost_on_the_way_to_rest_is_a_fault(followed: Made) -> None:
 
 
 def test_the_same_order_gives_the_same_bytes_whatever_was_made_before(made: Made) -> None:
-    for task, one in made[::-1][:6]:
+    for task, one in made[::-1][:2]:
         assert same(make_candidate(pickle.loads(pickle.dumps(task))), one)
 
 

@@ -220,13 +220,13 @@ def test_what_cannot_be_accepted_ends_with_a_line_that_says_so() -> None:
     hopeless = config(
         nx=(0,),
         count=1,
-        attempts=4,
-        wave=4,
+        attempts=2,
+        wave=2,
         candidate=replace(INSTANCE, limits=Limits(crossing_angle=91.0)),
     )
     with pytest.raises(
         NotEnough,
-        match="0 of 1 states with nx = 0 accepted in 4 attempts; use --resume and more --attempts",
+        match="0 of 1 states with nx = 0 accepted in 2 attempts; use --resume and more --attempts",
     ):
         done(Job.begin(hopeless))
 
@@ -248,7 +248,11 @@ def test_a_job_stops_after_its_cycles_with_what_there_is() -> None:
 
 def test_cycles_that_accept_nothing_end_with_a_line_that_says_so() -> None:
     hopeless = config(
-        nx=(0,), count=1, cycles=1, candidate=replace(INSTANCE, limits=Limits(crossing_angle=91.0))
+        nx=(0,),
+        count=1,
+        cycles=1,
+        wave=2,
+        candidate=replace(INSTANCE, limits=Limits(crossing_angle=91.0)),
     )
     with pytest.raises(
         NotEnough, match="no state accepted in 1 cycles; use --resume and more --cycles"
