@@ -112,13 +112,13 @@ def compare(curves: Iterable[np.ndarray]) -> Comparison:
     by_nx: dict[int, int] = {}
     agreed: dict[int, int] = {}
     disagreements = []
-    for index, (one, other) in enumerate(zip(ours, theirs, strict=True)):
-        by_nx[one.nx] = by_nx.get(one.nx, 0) + 1
-        agreed[one.nx] = agreed.get(one.nx, 0) + (one == other)
-        if one != other:
+    for index, (own, other) in enumerate(zip(ours, theirs, strict=True)):
+        by_nx[own.nx] = by_nx.get(own.nx, 0) + 1
+        agreed[own.nx] = agreed.get(own.nx, 0) + (own == other)
+        if own != other:
             disagreements.append(
                 Disagreement(
-                    index=index, ours=one.chiral, theirs=other.chiral, cause=cause(ropes[index])
+                    index=index, ours=own.chiral, theirs=other.chiral, cause=cause(ropes[index])
                 )
             )
     return Comparison(
@@ -133,20 +133,21 @@ def compare(curves: Iterable[np.ndarray]) -> Comparison:
     )
 
 
-def show(title: str, found: Comparison, console: Console) -> None:
+def show(title: str, comparison: Comparison, console: Console) -> None:
     """Print the table."""
     table = Table("nx", "curves", "agreed", title=title)
-    for nx, curves in found.curves_by_nx.items():
-        table.add_row(str(nx), str(curves), str(found.agreed_by_nx[nx]))
-    table.add_row("all", str(found.curves), str(found.agreed))
+    for nx, curves in comparison.curves_by_nx.items():
+        table.add_row(str(nx), str(curves), str(comparison.agreed_by_nx[nx]))
+    table.add_row("all", str(comparison.curves), str(comparison.agreed))
     console.print(table)
-    for one in found.disagreements:
+    for unlike in comparison.disagreements:
         console.print(
-            f"curve {one.index}: ours {one.ours!r}, pyknotid's {one.theirs!r}; {one.cause}"
+            f"curve {unlike.index}: ours {unlike.ours!r}, pyknotid's {unlike.theirs!r};"
+            f" {unlike.cause}"
         )
     console.print(
-        f"microseconds a code: ours {found.ours_us:.1f}, ours batched {found.ours_batched_us:.1f},"
-        f" pyknotid {found.theirs_us:.0f}"
+        f"microseconds a code: ours {comparison.ours_us:.1f}, ours batched"
+        f" {comparison.ours_batched_us:.1f}, pyknotid {comparison.theirs_us:.0f}"
     )
 
 
@@ -157,26 +158,26 @@ def main() -> None:
         "--ropes",
         type=int,
         default=2000,
-        help="rope states beside them, tangled by random macro_actions",
+        help="rope states beside them, tangled by random macro-actions",
     )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, help="JSON file to write")
     settings = parser.parse_args()
     if settings.curves < 1:
         parser.error(f"--curves must be at least 1, got {settings.curves}")
-    found = {
+    comparisons = {
         "Fourier curves": compare(
             fourier_curves(settings.curves, np.random.default_rng(settings.seed))
         )
     }
     if settings.ropes:
-        found["rope states"] = compare(
+        comparisons["rope states"] = compare(
             tangled(settings.ropes, np.random.default_rng(settings.seed), least=0)
         )
-    for title, comparison in found.items():
+    for title, comparison in comparisons.items():
         show(title, comparison, Console())
     if settings.out is not None:
-        results = {title: asdict(comparison) for title, comparison in found.items()}
+        results = {title: asdict(comparison) for title, comparison in comparisons.items()}
         settings.out.write_text(
             json.dumps(
                 {"curves": settings.curves, "seed": settings.seed, "results": results}, indent=1

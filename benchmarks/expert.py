@@ -1,13 +1,13 @@
 """The expert in the nine setups of the paper, and a random policy beside it, on the test split.
 
-    knotgym-generate --nx 0-4 --count 40 --balance natural --out natural
-    python benchmarks/expert.py --natural natural/states.h5 --references
-    knotgym/generate/data/references.json
+    knotgym-generate --nx 0-4 --count 40 --balance empirical --out empirical
+    python benchmarks/expert.py --empirical empirical/states.h5
+        --references knotgym/generate/episodes/data/references.json
 
 Prints success with 95 % intervals, steps and planning seconds an episode. The random policy also
-plays the states of --natural, whose codes are as frequent as a random policy meets them, beside the
-curated ones. Every setup is written to --out as it ends; the same command goes on after the last
-one there. With --references the mean returns of both are written for `knotgym collect`, which
+plays the states of --empirical, whose codes are as frequent as a random policy meets them, beside
+the curated ones. Every setup is written to --out as it ends; the same command goes on after the
+last one there. With --references the mean returns of both are written for `knotgym collect`, which
 states them as Minari's reference scores.
 """
 
@@ -41,8 +41,8 @@ def play(args: argparse.Namespace) -> dict[str, dict[str, Any]]:
         ("expert", expert, args.episodes, args.states),
         ("random", PolicyConfig(), args.random_episodes, args.states),
     ]
-    if args.natural:
-        kinds.append(("random natural", PolicyConfig(), args.random_episodes, args.natural))
+    if args.empirical:
+        kinds.append(("random empirical", PolicyConfig(), args.random_episodes, args.empirical))
     with engine(args.workers) as pool:
         for nx in map(int, args.nx.split(",")):
             for task in args.tasks.split(","):
@@ -90,8 +90,8 @@ def show(done: dict[str, dict[str, Any]]) -> None:
     table = Table(
         "setup", "success", "95 % interval", "steps", "return", "planned actions", "planning s"
     )
-    for name, one in done.items():
-        result = Result(**one["result"])
+    for name, played in done.items():
+        result = Result(**played["result"])
         effort = (
             (f"{result.planned_actions:.0f}", f"{result.planning_seconds:.2f}")
             if result.planned_actions
@@ -147,7 +147,7 @@ def main() -> None:
         "--states", help="state file for both policies, instead of the one that ships"
     )
     parser.add_argument(
-        "--natural", help="state file of natural balance, for the random policy once more"
+        "--empirical", help="state file of empirical balance, for the random policy once more"
     )
     parser.add_argument("--budget", type=int, default=PlannerConfig().budget)
     parser.add_argument("--seed", type=int, default=0)

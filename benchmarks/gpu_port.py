@@ -46,9 +46,9 @@ def on_warp(model: mujoco.MjModel, rope: Rope) -> tuple[NDArray[np.float32], flo
     there = mujoco_warp.put_model(model)
     for _ in range(2):  # the first compiles
         data = mujoco_warp.put_data(model, mujoco.MjData(model), nworld=1, nconmax=512, njmax=1024)
-        pull = np.zeros((1, model.nbody, 6), dtype=np.float32)
-        pull[0, rope.bodies[BEAD], :3] = FORCE
-        warp.copy(data.xfrc_applied, warp.array(pull, dtype=warp.spatial_vector))
+        xfrc = np.zeros((1, model.nbody, 6), dtype=np.float32)
+        xfrc[0, rope.bodies[BEAD], :3] = FORCE
+        warp.copy(data.xfrc_applied, warp.array(xfrc, dtype=warp.spatial_vector))
         began = time.perf_counter()
         for _ in range(rope.config.frame_skip):
             mujoco_warp.step(there, data)

@@ -1,6 +1,8 @@
 """How fast a perception table is read: pictures per second through torch's DataLoader.
 
-python benchmarks/images.py FOLDER [--workers 2] [--batch 64]
+    python benchmarks/images.py FOLDER [--workers 2] [--batch 64]
+
+FOLDER is a table that `knotgym images` wrote. Needs the extras torch and huggingface.
 """
 
 import argparse

@@ -152,9 +152,9 @@ def main() -> None:
         "opening s",
         title="Random access",
     )
-    for name, one in results.items():
-        row = [one["median_ms"], one["p95_ms"], one["frames_per_s"], one["open_s"]]
-        reading.add_row(name, str(one["frames"]), *(f"{value:.3g}" for value in row))
+    for name, figures in results.items():
+        row = [figures[key] for key in ("median_ms", "p95_ms", "frames_per_s", "open_s")]
+        reading.add_row(name, str(figures["frames"]), *(f"{value:.3g}" for value in row))
     taking = Table("stored", "file", "observations", "rope", title="Bytes a frame")
     for stored, size in sizes.items():
         taking.add_row(stored, *(f"{size[name]:.0f}" for name in ("file", "observations", "rope")))

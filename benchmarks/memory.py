@@ -6,9 +6,8 @@ Episodes of 50 steps, of ropes pulled about once, are put together in the compac
 actions) until there are so many frames; nothing is simulated again, but every byte is written and
 read as of as many different ones. Writing, opening and reading are each done in a process of its
 own, whose peak of resident memory is the kernel's; a tenth of the frames is done first, so that
-what
-grows with them shows. Read by chunk: every episode once, through `knotgym.loaders`, states as
-    float32, and its small columns.
+what grows with them shows. Read by chunk: every episode once, through `knotgym.loaders`, states as
+float32, and its small columns.
 """
 
 import argparse

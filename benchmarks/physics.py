@@ -3,10 +3,10 @@ far beads end from where ours put them.
 
     python benchmarks/physics.py [--out physics.json] [--starts 40] [--repeats 5]
 
-Every row is the rope with one setting changed. All of them take the same random pulls from the same
-curated states, in turn, on one pinned core; milliseconds are medians over the repeats of the CPU
-time of an action's `mujoco.mj_step`, "times" is against the published model of the same repeat. The
-distances are medians over the starts of the bead that ended furthest from where it ends under
+Every row is the rope with one setting changed. All of them take the same random actions from the
+same curated states, in turn, on one pinned core; milliseconds are medians over the repeats of the
+CPU time of an action's `mujoco.mj_step`, "times" is against the published model of the same repeat.
+The distances are medians over the starts of the bead that ended furthest from where it ends under
 "ours", after one action and after ten. What is rounding shows as 1e-12 or nothing; the root is not:
 MuJoCo integrates joint angles, and counted from another bead the same motion is cut into other
 steps. `integrator_steps` is a keyword of the environments.
@@ -93,7 +93,7 @@ def main() -> None:
     )
     parser.add_argument("--out", type=Path, default=Path("physics.json"))
     parser.add_argument(
-        "--starts", type=int, default=40, help="states from which ten pulls are made"
+        "--starts", type=int, default=40, help="states from which ten actions are taken"
     )
     parser.add_argument("--repeats", type=int, default=5)
     args = parser.parse_args()
@@ -132,7 +132,10 @@ def main() -> None:
             "apart_mm": apart.tolist(),
         }
         table.add_row(
-            name, f"{rows[name]['ms']:.2f}", f"{times:.2f}", *(f"{one:.2g}" for one in apart)
+            name,
+            f"{rows[name]['ms']:.2f}",
+            f"{times:.2f}",
+            *(f"{distance:.2g}" for distance in apart),
         )
     Console(width=120).print(table)
     about = {

@@ -10,8 +10,8 @@ EPISODES, STEPS = 50, 50
 
 
 def pulled_about(rng: np.random.Generator) -> list[Episode]:
-    """Episodes of pulls across the rope, each kept up for eight actions; a rope's goal is where the
-    next one ends.
+    """Episodes in which a bead is led across the rope, each for eight actions; a rope's goal is
+    where the next one ends.
     """
     simulation = Simulation(EPISODES, threads=0)
     start_qpos, points, actions = simulation.qpos(), [simulation.points.copy()], []

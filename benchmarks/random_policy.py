@@ -3,10 +3,9 @@
     python benchmarks/random_policy.py --steps 100000 [--integrator-steps 24]
 
 Every step is certified: the rope's diagram is reduced by Reidemeister moves to the empty one, or
-    told by its Alexander or
-Jones polynomial (knotgym.topology.knots.is_unknot); a rope that starts as a plain loop has to stay
-an unknot. Episodes start over every --horizon steps; half of them are long (20 x horizon), so that
-tangled ropes are pulled too. Writes JSON to --out.
+told by its Alexander or Jones polynomial (knotgym.topology.knots.is_unknot); a rope that starts as
+a plain loop has to stay an unknot. Episodes start over every --horizon steps; half of them are long
+(20 x horizon), so that tangled ropes are stepped too. Writes JSON to --out.
 """
 
 import argparse

@@ -13,14 +13,14 @@ from knotgym.simulation import Simulation
 from knotgym.topology.crossings import count_crossings
 
 ROPES = 32
-LONGEST = 60  # pulls before a rope starts over
+LONGEST = 60  # steps before a rope starts over
 
 
 def tangled(
     count: int, rng: np.random.Generator, least: int = 1, most: int = 15
 ) -> Iterator[Array]:
     """Yield `count` configurations (beads, 3) with `least` to `most` crossings, at most every
-    fourth pull of a rope.
+    fourth step of a rope.
     """
     simulation, config = Simulation(ROPES, threads=0), MacroActionConfig()
     controller = WaypointController(ROPES, config)

@@ -3,11 +3,10 @@ main job.
 
     python benchmarks/scaling.py [--out scaling.json] [--workers 1 2] [--repeats 3]
 
-The same job as a whole command, starting of processes and files included, with each number of
-workers in turn; medians of wall time
-over the repeats. Bar: 1.8 times as fast with two workers as with one, on two free cores; on a busy
-    machine the figures mean nothing.
-The files are compared: the number of workers doesn't change a byte.
+The same run as a whole command, starting of processes and files included, with each number of
+workers in turn; medians of wall time over the repeats. Bar: 1.8 times as fast with two workers as
+with one, on two free cores; on a busy machine the figures mean nothing. The files are compared: the
+number of workers doesn't change a byte.
 """
 
 import argparse
@@ -17,6 +16,7 @@ import statistics
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -33,16 +33,21 @@ JOBS = ("state", "pixels", "main")
 
 def run(name: str, size: int, out: Path, workers: int) -> tuple[float, dict[str, str]]:
     """Seconds that a job takes, and the SHA-256 of its data files."""
-    how = {"workers": workers, "resume": False, "quiet": True, "console": Console()}
+    settings: dict[str, Any] = {
+        "workers": workers,
+        "resume": False,
+        "quiet": True,
+        "console": Console(),
+    }
     began = time.perf_counter()
     if name == "main":
-        generate(GenerateConfig(nx=(3,), count=size), out, archive=None, **how)
+        generate(GenerateConfig(nx=(3,), count=size), out, archive=None, **settings)
     else:
         task = TaskConfig(task="tie", nx=2, observation=name)
         collect(
             CollectConfig(task=task, policy=PolicyConfig(policy="random"), episodes=size),
             out,
-            **how,
+            **settings,
         )
     taken = time.perf_counter() - began
     return taken, {

@@ -12,6 +12,7 @@ collection's, whose policy is random: no other leaves less to physics. On a busy
 """
 
 import argparse
+import importlib
 import json
 import multiprocessing
 import os
@@ -39,28 +40,42 @@ WATCHED = {
         "rope.clearance",
     ),
     "label": (
-        "crossings.find_crossings",
-        "crossings.label",
-        "crossings.label_many",
-        "crossings.count_crossings",
-        "oracle.pyknotid_code",
+        "topology.crossings.find_crossings",
+        "topology.crossings.label",
+        "topology.crossings.label_many",
+        "topology.crossings.count_crossings",
+        "topology.reference_labeller.pyknotid_code",
     ),
     "quality": (
-        "generate.quality.measure",
-        "generate.quality.noise_survival",
-        "generate.quality.base_spacing",
+        "quality.measure",
+        "quality.noise_survival",
+        "quality.base_spacing",
     ),
-    "picture": ("picture.draw", "picture.draw_many", "generate.appearance.render"),
+    "picture": (
+        "rendering.picture.draw",
+        "rendering.picture.draw_many",
+        "rendering.appearance.render",
+    ),
     "compression": (
-        "datasets.episode_files.EpisodeWriter.add",
-        "datasets.episode_files.merge",
-        "datasets.images.encode",
-        "datasets.images.write_rows",
+        "datasets.episode_writer.EpisodeWriter.add",
+        "datasets.episode_writer.merge",
+        "datasets.image_table.encode",
+        "datasets.image_table.write_rows",
         "datasets.states.write_states",
-        "generate.archive.Archive.save",
+        "generate.states.archive.Archive.save",
         "datasets.gallery.write_gallery",
     ),
 }
+
+
+def holder_of(name: str) -> tuple[Any, str]:
+    """The module or class that a watched function stands in, and its name there."""
+    path, _, last = name.rpartition(".")
+    try:
+        return importlib.import_module(f"knotgym.{path}"), last
+    except ModuleNotFoundError:  # a method
+        path, _, kind = path.rpartition(".")
+        return getattr(importlib.import_module(f"knotgym.{path}"), kind), last
 
 
 class Stopwatch:
@@ -92,18 +107,15 @@ class Stopwatch:
         import knotgym.generate.states.state_recipe
         import knotgym.simulation
 
-        class Batch(mujoco.batch.Batch):  # type: ignore[misc]
+        class Batch(mujoco.batch.Batch):
             step = self.watch("mj_step", mujoco.batch.Batch.step)
 
-        knotgym.simulation.Batch = Batch
+        simulation: Any = knotgym.simulation
+        simulation.Batch = Batch
         modules = [module for name, module in sys.modules.items() if name.startswith("knotgym")]
         for stage, names in WATCHED.items():
             for name in names:
-                path, _, last = name.rpartition(".")
-                holder: Any = sys.modules.get(f"knotgym.{path}")
-                if holder is None:  # a method
-                    path, _, kind = path.rpartition(".")
-                    holder = getattr(sys.modules[f"knotgym.{path}"], kind)
+                holder, last = holder_of(name)
                 own = getattr(holder, last)
                 timed = self.watch(stage, own)
                 for module in [holder, *modules]:
@@ -111,7 +123,7 @@ class Stopwatch:
                         setattr(module, last, timed)
 
 
-def job(name: str, number: int, of: int, size: int, folder: Path) -> None:
+def run(name: str, number: int, of: int, size: int, folder: Path) -> None:
     """Shard `number` of `of` of a job that gives every shard `size` states, episodes or
     pictures.
     """
@@ -123,27 +135,27 @@ def job(name: str, number: int, of: int, size: int, folder: Path) -> None:
     from knotgym.runs.shards import Shard
     from knotgym.tasks import TaskConfig
 
-    shard, how = (
-        Shard(number, of),
-        {
-            "workers": 1,
-            "resume": False,
-            "quiet": True,
-            "console": Console(),
-        },
-    )
+    shard = Shard(number, of)
+    settings: dict[str, Any] = {
+        "workers": 1,
+        "resume": False,
+        "quiet": True,
+        "console": Console(),
+    }
     out = shard.folder(folder / name)
     if name == "main":
-        generate(GenerateConfig(nx=(3,), count=size * of, shard=shard), out, archive=None, **how)
+        generate(
+            GenerateConfig(nx=(3,), count=size * of, shard=shard), out, archive=None, **settings
+        )
     elif name == "images":
-        make(ImagesConfig(count=size * of, shard=shard), out, archive=None, states=None, **how)
+        make(ImagesConfig(count=size * of, shard=shard), out, archive=None, states=None, **settings)
     else:
         task = TaskConfig(task="tie", nx=2, observation=name)
         collect(
             CollectConfig(task=task, policy=PolicyConfig(policy="random"), episodes=size * of),
             out,
             shard=shard,
-            **how,
+            **settings,
         )
 
 
@@ -156,10 +168,10 @@ def worker(
     tick = time.perf_counter if clock == "wall" else time.process_time
     watch = Stopwatch(tick)
     watch.attach()
-    job(name, number, of, max(1, size // 10), folder / "warm")
+    run(name, number, of, max(1, size // 10), folder / "warm")
     watch.seconds.clear()
     began = tick()
-    job(name, number, of, size, folder)
+    run(name, number, of, size, folder)
     queue.put({**watch.seconds, "whole": tick() - began})
 
 
@@ -195,17 +207,17 @@ def main() -> None:
     for name in args.jobs:
         with tempfile.TemporaryDirectory() as folder:
             queue = context.Queue()
-            words = [
+            shards = [
                 (name, number + 1, workers, sizes[name], Path(folder), args.clock, queue)
                 for number in range(workers)
             ]
-            processes = [context.Process(target=worker, args=one) for one in words]
+            processes = [context.Process(target=worker, args=shard) for shard in shards]
             for process in processes:
                 process.start()
-            found: Counter[str] = sum((Counter(queue.get()) for _ in processes), Counter())
+            seconds: Counter[str] = sum((Counter(queue.get()) for _ in processes), Counter())
             for process in processes:
                 process.join()
-        shares[name] = {stage: found[stage] / found["whole"] for stage in STAGES}
+        shares[name] = {stage: seconds[stage] / seconds["whole"] for stage in STAGES}
         shares[name]["rest"] = 1 - sum(shares[name].values())
         table.add_row(
             name,

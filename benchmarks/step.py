@@ -43,7 +43,7 @@ class Raw:
         self.qpos, self.xfrc = self.batch.bind("qpos"), self.batch.bind("xfrc_applied")
         self.qpos[0] = qpos
 
-    def pull(self, bead: int, force: NDArray[np.float64], undone: bool) -> None:
+    def step(self, bead: int, force: NDArray[np.float64], undone: bool) -> None:
         before = self.batch.state.copy() if undone else None
         self.xfrc[0, self.rope.bodies[bead], :3] = force
         self.batch.step(nstep=self.rope.config.frame_skip)
@@ -52,7 +52,7 @@ class Raw:
             self.batch.state[:] = before
 
 
-def measured(env: gym.Env[Any, Any], actions: NDArray[np.float32]) -> tuple[float, float]:
+def measured(env: Any, actions: NDArray[np.float32]) -> tuple[float, float]:
     """CPU seconds of the environment and of the raw rope for one action each, over one episode."""
     env.reset(seed=0)
     simulation = env.unwrapped.episodes.simulation
@@ -66,8 +66,8 @@ def measured(env: gym.Env[Any, Any], actions: NDArray[np.float32]) -> tuple[floa
             steps.append((info["bead"], info["force"], info["simulation_failed"]))
         ours += time.process_time() - began
         began = time.process_time()
-        for pull in steps:
-            raw.step(*pull)
+        for bead, force, undone in steps:
+            raw.step(bead, force, undone)
         theirs += time.process_time() - began
     if not np.array_equal(raw.qpos, simulation.qpos()):
         raise SystemExit(
@@ -148,9 +148,9 @@ def main() -> None:
         "mujoco": mujoco.__version__,
         "opencv": cv2.__version__,
     }
-    settings = {name: value for name, value in vars(args).items() if name != "out"}
+    given = {name: value for name, value in vars(args).items() if name != "out"}
     args.out.write_text(
-        json.dumps({"versions": versions, "settings": settings, "modes": rows}, indent=1) + "\n"
+        json.dumps({"versions": versions, "settings": given, "modes": rows}, indent=1) + "\n"
     )
 
 

@@ -1,12 +1,12 @@
-"""What an archive knows: codes by number of crossings, and the shortest way to each from the plain
-loop, followed again.
+"""What an archive knows: codes by number of crossings, and the shortest action sequence to each
+from the plain loop, replayed.
 
     python benchmarks/ways.py knotgym-data/nx4/archive.h5
 
-A way counts when the rope, led from the plain loop at rest (mirrored or turned over where the code
-is such an image, numbered from another sub-chain or the other way where the archive knows the way
-so), shows the code; actions count until it first does. Writes JSON, with the growth of the archive
-by rounds, to --out.
+A sequence counts when the rope, led from the plain loop at rest (mirrored or turned over where the
+code is such an image, numbered from another sub-chain or the other way where the archive knows the
+sequence so), shows the code; actions count until it first does. Writes JSON, with the growth of the
+archive by rounds, to --out.
 """
 
 import argparse
@@ -28,8 +28,8 @@ from knotgym.topology.symmetry import mirrorings
 
 
 def leads(simulation: Simulation, elite: Elite, code: GaussCode) -> int | None:
-    """After how many actions of the elite's way, carried over, the rope shows `code`; None if it
-    never does.
+    """After how many actions of the elite's sequence, carried over, the rope shows `code`; None if
+    it never does.
     """
     rope = simulation.rope
     for shown, symmetry in mirrorings(elite.code):
@@ -69,7 +69,7 @@ def main() -> None:
         "fewest",
         "median",
         "most",
-        title=f"ways from the plain loop, {args.archive}",
+        title=f"action sequences from the plain loop, {args.archive}",
     )
     figures = {}
     for nx in range(args.most_nx + 1):

@@ -1,17 +1,17 @@
 """Behaviour cloning on the expert's state observations, and what it reaches beside random and
 expert.
 
-    knotgym collect --task tie --nx 2 --policy expert --episodes 300 --observation state --out
-    bc-data python examples/behaviour_cloning.py bc-data/knotgym/tie-nx2/expert-v0 --out bc
+    knotgym collect --task tie --nx 2 --policy expert --episodes 300 --observation state \\
+        --out bc-data
+    python examples/behaviour_cloning.py bc-data/knotgym/tie-nx2/expert-v0 --out bc
 
-A small network in NumPy learns two things: which of the beads the expert pulls (cross-entropy) and
+A small network in NumPy learns two things: which of the beads the expert moves (cross-entropy) and
 with which force (squared error). Turns about z, mirrors and the exchange of over and under are
-exact symmetries of the rope, so every rope is first brought
-into one frame: turned so that the loop begins at the right, reflected so that it runs
-    counter-clockwise, and switched so that the
-goal's code begins with an over. The goal is told by its code, read off the goal that is observed.
-Hindsight adds the codes that an episode passed on its way. Writes `policy.npz`, `curve.csv`,
-`curve.png`, `success.json` and `success_expert.json`.
+exact symmetries of the rope, so every rope is first brought into one frame: turned so that the loop
+begins at the right, reflected so that it runs counter-clockwise, and switched so that the goal's
+code begins with an over. The goal is told by its code, read off the goal that is observed.
+Hindsight adds the codes that an episode passed. Writes `policy.npz`, `curve.csv`, `curve.png`,
+`success.json` and `success_expert.json`.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ class Frame(NamedTuple):
 
     def into(self, vectors: NDArray[Any]) -> NDArray[Any]:
         """Positions about the middle, or forces, (..., 3)."""
-        out = vectors * (-1.0 if self.reflect else 1.0, 1.0, -1.0 if self.switch else 1.0)
-        return _turned(out, self.turn)
+        mirrored = vectors * (-1.0 if self.reflect else 1.0, 1.0, -1.0 if self.switch else 1.0)
+        return _turned(mirrored, self.turn)
 
     def back(self, vectors: NDArray[Any]) -> NDArray[Any]:
         """The inverse of `into`."""
@@ -100,8 +100,8 @@ def seen(rope: NDArray[Any], goal: GaussCode, frame: Frame) -> Array:
 
 
 class Network:
-    """Two hidden layers of ReLU, trained with Adam; a bead's logits and a force for each bead's
-    pull.
+    """Two hidden layers of ReLU, trained with Adam; a bead's logits and a force for each
+    bead.
     """
 
     def __init__(self, sizes: tuple[int, ...], rng: np.random.Generator) -> None:
@@ -118,11 +118,11 @@ class Network:
 
     def layers(self, x: Array) -> list[Array]:
         """Inputs and outputs of every layer."""
-        out = [x]
+        values = [x]
         for k in range(0, len(self.weights), 2):
-            x = out[-1] @ self.weights[k] + self.weights[k + 1]
-            out.append(np.maximum(x, 0) if k < len(self.weights) - 2 else x)
-        return out
+            x = values[-1] @ self.weights[k] + self.weights[k + 1]
+            values.append(np.maximum(x, 0) if k < len(self.weights) - 2 else x)
+        return values
 
     def learn(self, layers: list[Array], slope: Array, rate: float) -> None:
         """One step of Adam down the slope of the loss by the outputs, with weights that decay."""
@@ -130,9 +130,9 @@ class Network:
         for k in range(len(self.weights) - 2, -1, -2):
             slopes = layers[k // 2].T @ slope, slope.sum(axis=0)
             slope = (slope @ self.weights[k].T) * (layers[k // 2] > 0)
-            for at, one in zip((k, k + 1), slopes, strict=True):
-                self._first[at] += 0.1 * (one - self._first[at])
-                self._second[at] += 0.001 * (one**2 - self._second[at])
+            for at, gradient in zip((k, k + 1), slopes, strict=True):
+                self._first[at] += 0.1 * (gradient - self._first[at])
+                self._second[at] += 0.001 * (gradient**2 - self._second[at])
                 mean, square = (
                     self._first[at] / (1 - 0.9**self._steps),
                     self._second[at] / (1 - 0.999**self._steps),
@@ -147,7 +147,7 @@ class Examples(NamedTuple):
 
     Attributes:
         inputs: float32 (n, inputs).
-        beads: int64 (n,), pulled.
+        beads: int64 (n,), those that were moved.
         forces: float32 (n, 3), in units of the largest.
         held: bool (n,), of an episode kept for the curve.
     """
@@ -159,7 +159,7 @@ class Examples(NamedTuple):
 
 
 def examples(dataset: str, nx: int) -> Examples:
-    """The transitions that led to codes of nx crossings; every tenth of these ways is held out."""
+    """The transitions that led to codes of nx crossings; every tenth such sequence is held out."""
     data: dict[str, Any] = arrays(dataset, observation="state", relabel="all")
     ropes = np.asarray(data["observations"], dtype=np.float64).reshape(-1, 2, ROPE.beads, 3)
     actions = np.asarray(data["actions"], dtype=np.float32)
@@ -188,7 +188,7 @@ def losses(
     layers.
     """
     layers, rows = network.layers(x), np.arange(len(x))
-    logits, pulled = (
+    logits, applied = (
         layers[-1][:, : ROPE.beads],
         layers[-1][:, ROPE.beads :].reshape(len(x), ROPE.beads, 3),
     )
@@ -200,7 +200,7 @@ def losses(
     )
     wanted = np.exp(-0.5 * (near / 2) ** 2)
     wanted /= wanted.sum(axis=1, keepdims=True)  # a neighbour is nearly as good
-    off = pulled[rows, beads] - forces
+    off = applied[rows, beads] - forces
     slope = np.zeros_like(layers[-1])
     slope[:, : ROPE.beads] = (chance - wanted) / len(x)
     slope[:, ROPE.beads :].reshape(len(x), ROPE.beads, 3)[rows, beads] = 2 * off / len(x)
@@ -274,10 +274,10 @@ def act(observation: Array, info: dict[str, Any], rng: np.random.Generator) -> A
     rope, wanted = np.asarray(observation, dtype=np.float64).reshape(2, ROPE.beads, 3)
     goal = find_crossings(wanted).code.plain
     frame = frame_of(rope, goal)
-    out = _trained(os.environ[WEIGHTS]).layers(seen(rope, goal, frame)[None])[-1][0]
-    chance = np.exp(out[: ROPE.beads] - out[: ROPE.beads].max()) ** 2
+    scores = _trained(os.environ[WEIGHTS]).layers(seen(rope, goal, frame)[None])[-1][0]
+    chance = np.exp(scores[: ROPE.beads] - scores[: ROPE.beads].max()) ** 2
     bead = int(rng.choice(ROPE.beads, p=chance / chance.sum()))
-    force = frame.back(out[ROPE.beads :].reshape(-1, 3)[bead])
+    force = frame.back(scores[ROPE.beads :].reshape(-1, 3)[bead])
     return np.clip(np.concatenate([rope[bead] / ROPE.reach, force]), -1, 1).astype(np.float32)
 
 
@@ -376,11 +376,11 @@ def _hot(code: GaussCode) -> Array:
     """The first visits of a code: of each its label up to 4, over or under, one of eight; float32
     (VISITS * 8,).
     """
-    out = np.zeros((VISITS, 8), np.float32)
+    hot = np.zeros((VISITS, 8), np.float32)
     for k, visit in enumerate(code.visits[:VISITS]):
         if abs(visit) <= 4:
-            out[k, 2 * abs(visit) - 2 + (visit < 0)] = 1
-    return out.ravel()
+            hot[k, 2 * abs(visit) - 2 + (visit < 0)] = 1
+    return hot.ravel()
 
 
 def _turned(vectors: NDArray[Any], angle: float) -> NDArray[Any]:

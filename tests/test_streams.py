@@ -68,17 +68,17 @@ def used(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, ...]]:
 def test_no_two_keys_of_a_run_are_equal_but_those_that_are_asked_for_again(
     used: list[tuple[int, ...]], tmp_path: Path
 ) -> None:
-    common = ("--workers", 1, "--quiet", "--seed", 2)
+    common = ("--workers", 1, "--quiet", "--seed", 7)
     folders = [tmp_path / name for name in ("states", "episodes", "images")]
     for words_of in (
-        ("generate", "--nx", "0,1", "--count", 2, "--out", folders[0]),
+        ("generate", "--nx", 1, "--count", 1, "--out", folders[0]),
         ("collect", "--task", "tie", "--nx", 1, "--policy", "scripted", "--episodes", 3)
         + ("--out", folders[1]),
-        ("images", "--nx", "0,1", "--count", 8, "--out", folders[2]),
+        ("images", "--nx", "0,1", "--count", 4, "--out", folders[2]),
     ):
         assert knotgym(*words_of, *common) == 0
-    assert len(used) > 50 and {len(one) for one in used} == {10}
-    padded = {tuple(np.random.default_rng(one).integers(2**62, size=2)) for one in set(used)}
-    assert len(padded) == len(set(used))
-    again = {Stream(one[0]) for one in used if used.count(one) > 1}
+    assert len(used) > 50 and {len(entropy) for entropy in used} == {10}
+    drawn = {tuple(np.random.default_rng(key).integers(2**62, size=2)) for key in set(used)}
+    assert len(drawn) == len(set(used))
+    again = {Stream(entropy[0]) for entropy in used if used.count(entropy) > 1}
     assert again <= {Stream.CODE_ORDER, Stream.CHIRALITY, Stream.EPISODE, Stream.SPLIT}

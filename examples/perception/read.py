@@ -133,7 +133,7 @@ def read(net: Reader, pictures: Tensor) -> list[GaussCode]:
         zip(cells[0].tolist(), places, strict=True), 1
     ):
         visits[picture] += [(over, label), (under, -label)]
-    return [GaussCode.relabelled([label for _, label in sorted(one)]) for one in visits]
+    return [GaussCode.relabelled([label for _, label in sorted(own)]) for own in visits]
 
 
 class Crops:
@@ -199,9 +199,9 @@ class Crops:
         if self.rng.random() < 0.5:
             pieces, crossings = pieces.transpose(-1, -2), crossings[:, [0, 2, 1, 3, 4]]
         shift = torch.from_numpy(self.rng.uniform(0, BEADS, size=len(pieces))).float()
-        (sine, cosine), one = waves(shift).T, torch.eye(3).expand(len(pieces), 3, 3).clone()
-        one[:, 1, 1], one[:, 1, 2], one[:, 2, 1], one[:, 2, 2] = cosine, sine, -sine, cosine
-        pieces = torch.einsum("nij,njrc->nirc", BASIS @ one @ torch.linalg.inv(BASIS), pieces)
+        (sine, cosine), turns = waves(shift).T, torch.eye(3).expand(len(pieces), 3, 3).clone()
+        turns[:, 1, 1], turns[:, 1, 2], turns[:, 2, 1], turns[:, 2, 2] = cosine, sine, -sine, cosine
+        pieces = torch.einsum("nij,njrc->nirc", BASIS @ turns @ torch.linalg.inv(BASIS), pieces)
         crossings[:, 3:] += shift[crossings[:, 0].long(), None]
         there = torch.zeros(len(pieces), CROP // CELL, CROP // CELL)
         column, row = ((crossings[:, k] / CELL).long().clamp(0, CROP // CELL - 1) for k in (1, 2))
@@ -217,7 +217,7 @@ def loss(net: Reader, pieces: Tensor, crossings: Tensor, there: Tensor) -> Tenso
     logit, features = net(pieces)
     inner = slice(EDGE, -EDGE)
     weight = torch.where(there == 0.5, 0.1, 1.0)
-    found = functional.binary_cross_entropy_with_logits(
+    located = functional.binary_cross_entropy_with_logits(
         logit, (there == 1).float(), weight, reduction="none"
     )[:, inner, inner].sum()
     last = CROP // CELL - EDGE
@@ -230,7 +230,7 @@ def loss(net: Reader, pieces: Tensor, crossings: Tensor, there: Tensor) -> Tenso
     wave = waves(crossings[kept, 3:] - 0.5)
     pointed = -torch.log((weight * alike(wave, seen)).sum(dim=2) + 1e-3).sum()
     error = ((functional.normalize(weight @ seen, dim=2, eps=1e-3) - wave) ** 2).sum()
-    return (found + pointed + 3 * error) / max(1, int(kept.sum()))
+    return (located + pointed + 3 * error) / max(1, int(kept.sum()))
 
 
 def train(folder: Path, steps: int, batch: int, seed: int) -> Reader:
@@ -272,10 +272,10 @@ def evaluate(net: Reader, folder: Path) -> tuple[dict[str, str], list[Misread]]:
         for first in range(0, len(data), 50):
             rows = range(first, min(first + 50, len(data)))
             pictures = np.stack([data.picture(row) for row in rows])
-            for row, picture, found in zip(
+            for row, picture, read_code in zip(
                 rows, pictures, read(net, torch.from_numpy(pictures)), strict=True
             ):
-                code, got = data.codes[row], str(found)
+                code, got = data.codes[row], str(read_code)
                 nx, accepted = int(data.labels["nx"][row]), bool(data.labels["accepted"][row])
                 grade = GRADES[int(data.labels["grade"][row])]
                 for key in (

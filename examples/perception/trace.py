@@ -63,8 +63,7 @@ def read(image: NDArray[np.uint8]) -> GaussCode | None:
     grey = (seen.min(axis=1) > 0.75 * seen.max(axis=1)) & (seen.max(axis=1) > 60)
     pure = (likeness.max(axis=1) > 0.997) & ~grey
     # the base bead: near its hue's place the least of the three channels says how white a pixel is.
-    # Where strands of opposite hues cross
-    # there are grey pixels too, but not so many.
+    # Where strands of opposite hues cross there are grey pixels too, but not so many.
     whiteness = image.min(axis=2).astype(np.float64)
     top = np.unravel_index(cv2.blur(whiteness, (3, 3)).argmax(), whiteness.shape)
     white = np.where(
@@ -82,11 +81,11 @@ def read(image: NDArray[np.uint8]) -> GaussCode | None:
         return None
     flat = np.column_stack([axis[:, 0], -axis[:, 1], np.zeros(len(axis))])
     # heights are not known yet: each crossing's over and under may be exchanged
-    found = find_crossings(flat)
+    crossings = find_crossings(flat)
     step = len(axis) / BEADS
     height = np.zeros(len(axis))
     for over, under, position in zip(
-        found.over_place, found.under_place, found.position, strict=True
+        crossings.over_place, crossings.under_place, crossings.position, strict=True
     ):
         if upper(image, (position[0], -position[1]), over / step, under / step):
             high, low = over, under
@@ -104,15 +103,15 @@ def follow(at: Array, place: Array, weight: Array, base: Array, base_weight: flo
     count = 2 * BEADS
     points, weights = np.zeros((count, 2)), np.zeros(count)
     points[0], weights[0] = base, base_weight
-    for way in (1, -1):  # from the base bead, which is sure, to the far side
+    for direction in (1, -1):  # from the base bead, which is sure, to the far side
         last = 0
         for k in range(2, BEADS + 1):
-            near = np.abs(place - way * k / 2 % BEADS) <= 0.5
+            near = np.abs(place - direction * k / 2 % BEADS) <= 0.5
             # of two blobs of one hue, one may be a blend of two other strands: the one that follows
             # on is meant
-            near &= np.linalg.norm(at - points[way * last], axis=1) < 2.2 + 1.6 * (k - last)
+            near &= np.linalg.norm(at - points[direction * last], axis=1) < 2.2 + 1.6 * (k - last)
             if near.any():
-                points[way * k], weights[way * k], last = (
+                points[direction * k], weights[direction * k], last = (
                     np.average(at[near], axis=0, weights=weight[near]),
                     weight[near].sum(),
                     k,

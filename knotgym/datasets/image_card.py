@@ -93,7 +93,7 @@ def card(
     not_taken = json.dumps({**report["dropped"], **report["refused"]})
     lines = [
         "---",
-        "license: mit",
+        "license: cc-by-4.0",
         "tags: [knot-theory, gauss-code, mujoco, perception]",
         "task_categories: [image-to-text]",
         "configs:",

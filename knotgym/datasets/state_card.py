@@ -47,7 +47,7 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
     facts = summary(states)
     lines = [
         "---",
-        "license: mit",
+        "license: cc-by-4.0",
         "tags: [knot-theory, gauss-code, mujoco, offline-reinforcement-learning]",
         "---",
         "",

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -496,6 +497,7 @@ def test_minari_recovers_the_environment_in_a_process_that_never_imported_knotgy
         "PATH": "",
         "PYTHONPATH": str(Path(knotgym.__file__).parent.parent),
     }
+    where |= {name: os.environ[name] for name in ("NUMBA_CACHE_DIR",) if name in os.environ}
     subprocess.run([sys.executable, "-c", script], env=where, check=True)
 
 

@@ -15,17 +15,29 @@ import pytest
 
 from knotgym.atomic_files import sha256
 from knotgym.datasets.state_verification import folder_faults, state_faults
-from knotgym.datasets.states import read_states, shipped
+from knotgym.datasets.states import read_states, shipped, write_states
 
 from ..small_job import knotgym
 
-WAYS = "minari/knotgym/tie-nx1/demonstrations-v0/data/main_data.hdf5"
+TRAJECTORIES = "minari/knotgym/tie-nx1/demonstrations-v0/data/main_data.hdf5"
 
 
 @pytest.fixture
 def copy(curated: Path, tmp_path: Path) -> Path:
     """A folder to do harm to."""
     return Path(shutil.copytree(curated, tmp_path / "copy"))
+
+
+@pytest.fixture
+def light(copy: Path) -> Path:
+    """The same without trajectories, which take longest to verify."""
+    shutil.rmtree(copy / "minari")
+    manifest = json.loads((copy / "manifest.json").read_text())
+    manifest["files"] = {
+        name: digest for name, digest in manifest["files"].items() if "minari" not in name
+    }
+    (copy / "manifest.json").write_text(json.dumps(manifest))
+    return copy
 
 
 @contextmanager
@@ -55,27 +67,28 @@ def altered(folder: Path, name: str, row: Any, value: Any) -> None:
 def test_the_states_that_ship_have_no_fault_in_their_first_rows() -> None:
     states = read_states(shipped())
     assert len(states) == 177
-    few = type(states)(**{name: _cut(value, 3) for name, value in vars(states).items()})
-    assert list(state_faults(few)) == []
+    few = type(states)(**{name: _few(value, [0, 1, 2]) for name, value in vars(states).items()})
+    assert len(few) == 3 and list(state_faults(few)) == []
 
 
-def _cut(value: Any, rows: int) -> Any:
+def _few(value: Any, rows: list[int]) -> Any:
+    """Some rows of an attribute of States, whatever it is."""
     if isinstance(value, dict):
-        return {name: _cut(one, rows) for name, one in value.items()}
-    return value[:rows] if isinstance(value, np.ndarray) else value
+        return {name: _few(column, rows) for name, column in value.items()}
+    return value[rows] if isinstance(value, np.ndarray) else value
 
 
-def test_a_changed_byte_in_any_file_is_named(copy: Path) -> None:
-    for path in (copy / "gallery.png", copy / "README.md", copy / "archive.h5"):
+def test_a_changed_byte_in_any_file_is_named(light: Path) -> None:
+    for path in (light / "gallery.png", light / "README.md", light / "archive.h5"):
         path.write_bytes(path.read_bytes() + b" ")
     expected = [
         f"{name} is not the file the manifest lists (SHA-256 differs)"
         for name in ("README.md", "archive.h5", "gallery.png")
     ]
-    assert sorted(folder_faults(copy)) == expected
+    assert sorted(folder_faults(light)) == expected
 
 
-@pytest.mark.parametrize("name", ["gallery.png", WAYS])
+@pytest.mark.parametrize("name", ["gallery.png", TRAJECTORIES])
 def test_a_missing_file_is_named(copy: Path, name: str) -> None:
     (copy / name).unlink()
     assert list(folder_faults(copy)) == [f"{name} is missing"]
@@ -89,53 +102,51 @@ def test_missing_states_are_named(copy: Path) -> None:
     ]
 
 
+@pytest.fixture(scope="module")
+def pair(curated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A state file of two of the rows: a loop, and a state with one crossing."""
+    states = read_states(curated / "states.h5")
+    path = tmp_path_factory.mktemp("pair") / "states.h5"
+    write_states(path, type(states)(**{name: _few(v, [0, 5]) for name, v in vars(states).items()}))
+    return path
+
+
+ENDS_ELSEWHERE = "replay of its start and actions does not end in qpos bit for bit"
+
+
 @pytest.mark.parametrize(
     ("name", "row", "value", "fault"),
     [
-        ("gauss_code", 5, "1-,1+,2+,2-", "states.h5 row 5: gauss_code is 1-,1+,2+,2-, recomputed"),
-        ("gauss_code", 5, "gibberish", "states.h5 row 5: gauss_code is gibberish, recomputed"),
-        ("gauss_code_chiral", 4, "", "states.h5 row 4: gauss_code_chiral is , recomputed 1"),
-        ("nx", 0, 2, "states.h5 row 0: nx is 2, recomputed 0"),
-        ("knot", 3, "3_1", "states.h5 row 3: knot is 3_1, recomputed 0_1"),
-        ("image", (2, 64, 64, 1), 77, "states.h5 row 2: image is not the picture of points"),
-        ("points", (6, 50, 2), 0.25, "states.h5 row 6: points are not those of qpos"),
-        ("points", (6, 50, 2), np.nan, "states.h5 row 6: coordinates are not finite"),
-        (
-            "qpos",
-            (7, 3),
-            0.25,
-            "states.h5 row 7: replay of its start and actions does not end in qpos bit for bit",
-        ),
-        ("split", 1, "dev", "states.h5 row 1: split is 'dev'"),
-        (
-            "source/actions",
-            (4, 0, 3),
-            0.123,
-            "states.h5 row 4: replay of its start and actions does not end in qpos bit for bit",
-        ),
-        ("source/actions", (4, 0, 3), 1.5, "states.h5 row 4: an action lies outside [-1, 1]"),
-        ("source/actions", (4, 0, 3), np.nan, "states.h5 row 4: an action lies outside [-1, 1]"),
-        (
-            "source/start_qpos",
-            (4, 0),
-            0.123,
-            "states.h5 row 4: replay of its start and actions does not end in qpos bit for bit",
-        ),
-        (
-            "source/steps",
-            4,
-            1,
-            "states.h5 row 4: replay of its start and actions does not end in qpos bit for bit",
-        ),
+        ("gauss_code", 1, "1-,1+,2+,2-", "gauss_code is 1-,1+,2+,2-, recomputed"),
+        ("gauss_code", 1, "gibberish", "gauss_code is gibberish, recomputed"),
+        ("gauss_code_chiral", 1, "", "gauss_code_chiral is , recomputed 1"),
+        ("nx", 0, 2, "nx is 2, recomputed 0"),
+        ("knot", 0, "3_1", "knot is 3_1, recomputed 0_1"),
+        ("image", (0, 64, 64, 1), 77, "image is not the picture of points"),
+        ("points", (1, 50, 2), 0.25, "points are not those of qpos"),
+        ("points", (1, 50, 2), np.nan, "coordinates are not finite"),
+        ("qpos", (1, 3), 0.25, ENDS_ELSEWHERE),
+        ("split", 1, "dev", "split is 'dev'"),
+        ("source/actions", (1, 0, 3), 0.123, ENDS_ELSEWHERE),
+        ("source/actions", (1, 0, 3), 1.5, "an action lies outside [-1, 1]"),
+        ("source/actions", (1, 0, 3), np.nan, "an action lies outside [-1, 1]"),
+        ("source/start_qpos", (1, 0), 0.123, ENDS_ELSEWHERE),
+        ("source/steps", 1, 1, ENDS_ELSEWHERE),
     ],
 )
 def test_an_altered_value_is_found_without_the_checksums(
-    copy: Path, name: str, row: Any, value: Any, fault: str
+    pair: Path, tmp_path: Path, name: str, row: Any, value: Any, fault: str
 ) -> None:
-    altered(copy, name, row, value)
-    found = list(state_faults(read_states(copy / "states.h5")))
-    assert any(one.startswith(fault) for one in found), found
-    assert all(f"row {row if isinstance(row, int) else row[0]}" in one for one in found), found
+    harmed = Path(shutil.copy(pair, tmp_path / "states.h5"))
+    altered(tmp_path, name, row, value)
+    found = list(state_faults(read_states(harmed)))
+    at = f"states.h5 row {row if isinstance(row, int) else row[0]}: "
+    assert any(line.startswith(at + fault) for line in found), found
+    assert all(line.startswith(at) for line in found), found
+
+
+def test_two_rows_of_a_file_have_no_fault_themselves(pair: Path) -> None:
+    assert list(state_faults(read_states(pair))) == []
 
 
 def test_the_least_change_of_one_qpos_is_found(copy: Path) -> None:
@@ -144,15 +155,15 @@ def test_the_least_change_of_one_qpos_is_found(copy: Path) -> None:
     assert any("row 0: replay" in one for one in state_faults(read_states(copy / "states.h5")))
 
 
-def test_a_swapped_split_is_found(copy: Path) -> None:
-    with opened(copy / "states.h5") as file:
+def test_a_swapped_split_is_found(light: Path) -> None:
+    with opened(light / "states.h5") as file:
         splits = file["split"].asstr()[()].tolist()
-        one, other = splits.index("train", 4), splits.index("test", 4)
-        file["split"][one], file["split"][other] = "test", "train"
-    assert faults(copy) == sorted(
+        train, test = splits.index("train", 4), splits.index("test", 4)
+        file["split"][train], file["split"][test] = "test", "train"
+    assert faults(light) == sorted(
         [
-            f"states.h5 row {one}: split is test, the manifest says train",
-            f"states.h5 row {other}: split is train, the manifest says test",
+            f"states.h5 row {train}: split is test, the manifest says train",
+            f"states.h5 row {test}: split is train, the manifest says test",
         ]
     )
 
@@ -160,7 +171,7 @@ def test_a_swapped_split_is_found(copy: Path) -> None:
 def test_a_state_in_both_splits_is_a_leak(copy: Path) -> None:
     with opened(copy / "states.h5") as file:
         splits = file["split"].asstr()[()].tolist()
-        one, other = splits.index("train", 4), splits.index("test", 4)
+        train, test = splits.index("train", 4), splits.index("test", 4)
         for name in (
             "qpos",
             "points",
@@ -169,17 +180,17 @@ def test_a_state_in_both_splits_is_a_leak(copy: Path) -> None:
             "gauss_code_chiral",
             *(f"source/{key}" for key in file["source"]),
         ):
-            file[name][other] = file[name][one]
+            file[name][test] = file[name][train]
     found = list(state_faults(read_states(copy / "states.h5")))
-    assert f"states.h5 rows {one} (train) and {other} (test) are near-duplicates" in found
-    assert f"states.h5 rows {one} (train) and {other} (test) come from one trajectory" in found
+    assert f"states.h5 rows {train} (train) and {test} (test) are near-duplicates" in found
+    assert f"states.h5 rows {train} (train) and {test} (test) come from one trajectory" in found
 
 
-def test_a_code_in_both_splits_is_a_fault_where_they_should_share_none(copy: Path) -> None:
-    manifest = json.loads((copy / "manifest.json").read_text())
+def test_a_code_in_both_splits_is_a_fault_where_they_should_share_none(light: Path) -> None:
+    manifest = json.loads((light / "manifest.json").read_text())
     manifest["config"]["split_by"] = "code"
-    (copy / "manifest.json").write_text(json.dumps(manifest))
-    assert "code 1+,1- is in both splits, which share no code" in list(folder_faults(copy))
+    (light / "manifest.json").write_text(json.dumps(manifest))
+    assert "code 1+,1- is in both splits, which share no code" in list(folder_faults(light))
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
@@ -194,24 +205,24 @@ def test_truncated_states_are_named(copy: Path, share: float) -> None:
 
 
 def test_a_truncated_trajectory_file_is_named(copy: Path) -> None:
-    (copy / WAYS).write_bytes((copy / WAYS).read_bytes()[:-5000])
+    (copy / TRAJECTORIES).write_bytes((copy / TRAJECTORIES).read_bytes()[:-5000])
     found = faults(copy)
-    assert found and all(WAYS in one for one in found)
+    assert found and all(TRAJECTORIES in fault for fault in found)
 
 
 @pytest.mark.parametrize("name", ["actions", "rewards", "infos/force"])
 def test_an_edited_trajectory_is_named_with_its_episode(copy: Path, name: str) -> None:
-    with opened(copy / WAYS) as file:
+    with opened(copy / TRAJECTORIES) as file:
         data = file["episode_2"][name]
         data[(1,) * data.ndim] = 0.0625
     found = faults(copy)
-    assert found and all(f"{WAYS}, episode 2" in one for one in found)
+    assert found and all(f"{TRAJECTORIES}, episode 2" in fault for fault in found)
 
 
 def test_edited_pixels_of_a_trajectory_are_named_with_their_episode(copy: Path) -> None:
-    with opened(copy / WAYS) as file:
+    with opened(copy / TRAJECTORIES) as file:
         file["episode_1/observations/pixels"][0, 3, 3] = (9, 9, 9)
-    assert [one.split(": ", 1)[0].endswith("episode 1") for one in faults(copy)] == [True]
+    assert [fault.split(": ", 1)[0].endswith("episode 1") for fault in faults(copy)] == [True]
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"files": 3, "config": {}}'])

@@ -7,6 +7,7 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -28,6 +29,7 @@ from knotgym.runs.staging import Occupied, staging_folder
 from knotgym.tasks import TaskConfig
 
 from ..minari_list import check_minari
+from ..small_job import knotgym
 
 FORK = multiprocessing.get_context("forkserver")
 FORK.set_forkserver_preload(["knotgym.cli.main", "knotgym.generate.episodes.collect"])
@@ -35,7 +37,7 @@ QUIET = RunOptions(workers=1, quiet=True)
 RESUMED = replace(QUIET, resume=True)
 
 
-def config(states_path: str, **settings: object) -> CollectConfig:
+def config(states_path: str, **settings: Any) -> CollectConfig:
     task = TaskConfig(task="unknot", nx=1, states=states_path, observation="state", horizon=4)
     return CollectConfig(
         **{"task": task, "policy": PolicyConfig(policy="scripted"), "episodes": 6, **settings}
@@ -223,9 +225,7 @@ def test_a_killed_run_leaves_nothing_under_its_name_and_resumes_to_the_same_byte
     broken.wait()
     assert not (partial.parent / "scripted-v0").exists()
     for where, resume in (("broken", ["--resume"]), ("whole", [])):
-        subprocess.run(
-            [sys.executable, "-c", program, *arguments, str(tmp_path / where), *resume], check=True
-        )
+        assert knotgym(*arguments, tmp_path / where, *resume) == 0
     assert made(tmp_path / "broken/knotgym/unknot-nx1/scripted-v0") == made(
         tmp_path / "whole/knotgym/unknot-nx1/scripted-v0"
     )
@@ -312,7 +312,7 @@ def test_a_run_of_another_version_is_not_resumed(states_path: str, tmp_path: Pat
 
 @pytest.mark.parametrize("settings", [{"episodes": 0}, {"seed": -1}])
 def test_settings_that_make_no_sense_are_refused(
-    settings: dict[str, object], states_path: str
+    settings: dict[str, Any], states_path: str
 ) -> None:
     with pytest.raises(InvalidCollection):
         config(states_path, **settings)

@@ -213,24 +213,24 @@ def test_what_cannot_be_accepted_ends_with_a_line_that_says_so() -> None:
     hopeless = config(
         nx=(0,),
         count=1,
-        attempts=4,
-        wave=4,
+        attempts=2,
+        wave=2,
         candidate=replace(SMALL.candidate, limits=Limits(crossing_angle=91.0)),
     )
     with pytest.raises(
         NotEnough,
-        match="0 of 1 states with nx = 0 accepted in 4 attempts; use --resume and more --attempts",
+        match="0 of 1 states with nx = 0 accepted in 2 attempts; use --resume and more --attempts",
     ):
         done(CurationRun.begin(hopeless))
 
 
 def test_a_job_stops_after_its_cycles_with_what_there_is() -> None:
-    job = done(CurationRun.begin(config(nx=(1, 2), count=40, cycles=2)))
+    job = done(CurationRun.begin(config(nx=(0, 1), count=40, cycles=2)))
     assert job.cycle == len(job.growth) == 2 and 0 < len(job.accepted[1]) < 40
     assert job.growth[-1]["accepted"] == {
         str(nx): len(candidates) for nx, candidates in job.accepted.items()
     }
-    assert job.growth[-1]["known"] == {str(nx): len(job.archive.codes(nx)) for nx in (1, 2)}
+    assert job.growth[-1]["known"] == {str(nx): len(job.archive.codes(nx)) for nx in (0, 1)}
     assert (
         job.growth[-1]["steps"]
         == job.steps()
@@ -244,6 +244,7 @@ def test_cycles_that_accept_nothing_end_with_a_line_that_says_so() -> None:
         nx=(0,),
         count=1,
         cycles=1,
+        wave=2,
         candidate=replace(SMALL.candidate, limits=Limits(crossing_angle=91.0)),
     )
     with pytest.raises(

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -44,7 +45,7 @@ def cluster(
     """A scheduler and its workers, each a process of its own: the address, the workers, and what
     starts another.
     """
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
     file = room / "scheduler.json"
     command = [
         sys.executable,
@@ -290,6 +291,7 @@ def test_a_cluster_that_loses_a_worker_makes_the_same_bytes(
 
 @with_dask
 @with_arrow
+@pytest.mark.slow
 def test_pictures_come_out_the_same_on_a_cluster(tmp_path: Path) -> None:
     config = ImagesConfig(nx=(0, 1), count=12, steps=4, stride=2, rows_per_file=5)
     with cluster(tmp_path, 2) as (scheduler, _, _):
@@ -299,6 +301,7 @@ def test_pictures_come_out_the_same_on_a_cluster(tmp_path: Path) -> None:
 
 
 @with_dask
+@pytest.mark.slow
 def test_a_scheduler_that_dies_is_one_line_and_the_run_goes_on_elsewhere(
     curated: Path, tmp_path: Path
 ) -> None:

@@ -42,11 +42,17 @@ COLLECT = (
     "--episodes",
     16,
 )
-IMAGES = ("images", "--nx", "0,1", "--count", 40)
+IMAGES = ("images", "--nx", "0,1", "--count", 12)
 COMMANDS = [
     pytest.param(GENERATE, id="generate"),
     pytest.param(COLLECT, id="collect"),
     pytest.param(IMAGES, id="images", marks=with_arrow),
+]
+# Where a whole run has to follow, one kind of run stands for all, and the others are slow.
+RESUMABLE = [
+    pytest.param(GENERATE, id="generate", marks=pytest.mark.slow),
+    pytest.param(COLLECT, id="collect"),
+    pytest.param(IMAGES, id="images", marks=[with_arrow, pytest.mark.slow]),
 ]
 RESUMED = "goes on from the last cycle"
 
@@ -99,7 +105,7 @@ def run(*words: object, **options: object) -> "subprocess.CompletedProcess[str]"
     )  # type: ignore[call-overload]
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", RESUMABLE)
 def test_a_full_disk_is_one_line_and_room_makes_it_go_on(
     command: tuple[object, ...], unbroken: dict[str, dict[str, str]], tmp_path: Path
 ) -> None:
@@ -153,21 +159,35 @@ def test_a_read_only_target_is_one_line(
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_second_run_is_refused_and_a_stale_lock_is_not_in_the_way(
-    command: tuple[object, ...],
-    unbroken: dict[str, dict[str, str]],
-    tmp_path: Path,
-    capfd: pytest.CaptureFixture[str],
+def test_a_second_run_is_refused(
+    command: tuple[object, ...], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    name = "random-v0" if command[0] == "collect" else "a"
-    room = tmp_path / "a" / "knotgym" / "unknot-nx1" if command[0] == "collect" else tmp_path
-    room.mkdir(parents=True, exist_ok=True)
-    with held(room / f".{name}.partial"):
+    folder = final_folder(command, tmp_path)
+    with held(folder.parent / f".{folder.name}.partial"):
         assert knotgym(*command, "--workers", 1, "--quiet", "--out", tmp_path / "a") == 2
-    assert said(capfd) == [f"knotgym: another run is writing {name} now"]
-    assert (room / f".{name}.partial" / "lock").is_file()  # left by a process that is gone
+    assert said(capfd) == [f"knotgym: another run is writing {folder.name} now"]
+
+
+@pytest.mark.parametrize("command", RESUMABLE)
+def test_a_stale_lock_is_not_in_the_way(
+    command: tuple[object, ...], unbroken: dict[str, dict[str, str]], tmp_path: Path
+) -> None:
+    folder = final_folder(command, tmp_path)
+    with held(folder.parent / f".{folder.name}.partial"):
+        pass
+    lock = folder.parent / f".{folder.name}.partial" / "lock"
+    assert lock.is_file()  # left by a process that is gone
     assert knotgym(*command, "--workers", 1, "--quiet", "--out", tmp_path / "a") == 0
     assert made(tmp_path / "a") == unbroken[str(command[0])]
+
+
+def final_folder(command: tuple[object, ...], room: Path) -> Path:
+    """Where a command with --out room / "a" puts what it made; what holds the folder is there."""
+    folder = room / "a"
+    if command[0] == "collect":
+        folder = folder / "knotgym" / "unknot-nx1" / "random-v0"
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    return folder
 
 
 def children(process: int) -> list[int]:

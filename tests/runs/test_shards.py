@@ -283,8 +283,41 @@ def test_merged_pictures_verify_without_a_leak_or_a_duplicate(
 # The example for Slurm.
 
 
+SLURM = Path(__file__).parents[2] / "examples" / "slurm"
+
+
+def test_the_scripts_for_slurm_name_every_shard_and_merge_them_all(tmp_path: Path) -> None:
+    (tmp_path / "knotgym").write_text('#!/bin/sh\necho "$@"\n')
+    (tmp_path / "knotgym").chmod(0o755)
+    dataset = tmp_path / "nx4"
+    shards = [Path(f"{dataset}-shard-{number}-of-2") for number in (1, 2)]
+    for shard in shards:
+        shard.mkdir()
+    task = {
+        "SLURM_ARRAY_TASK_ID": "2",
+        "SLURM_ARRAY_TASK_COUNT": "2",
+        "SLURM_CPUS_PER_TASK": "3",
+        "PATH": f"{tmp_path}:{os.environ['PATH']}",
+    }
+    typed_by = {
+        name: subprocess.run(
+            ["bash", SLURM / name, *words],
+            check=True,
+            env={**os.environ, **task},
+            capture_output=True,
+            text=True,
+        ).stdout.splitlines()
+        for name, words in (("array.sh", ["collect", "--nx", "4"]), ("merge.sh", [str(dataset)]))
+    }
+    assert typed_by["array.sh"] == ["collect --nx 4 --shard 2/2 --workers 3 --resume --quiet"]
+    assert typed_by["merge.sh"] == [
+        f"dataset merge {shards[0]} {shards[1]} --out {dataset}",
+        f"dataset verify {dataset} --quiet",
+    ]
+
+
+@pytest.mark.slow
 def test_the_scripts_for_slurm_make_and_merge_a_run(tmp_path: Path) -> None:
-    scripts = Path(__file__).parents[2] / "examples" / "slurm"
     (tmp_path / "knotgym").write_text(f'#!/bin/sh\nexec {" ".join(typed())} "$@"\n')
     (tmp_path / "knotgym").chmod(0o755)
     for number in (1, 2):
@@ -295,9 +328,9 @@ def test_the_scripts_for_slurm_make_and_merge_a_run(tmp_path: Path) -> None:
         }
         environment = {**os.environ, **task, "PATH": f"{tmp_path}:{os.environ['PATH']}"}
         words = [str(word) for word in (*COLLECT, "--out", tmp_path / "root")]
-        subprocess.run(["bash", scripts / "array.sh", *words], check=True, env=environment)
+        subprocess.run(["bash", SLURM / "array.sh", *words], check=True, env=environment)
     dataset = tmp_path / "root" / "knotgym" / "unknot-nx1" / "random-v0"
     subprocess.run(
-        ["bash", scripts / "merge.sh", dataset, tmp_path / "root"], check=True, env=environment
+        ["bash", SLURM / "merge.sh", dataset, tmp_path / "root"], check=True, env=environment
     )
     assert (dataset / "data" / "main_data.hdf5").is_file()

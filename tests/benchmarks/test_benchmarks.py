@@ -1,0 +1,204 @@
+"""Every benchmark runs, in the smallest size that it can have; none is asked how fast it was."""
+
+import importlib.util
+import json
+import math
+import runpy
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import pytest
+
+from knotgym.generate.states.archive import Archive
+
+from ..scripts import ROOT, run_script
+
+FOLDER = ROOT / "benchmarks"
+MODULES = {"pulled", "rope_states"}  # what the scripts share
+SCRIPTS = sorted(path for path in FOLDER.glob("*.py") if path.stem not in MODULES)
+EXTRAS = ("torch", "torch.utils", "torch.utils.data", "warp", "mujoco_warp")
+
+with_torch = pytest.mark.skipif(
+    importlib.util.find_spec("torch") is None, reason="torch isn't installed"
+)
+
+
+def numbers(value: Any) -> Iterator[float]:
+    """Every number in a JSON value, at any depth."""
+    if isinstance(value, dict | list):
+        for inner in value.values() if isinstance(value, dict) else value:
+            yield from numbers(inner)
+    elif isinstance(value, int | float) and not isinstance(value, bool):
+        yield value
+
+
+def figures(name: str, folder: Path, *words: object) -> dict[str, Any]:
+    """What a benchmark writes to --out; every number in it is finite."""
+    out = folder / f"{name}.json"
+    run_script(FOLDER / f"{name}.py", *words, "--out", out)
+    written: dict[str, Any] = json.loads(out.read_text(encoding="utf-8"))
+    assert list(numbers(written)) and all(map(math.isfinite, numbers(written)))
+    return written
+
+
+def test_there_are_benchmarks() -> None:
+    assert len(SCRIPTS) >= 17 and all((FOLDER / f"{name}.py").is_file() for name in MODULES)
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
+def test_every_benchmark_says_how_to_use_it(
+    script: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for extra in EXTRAS:  # these take seconds to import, and need not be installed
+        monkeypatch.setitem(sys.modules, extra, mock.MagicMock())
+    with pytest.raises(SystemExit) as ended:
+        run_script(script, "--help")
+    assert ended.value.code == 0 and f"usage: {script.name}" in capsys.readouterr().out
+    assert f"\n    python benchmarks/{script.name}" in script.read_text(encoding="utf-8")
+
+
+def test_both_labellers_agree_on_fourier_curves(tmp_path: Path) -> None:
+    written = figures("codes", tmp_path, "--curves", 16, "--ropes", 0)
+    curves = written["results"]["Fourier curves"]
+    assert curves["agreed"] == curves["curves"] == 16 and curves["disagreements"] == []
+
+
+def test_the_expert_benchmark_plays_and_goes_on_after_what_is_done(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("--random-episodes", 2, "--tasks", "tie", "--nx", 2, "--workers", 1, "--episodes")
+    assert figures("expert", tmp_path, *words, 0)["tie-nx2 random"]["result"]["episodes"] == 2
+    assert "tie-nx2 random: " in capsys.readouterr().out
+    figures("expert", tmp_path, *words, 0)
+    assert "tie-nx2 random: " not in capsys.readouterr().out
+
+
+def test_every_variant_of_the_model_is_stepped_and_ours_is_where_ours_is(tmp_path: Path) -> None:
+    models = figures("physics", tmp_path, "--starts", 1, "--repeats", 1)["models"]
+    assert len(models) == 11
+    assert models["ours: rooted in the middle"]["apart_mm"] == [0, 0]
+
+
+def test_pictures_of_every_size_and_camera_are_drawn(tmp_path: Path) -> None:
+    rows = figures("picture", tmp_path, "--frames", 1, "--renderers", "opencv")["rows"]
+    assert len(rows) == 8 and all(row["opencv_ms"] > 0 for row in rows)
+
+
+def test_the_published_environment_steps_beside_ours(tmp_path: Path) -> None:
+    words = ("--steps", 1, "--repeats", 1, "--modes", "state")
+    sides = figures("published", tmp_path, *words)["modes"]["state"]
+    assert sides.keys() == {"published", "ours, 24 steps", "ours, 20 steps"}
+
+
+def test_a_random_policy_leaves_the_rope_an_unknot(tmp_path: Path) -> None:
+    counts = figures("random_policy", tmp_path, "--steps", 8, "--ropes", 4, "--horizon", 2)
+    assert counts["steps"] == 8 and counts["nan"] == counts["changed_knot_type"] == 0
+
+
+def test_a_collection_is_timed(tmp_path: Path) -> None:
+    words = ("--jobs", "state", "--workers", 1, "--repeats", 1, "--episodes", 1)
+    assert figures("scaling", tmp_path, *words)["seconds"]["state"]["1"] > 0
+
+
+def test_raw_mujoco_ends_where_the_environment_does(tmp_path: Path) -> None:
+    modes = figures("step", tmp_path, "--steps", 2, "--repeats", 1)["modes"]
+    assert modes.keys() == {"state", "pixels", "both"}
+    assert all(mode["raw_share"] > 0 for mode in modes.values())
+
+
+def test_every_function_with_a_stopwatch_is_there() -> None:
+    stages = runpy.run_path(str(FOLDER / "stages.py"))
+    for stage, names in stages["WATCHED"].items():
+        assert stage in stages["STAGES"] and names
+        for name in names:
+            holder, function = stages["holder_of"](name)
+            assert callable(getattr(holder, function)), name
+
+
+def test_an_archive_tells_how_far_it_reaches(searched: Archive, tmp_path: Path) -> None:
+    searched.save(tmp_path / "archive.h5")
+    reached = figures("ways", tmp_path, tmp_path / "archive.h5", "--most-nx", 1)["nx"]
+    assert reached["0"]["led_to"] == 1 and 0 < reached["1"]["led_to"] <= reached["1"]["there_are"]
+
+
+def test_the_transitions_of_an_archive_make_a_table(searched: Archive, tmp_path: Path) -> None:
+    searched.save(tmp_path / "archive.h5")
+    words = ("--seeds", "--rounds", "--archive", tmp_path / "archive.h5", "--workers", 1)
+    run_script(FOLDER / "transitions.py", *words, "--out", tmp_path / "transitions.h5")
+    assert (tmp_path / "transitions.h5").stat().st_size > 0
+
+
+# Seconds each, for the ropes they look at have to be tangled first, or processes have to start.
+
+
+@pytest.mark.slow
+def test_a_page_of_borderline_pictures_is_drawn(tmp_path: Path) -> None:
+    run_script(FOLDER / "borderline.py", "--states", 8, "--out", tmp_path / "borderline.png")
+    assert (tmp_path / "borderline.png").stat().st_size > 1000
+
+
+@pytest.mark.slow
+def test_both_labellers_agree_on_tangled_ropes(tmp_path: Path) -> None:
+    ropes = figures("codes", tmp_path, "--curves", 1, "--ropes", 40)["results"]["rope states"]
+    assert ropes["agreed"] == ropes["curves"] == 40
+
+
+@pytest.mark.slow
+def test_the_strand_on_top_is_the_one_labelled_over(tmp_path: Path) -> None:
+    for shown in figures("truth", tmp_path, "--states", 20)["crossings"].values():
+        assert shown["over"] > 0 and "under" not in shown
+
+
+@pytest.mark.slow
+def test_every_job_is_timed_and_its_files_are_those_of_one_worker(tmp_path: Path) -> None:
+    words = ("--workers", 1, 2, "--repeats", 1, "--episodes", 2, "--states", 1)
+    assert figures("scaling", tmp_path, *words)["seconds"].keys() == {"state", "pixels", "main"}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed")
+def test_every_stage_of_every_job_has_its_share(tmp_path: Path) -> None:
+    words = ("--workers", 1, "--states", 1, "--episodes", 1, "--pictures", 4, "--clock", "cpu")
+    shares = figures("stages", tmp_path, *words)["shares"]
+    assert shares.keys() == {"main", "state", "pixels", "images"}
+    assert all(0 < share["mj_step"] < 1 for share in shares.values())
+    assert shares["images"]["picture"] > 0 and shares["main"]["quality"] > 0
+
+
+@pytest.mark.slow
+def test_a_search_of_one_round_makes_a_table_of_transitions(tmp_path: Path) -> None:
+    words = ("--seeds", 0, "--rounds", 1, "--workers", 1, "--out", tmp_path / "transitions.h5")
+    run_script(FOLDER / "transitions.py", *words)
+    assert (tmp_path / "transitions.h5").stat().st_size > 0
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="needs /proc")
+def test_memory_is_measured_at_every_stage(tmp_path: Path) -> None:
+    stages = figures("memory", tmp_path, "--frames", 5100)["stages"]
+    assert len(stages) == 7 and all(stage["peak_mb"] > 0 for stage in stages.values())
+
+
+@pytest.mark.slow
+@with_torch
+def test_frames_are_read_at_random(tmp_path: Path) -> None:
+    words = ("--frames", 5000, "--reads", 20, "--workers", 0)
+    reading = figures("loaders", tmp_path, *words)["reading"]
+    assert reading.keys() == {"pixels", "pixels drawn when read", "state"}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    importlib.util.find_spec("mujoco_warp") is None, reason="mujoco-warp isn't installed"
+)
+def test_the_gpu_port_takes_the_rope_with_another_solver(tmp_path: Path) -> None:
+    assert figures("gpu_port", tmp_path)["warp over CPU, ours, farthest bead, m"] < 1e-3
+
+
+@pytest.mark.gl
+def test_pixels_of_the_published_environment_are_timed_beside_ours(tmp_path: Path) -> None:
+    words = ("--steps", 1, "--repeats", 1, "--modes", "pixels")
+    assert figures("published", tmp_path, *words)["modes"]["pixels"]["published"]["ms"] > 0
