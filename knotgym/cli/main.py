@@ -16,8 +16,8 @@ from knotgym.cli.dataset_commands import dataset_app
 from knotgym.cli.policy_commands import collect, evaluate
 from knotgym.cli.run_commands import generate, images
 from knotgym.errors import KnotgymError
-from knotgym.runs.executors import LostWorkers
 from knotgym.runs.options import NotEnough
+from knotgym.runs.pools import LostWorkers
 
 app = typer.Typer(
     add_completion=False,

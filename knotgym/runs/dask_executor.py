@@ -19,7 +19,7 @@ from typing import Any
 import mujoco
 
 import knotgym
-from knotgym.runs.executors import AHEAD, InvalidEngine, LostWorkers, Promise, ordered
+from knotgym.runs.pools import AHEAD, InvalidEngine, LostWorkers, Promise, ordered
 
 CONNECT = 10.0  # seconds to find the scheduler in
 WAIT = 60.0  # seconds to wait for a first worker, and for another when the last is gone

@@ -12,7 +12,8 @@ from knotgym.generate.states.archive import Archive, Elite
 from knotgym.generate.states.search import SearchConfig, advance, new_archive
 from knotgym.quality import Limits, base_spacing, measure
 from knotgym.rope import Rope, base_shifts
-from knotgym.runs.executors import InProcess, Pool, engine
+from knotgym.runs.executors import InProcess, engine
+from knotgym.runs.pools import Pool
 from knotgym.simulation import Simulation
 from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.knots import is_unknot, knot_type

@@ -25,7 +25,8 @@ from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import Rollout, rollout
 from knotgym.datasets.trajectory import Episode
 from knotgym.errors import KnotgymError
-from knotgym.runs.executors import Pool, executor
+from knotgym.runs.executors import executor
+from knotgym.runs.pools import Pool
 from knotgym.tasks import TaskConfig
 
 SIDE_BY_SIDE = 8  # episodes of one piece of work

@@ -24,7 +24,7 @@ from knotgym.generate.states.archive import Archive, ArchiveConfig, Elite
 from knotgym.quality import Limits, base_spacing, measure
 from knotgym.rope import Array, Rope, RopeConfig, base_shifts
 from knotgym.runs.engine import Batch
-from knotgym.runs.executors import Pool
+from knotgym.runs.pools import Pool
 from knotgym.simulation import Simulation
 from knotgym.simulation_pool import simulation_of
 from knotgym.streams import Stream, generator
