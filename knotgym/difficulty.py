@@ -9,7 +9,7 @@ survival of noise) are about the rope and not about reading it; they bear on `ac
 
 from __future__ import annotations
 
-from knotgym.quality_limits import Limits, Quality
+from knotgym.quality import Limits, Quality
 
 READING = (
     "crossing_angle",
@@ -27,6 +27,6 @@ def ease(quality: Quality, limits: Limits) -> float:
 
 
 def grade(quality: Quality, limits: Limits) -> str:
-    """The grade of a picture, one of `image_table.GRADES`."""
+    """The grade of a picture, one of `datasets.images.GRADES`."""
     worst = ease(quality, limits)
     return next((name for name, least in _FROM.items() if worst >= least), "extreme")

@@ -1,10 +1,10 @@
-"""Relaxing a configuration without physics: strands part, bends ease, and the Gauss code stays.
+"""Opening a configuration up without physics: strands part in the picture, bends ease, and the
+Gauss code stays.
 
-A thousandth of the cost of hill climbing in the simulator (`generate.states.hill_climb`), for
-pictures, which need a rope that could lie so and no actions that lead there. Each iteration pushes
-apart vertices whose strands come near in the picture, straightens bends, lifts the strands at
-crossings apart, and gives every bead its length again (position-based dynamics, Müller et al.,
-2007).
+A thousandth of the cost of opening up in the simulator (`generate.opening`), for pictures, which
+need a rope that could lie so and no way there. Each iteration pushes apart vertices whose strands
+come near in the picture, straightens bends, lifts the strands at crossings apart, and gives every
+bead its length again (position-based dynamics, Müller et al., 2007).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ HEIGHT = 0.0125  # metres that crossing strands' axes are brought apart
 
 
 def relaxed(points: Array, rounds: int, rope: Rope) -> Array | None:
-    """Relax a configuration.
+    """Open a configuration up.
 
     Args:
         points: float64 (beads, 3), metres; left alone.
@@ -51,68 +51,48 @@ def relaxed(points: Array, rounds: int, rope: Rope) -> Array | None:
 
 @numba.njit(cache=True, nogil=True)
 def _iterate(p: Array, length: float, iterations: int) -> None:
-    """Relax vertices float64 (beads, 3), metres, in place; a step is 0.15 of a bead at most."""
-    push = np.empty((len(p), 3))
-    most = 0.15 * length
+    n = len(p)
+    push = np.empty((n, 3))
     for _ in range(iterations):
-        _straighten(p, push)
-        _part(p, push, length)
-        for i in range(len(p)):
-            for k in range(3):
-                p[i, k] += min(most, max(-most, push[i, k]))
-        _restore_lengths(p, length)
-
-
-@numba.njit(cache=True, nogil=True)
-def _straighten(p: Array, push: Array) -> None:
-    """Set `push` to what eases bends."""
-    n = len(p)
-    for i in range(n):
-        a, b, c, d = (i - 2) % n, (i - 1) % n, (i + 1) % n, (i + 2) % n
-        for k in range(3):
-            push[i, k] = -0.03 * (p[a, k] - 4 * p[b, k] + 6 * p[i, k] - 4 * p[c, k] + p[d, k])
-
-
-@numba.njit(cache=True, nogil=True)
-def _part(p: Array, push: Array, length: float) -> None:
-    """Add to `push` what parts strands in the picture, and lifts them apart where they cross."""
-    n = len(p)
-    for i in range(n):
-        for j in range(i + APART, n):
-            if i + n - j < APART:
-                continue
-            x, y = p[i, 0] - p[j, 0], p[i, 1] - p[j, 1]
-            apart = np.sqrt(x * x + y * y)
-            if apart >= REACH:
-                continue
-            if apart < 1.5 * length:  # they cross, or nearly: over and under keep apart
-                z = p[i, 2] - p[j, 2]
-                lack = HEIGHT - abs(z)
-                if lack > 0:
-                    lift = 0.25 * lack if z >= 0 else -0.25 * lack
-                    push[i, 2] += lift
-                    push[j, 2] -= lift
-            if apart > 1e-9:
-                strength = 0.012 * (1 - apart / REACH) ** 2 * length / apart
-                push[i, 0] += strength * x
-                push[i, 1] += strength * y
-                push[j, 0] -= strength * x
-                push[j, 1] -= strength * y
-
-
-@numba.njit(cache=True, nogil=True)
-def _restore_lengths(p: Array, length: float) -> None:
-    """Give beads their length again, eight times round the rope."""
-    n = len(p)
-    for _ in range(8):
         for i in range(n):
-            j = (i + 1) % n
-            x, y, z = p[j, 0] - p[i, 0], p[j, 1] - p[i, 1], p[j, 2] - p[i, 2]
-            now = np.sqrt(x * x + y * y + z * z)
-            share = 0.5 * (now - length) / max(now, 1e-12)
-            p[i, 0] += share * x
-            p[i, 1] += share * y
-            p[i, 2] += share * z
-            p[j, 0] -= share * x
-            p[j, 1] -= share * y
-            p[j, 2] -= share * z
+            a, b, c, d = (i - 2) % n, (i - 1) % n, (i + 1) % n, (i + 2) % n
+            for k in range(3):
+                push[i, k] = -0.03 * (p[a, k] - 4 * p[b, k] + 6 * p[i, k] - 4 * p[c, k] + p[d, k])
+        for i in range(n):
+            for j in range(i + APART, n):
+                if i + n - j < APART:
+                    continue
+                x, y = p[i, 0] - p[j, 0], p[i, 1] - p[j, 1]
+                apart = np.sqrt(x * x + y * y)
+                if apart >= REACH:
+                    continue
+                if (
+                    apart < 1.5 * length
+                ):  # they cross, or nearly: over and under keep their distance
+                    z = p[i, 2] - p[j, 2]
+                    lack = HEIGHT - abs(z)
+                    if lack > 0:
+                        lift = 0.25 * lack if z >= 0 else -0.25 * lack
+                        push[i, 2] += lift
+                        push[j, 2] -= lift
+                if apart > 1e-9:
+                    strength = 0.012 * (1 - apart / REACH) ** 2 * length / apart
+                    push[i, 0] += strength * x
+                    push[i, 1] += strength * y
+                    push[j, 0] -= strength * x
+                    push[j, 1] -= strength * y
+        for i in range(n):
+            for k in range(3):
+                p[i, k] += min(0.15 * length, max(-0.15 * length, push[i, k]))
+        for _ in range(8):
+            for i in range(n):
+                j = (i + 1) % n
+                x, y, z = p[j, 0] - p[i, 0], p[j, 1] - p[i, 1], p[j, 2] - p[i, 2]
+                now = np.sqrt(x * x + y * y + z * z)
+                share = 0.5 * (now - length) / max(now, 1e-12)
+                p[i, 0] += share * x
+                p[i, 1] += share * y
+                p[i, 2] += share * z
+                p[j, 0] -= share * x
+                p[j, 1] -= share * y
+                p[j, 2] -= share * z
