@@ -13,7 +13,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from knotgym.reset_noise import noised
 from knotgym.rope import InvalidCurve, Rope, RopeConfig, clearance, sub_chains
 from knotgym.topology.crossings import label
 
@@ -275,51 +274,6 @@ def test_clearance_is_the_smallest_distance_between_beads_apart() -> None:
     assert clearance(points) == pytest.approx(clearance(lifted))
     cross = np.array([[-1.0, 0, 0], [1, 0, 0], [1, 2, 0], [0, 2, 0.3], [0, -2, 0.3], [-1, -2, 0]])
     assert clearance(cross) == pytest.approx(0.3)
-
-
-@given(st.integers(0, 2**32 - 1), st.floats(0.0, 0.2))
-@settings(max_examples=60)
-def test_noise_keeps_beads_equal_and_the_rope_closed(seed: int, scale: float) -> None:
-    moved = noised(ROPE.loop(), scale, np.random.default_rng(seed))
-    assert np.abs(chords(moved) - BEAD).max() < 1e-9
-
-
-def test_noise_on_a_moving_rope_is_exactly_closed(rope: Rope, tangled: NDArray[np.float64]) -> None:
-    for points in rope.points(tangled[:10]):
-        moved = noised(points, 0.015, np.random.default_rng(0))
-        assert np.ptp(chords(moved)) < 1e-12
-        assert rope.points_and_gaps(rope.qpos(moved))[1] < 1e-6
-
-
-def test_noise_of_scale_zero_is_nothing() -> None:
-    points = ROPE.from_curve(trefoil())
-    assert np.abs(noised(points, 0.0, np.random.default_rng(0)) - points).max() < 1e-12
-
-
-def test_noise_is_what_the_generator_says() -> None:
-    points = ROPE.from_curve(trefoil())
-    first, again, other = (noised(points, 0.015, np.random.default_rng(seed)) for seed in (3, 3, 4))
-    assert np.array_equal(first, again) and not np.array_equal(first, other)
-
-
-def test_noise_takes_306_draws_whatever_happens() -> None:
-    for scale in (0.0, 0.1):
-        rng, counted = np.random.default_rng(0), np.random.default_rng(0)
-        noised(ROPE.loop(), scale, rng)
-        counted.uniform(-1, 1, 306)
-        assert rng.uniform() == counted.uniform()
-
-
-def test_noise_moves_every_bead_by_about_its_scale() -> None:
-    moved = noised(ROPE.loop(), 0.015, np.random.default_rng(0))
-    far = np.linalg.norm(moved - ROPE.loop(), axis=1)
-    assert 0.001 < far.min() and far.max() < 0.1
-
-
-def test_noise_leaves_its_input_alone() -> None:
-    points = ROPE.loop()
-    noised(points, 0.1, np.random.default_rng(0))
-    assert np.array_equal(points, ROPE.loop())
 
 
 def test_models_of_equal_configs_are_compiled_once() -> None:

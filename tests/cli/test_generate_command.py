@@ -538,7 +538,7 @@ def mistaken(tmp_path: Path) -> Path:
         ("--archive {}/text.h5", "text.h5 isn't a whole archive"),
         (
             "--archive {}/foreign.h5",
-            "foreign.h5 isn't an archive of format 'knotgym-archive' version 2",
+            "foreign.h5 has format 'none' version none; this version reads 'knotgym-archive'",
         ),
         ("--archive {}/knotted.h5", "begin at another curve"),
     ],

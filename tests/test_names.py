@@ -1,0 +1,54 @@
+"""Every class and every module is found by its name alone."""
+
+import ast
+from collections import Counter
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+FILES = sorted((ROOT / "knotgym").rglob("*.py"))
+
+
+def twice(names: list[str]) -> list[str]:
+    return [name for name, count in Counter(names).items() if count > 1]
+
+
+def test_no_two_modules_have_one_name() -> None:
+    assert FILES and twice([path.name for path in FILES if path.stem != "__init__"]) == []
+
+
+def test_no_two_classes_have_one_name() -> None:
+    classes = [
+        node.name
+        for path in FILES
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ClassDef)
+    ]
+    assert classes and twice(classes) == []
+
+
+def plain_errors(tree: ast.Module) -> list[ast.Raise]:
+    """Where errors of Python's own are raised; not in a `try`, which makes ours of them."""
+    caught = {
+        inner
+        for block in ast.walk(tree)
+        if isinstance(block, ast.Try)
+        for statement in block.body
+        for inner in ast.walk(statement)
+    }
+    return [
+        node
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Raise)
+        and node not in caught
+        and isinstance(node.exc, ast.Call)
+        and isinstance(node.exc.func, ast.Name)
+        and node.exc.func.id in ("ValueError", "RuntimeError", "TypeError", "FileNotFoundError")
+    ]
+
+
+def test_every_refusal_is_a_knotgym_error() -> None:
+    assert [
+        f"{path.relative_to(ROOT)}:{node.lineno}"
+        for path in FILES
+        for node in plain_errors(ast.parse(path.read_text(encoding="utf-8")))
+    ] == []

@@ -1,0 +1,58 @@
+"""What an episode pays, and when it ends."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from knotgym.reward import RewardRule, consecutive, success_at_last
+from knotgym.tasks import TaskConfig
+
+RULE = RewardRule(hold=2, horizon=9, success_reward=3.0, failure_reward=-1.0)
+
+
+@pytest.mark.parametrize(
+    ("held", "step", "failed", "right"),
+    [
+        (0, 4, False, (0.0, False, False)),
+        (1, 4, False, (0.0, False, False)),
+        (2, 4, False, (3.0, True, False)),
+        (2, 9, False, (3.0, True, False)),
+        (1, 9, False, (-1.0, False, True)),
+        (0, 4, True, (0.0, False, True)),
+        (2, 4, True, (0.0, False, True)),
+        (0, 9, True, (0.0, False, True)),
+    ],
+)
+def test_the_rule(held: int, step: int, failed: bool, right: tuple[float, bool, bool]) -> None:
+    assert tuple(column.item() for column in RULE.outcome([held], [step], [failed])) == right
+
+
+@given(st.integers(0, 60), st.integers(1, 60), st.booleans())
+def test_no_step_is_both_terminated_and_truncated(held: int, step: int, failed: bool) -> None:
+    outcome = RULE.outcome([held], [step], [failed])
+    assert not (outcome.terminated & outcome.truncated).any()
+
+
+def test_the_rule_of_a_task_has_its_numbers() -> None:
+    task = TaskConfig(task="tie", hold=2, horizon=9, success_reward=3.0, failure_reward=-1.0)
+    assert task.reward_rule == RULE
+
+
+@given(st.lists(st.booleans(), max_size=30))
+def test_consecutive_counts_as_one_would_by_hand(shown: list[bool]) -> None:
+    counted, running = [], 0
+    for now in shown:
+        running = running + 1 if now else 0
+        counted.append(running)
+    assert consecutive(shown).tolist() == counted
+
+
+@pytest.mark.parametrize("steps", [1, 2, 7])
+def test_success_at_last_is_what_the_rule_says_of_it(steps: int) -> None:
+    held, at = np.arange(1, steps + 1) == steps, np.arange(1, steps + 1)
+    rule = RewardRule(horizon=steps + 1)
+    for ours, theirs in zip(
+        success_at_last(steps), rule.outcome(held, at, np.zeros(steps)), strict=True
+    ):
+        assert ours.dtype == theirs.dtype and np.array_equal(ours, theirs)
