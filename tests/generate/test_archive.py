@@ -102,19 +102,22 @@ def test_an_empty_archive_leads_nowhere() -> None:
     assert Archive().leading_to(KINK) == [] and Archive().handed(KINK.plain) == []
 
 
-def test_every_code_known_has_a_hand_and_elites(searched: Archive) -> None:
-    for nx in range(4):
-        for code in searched.codes(nx):
-            assert searched.handed(code) and all(
-                one.visits == code.visits and searched.leading_to(one)
-                for one in searched.handed(code)
-            )
+def test_every_code_known_has_a_chirality_and_elites(searched: Archive) -> None:
+    codes = [code for nx in range(4) for code in searched.codes(nx)]
+    assert len(codes) > 3
+    for code in codes:
+        assert searched.handed(code) and all(
+            handed.visits == code.visits and searched.leading_to(handed)
+            for handed in searched.handed(code)
+        )
 
 
 def test_what_leads_to_a_code_has_it_among_its_mirror_images(searched: Archive) -> None:
-    for code in searched.codes(2):
-        for one in searched.handed(code):
-            assert all(one in mirror_images(elite.code) for elite in searched.leading_to(one))
+    handed = [chiral for code in searched.codes(2) for chiral in searched.handed(code)]
+    assert handed
+    for chiral in handed:
+        leading = searched.leading_to(chiral)
+        assert leading and all(chiral in mirror_images(elite.code) for elite in leading)
 
 
 def test_the_archive_comes_back_as_saved(searched: Archive, saved: Path) -> None:

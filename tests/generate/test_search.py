@@ -39,7 +39,9 @@ def kept(archive: Archive, folder: Path) -> bytes:
 
 
 def elites(archive: Archive) -> list[Elite]:
-    return [one for niche in archive.niches.values() for one in niche]
+    found = [elite for niche in archive.niches.values() for elite in niche]
+    assert len(found) > 10
+    return found
 
 
 def test_a_new_archive_knows_the_plain_loop() -> None:
@@ -72,7 +74,9 @@ def test_everything_found_is_an_unknot(searched: Archive) -> None:
     assert all(is_unknot(niche) for niche in searched.niches)
 
 
-def test_rounds_are_the_same_bytes_in_shifts_of_any_size(searched: Archive, tmp_path: Path) -> None:
+def test_rounds_are_the_same_bytes_in_work_units_of_any_size(
+    searched: Archive, tmp_path: Path
+) -> None:
     assert kept(grown(3, chunk=1), tmp_path) == kept(searched, tmp_path)
 
 
@@ -97,7 +101,7 @@ def test_another_seed_searches_elsewhere(searched: Archive, tmp_path: Path) -> N
     assert kept(grown(1, replace(SEARCH, seed=2)), tmp_path) != kept(grown(1), tmp_path)
 
 
-def test_every_way_from_the_plain_loop_ends_in_its_state_bit_for_bit(
+def test_every_sequence_from_the_plain_loop_ends_in_its_state_bit_for_bit(
     searched: Archive, rope: Rope
 ) -> None:
     simulation = Simulation(1, rope)
@@ -109,7 +113,7 @@ def test_every_way_from_the_plain_loop_ends_in_its_state_bit_for_bit(
         assert np.array_equal(simulation.states()[0], elite.state), elite.code.chiral
 
 
-def test_every_elite_shows_its_code_walked_from_its_roll(searched: Archive, rope: Rope) -> None:
+def test_every_elite_shows_its_code_walked_from_its_base(searched: Archive, rope: Rope) -> None:
     simulation = Simulation(1, rope)
     for elite in elites(searched):
         simulation.restore(elite.state[None])
@@ -121,7 +125,7 @@ def test_every_elite_shows_its_code_walked_from_its_roll(searched: Archive, rope
         )
 
 
-def test_the_badness_of_an_elite_is_that_of_its_state(searched: Archive, rope: Rope) -> None:
+def test_the_objective_of_an_elite_is_that_of_its_state(searched: Archive, rope: Rope) -> None:
     simulation = Simulation(1, rope)
     for elite in elites(searched)[:40]:
         simulation.restore(elite.state[None])
@@ -131,9 +135,11 @@ def test_the_badness_of_an_elite_is_that_of_its_state(searched: Archive, rope: R
         )
 
 
-def test_base_spacing_is_taken_from_the_roll(searched: Archive, rope: Rope) -> None:
+def test_base_spacing_is_taken_from_the_shifted_base(searched: Archive, rope: Rope) -> None:
     simulation = Simulation(1, rope)
-    for elite in [one for one in elites(searched) if one.code.nx][:10]:
+    crossed = [elite for elite in elites(searched) if elite.code.nx][:10]
+    assert len(crossed) == 10
+    for elite in crossed:
         simulation.restore(elite.state[None])
         points = simulation.points[0]
         renumbered = np.roll(points, -elite.base_shift, axis=0)
@@ -165,7 +171,7 @@ def test_every_slot_counts_as_a_visit(searched: Archive) -> None:
     assert sum(searched.visits.values()) == 3 * SEARCH.batch_size
 
 
-def test_no_way_is_longer_than_the_longest_allowed() -> None:
+def test_no_sequence_is_longer_than_the_longest_allowed() -> None:
     archive = grown(3, replace(SEARCH, seed=4, longest=12))
     assert 8 < max(len(one.sequence) for one in elites(archive)) <= 12
 
