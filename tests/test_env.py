@@ -218,7 +218,8 @@ def test_success_ends_the_episode_with_5(make: Make) -> None:
 def test_a_curl_pulled_open_is_a_success(make: Make, states: States) -> None:
     env = make("unknot", nx=1, reset_noise=0.0)
     env.reset(seed=0, options={"start": int(states.rows(1, "train")[0])})
-    simulation, results = env.episodes.simulation, []
+    simulation = env.episodes.simulation
+    results: list[tuple[Any, float, bool, bool, dict[str, Any]]] = []
     while not results or not (results[-1][2] or results[-1][3]):
         points = simulation.points[0]
         # the curl is inside; push it out over the rope
@@ -303,7 +304,7 @@ def test_info_tells_the_pull(make: Make) -> None:
 def test_what_an_agent_gets_is_its_own(make: Make) -> None:
     env, other = make("tie", observation="both"), make("tie", observation="both")
     rng, expected = np.random.default_rng(0), rollout(other, 0)
-    got = env.reset(seed=0)
+    got: Any = env.reset(seed=0)
     for result in expected:
         assert same(got, result)
         got[0]["pixels"][:] = 7
@@ -603,7 +604,7 @@ def test_environments_in_one_process_do_not_share(
     alone = [rollout(make(observation="both", **one), 0) for one in settings]
     together = [make(observation="both", **one) for one in settings]
     rngs = [np.random.default_rng(0) for _ in settings]
-    results = [[env.reset(seed=0) for env in together]]
+    results: list[list[Any]] = [[env.reset(seed=0) for env in together]]
     for _ in range(4):
         results.append(
             [
@@ -635,7 +636,9 @@ def test_a_spec_survives_json(registered: Callable[..., gym.Env[Any, Any]]) -> N
     )
     assert env.spec is not None
     again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
-    assert again.unwrapped.config == env.unwrapped.config
+    here, there = env.unwrapped, again.unwrapped
+    assert isinstance(here, KnotEnv) and isinstance(there, KnotEnv)
+    assert there.config == here.config
     assert same(rollout(again, 0), rollout(env, 0))
 
 

@@ -223,6 +223,7 @@ def test_the_wheel_installs_elsewhere_and_loads_its_assets(tmp_path: Path) -> No
 
 
 def test_the_links_are_links_to_the_rooms() -> None:
-    for name in ("datasets", "generate", "loaders"):
-        if (ROOT / name).is_symlink():
-            assert os.readlink(ROOT / name) == f"knotgym/{name}"
+    links = [name for name in ("datasets", "generate", "loaders") if (ROOT / name).is_symlink()]
+    if not links:
+        pytest.skip("this checkout has no symbolic links")
+    assert [os.readlink(ROOT / name) for name in links] == [f"knotgym/{name}" for name in links]

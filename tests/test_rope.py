@@ -75,7 +75,7 @@ def test_config_survives_json() -> None:
     "name", ["length", "radius", "joint_damping", "timestep", "frame_skip", "rooted"]
 )
 def test_fingerprint_changes_with_every_number(name: str) -> None:
-    value = (
+    value: Any = (
         "start"
         if name == "rooted"
         else 2 * getattr(RopeConfig(), name)

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from knotgym import streams
 from knotgym.streams import InvalidSeed, Stream, derived_seed, generator, key, words
 
 from .small_job import knotgym
@@ -61,7 +60,7 @@ def used(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, ...]]:
         seen.append(tuple(entropy))
         return make(entropy, **keywords)
 
-    monkeypatch.setattr(streams.np.random, "SeedSequence", recorded)
+    monkeypatch.setattr(np.random, "SeedSequence", recorded)
     return seen
 
 

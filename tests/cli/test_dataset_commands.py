@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import h5py
@@ -37,8 +38,8 @@ def opened(path: Path) -> Iterator[h5py.File]:
 
 def film_length(path: Path) -> int:
     if path.suffix == ".gif":
-        with Image.open(path) as film:
-            return getattr(film, "n_frames", 1)
+        with Image.open(path) as animation:
+            return getattr(animation, "n_frames", 1)
     film = cv2.VideoCapture(str(path))
     count = 0
     while film.read()[0]:
@@ -269,14 +270,12 @@ def test_a_replay_of_what_cannot_be_is_refused(
 
 def cut(states: States, kept: NDArray[np.bool_]) -> States:
     """Some of the rows."""
-    columns = {
+    columns: dict[str, Any] = {
         name: value[kept] for name, value in vars(states).items() if isinstance(value, np.ndarray)
     }
-    groups = {
-        name: {key: value[kept] for key, value in getattr(states, name).items()}
-        for name in ("quality", "source")
-    }
-    return replace(states, **columns, **groups)
+    for name in ("quality", "source"):
+        columns[name] = {key: value[kept] for key, value in getattr(states, name).items()}
+    return replace(states, **columns)
 
 
 def rows(states: States) -> list[bytes]:
@@ -317,6 +316,8 @@ def test_two_halves_merged_are_the_whole(curated: Path, tmp_path: Path) -> None:
     merged = read_states(tmp_path / "m.h5")
     assert (
         rows(merged) == rows(whole)
+        and merged.image is not None
+        and whole.image is not None
         and np.array_equal(merged.image, whole.image)
         and list(state_faults(merged)) == []
     )

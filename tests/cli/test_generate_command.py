@@ -91,7 +91,9 @@ def held(partial: Path) -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def states(curated: Path) -> States:
-    return read_states(curated / "states.h5")
+    states = read_states(curated / "states.h5")
+    assert len(states) == 8
+    return states
 
 
 @pytest.fixture(scope="module")
@@ -218,7 +220,7 @@ def test_the_archive_of_the_run_can_be_read(curated: Path) -> None:
 
 
 def test_the_gallery_shows_every_state(curated: Path, states: States) -> None:
-    sheet = cv2.imread(str(curated / "gallery.png"))[..., ::-1]
+    sheet = np.asarray(cv2.imread(str(curated / "gallery.png")))[..., ::-1]
     assert states.image is not None
     first = states.image[min(range(4), key=lambda row: (states.split[row] != "train", row))]
     assert sheet.shape == (170, 8 * 140, 3) and np.array_equal(sheet[6:134, 6:134], first)
@@ -261,6 +263,7 @@ def test_minari_loads_the_trajectories(
             episode.terminations.tolist() == [False] * (steps - 1) + [True]
             and not episode.truncations.any()
         )
+        assert states.image is not None
         assert np.array_equal(episode.observations["pixels"][-1, :, :128], states.image[row])
 
 

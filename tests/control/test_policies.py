@@ -1,6 +1,7 @@
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -152,7 +153,7 @@ def test_a_policy_that_is_not_there_is_refused_in_one_line(policy: str, says: st
     "settings",
     [{"noise": 1.5}, {"noise": float("nan")}, {"shares": (1.0,)}, {"shares": (0.0, 0.0, 0.0, 0.0)}],
 )
-def test_settings_that_make_no_sense_are_refused(settings: dict[str, object]) -> None:
+def test_settings_that_make_no_sense_are_refused(settings: dict[str, Any]) -> None:
     with pytest.raises(InvalidPolicy):
         PolicyConfig(**settings)
 

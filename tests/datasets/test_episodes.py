@@ -60,13 +60,9 @@ def record(env: gym.Env[Any, Any], seed: int) -> tuple[Episode, list[Any]]:
     rng, simulation = np.random.default_rng(seed), core.episodes.simulation
     seen, info = env.reset(seed=seed)
     start_qpos = simulation.qpos()[0]
-    observations, infos, points, actions, outcomes = (
-        [seen],
-        [info],
-        [simulation.points[0].copy()],
-        [],
-        [],
-    )
+    observations, infos, points = [seen], [info], [simulation.points[0].copy()]
+    actions: list[Any] = []
+    outcomes: list[Any] = []
     while not outcomes or not (outcomes[-1][1] or outcomes[-1][2]):
         if len(actions) % 8 == 0:
             bead = rng.integers(100)

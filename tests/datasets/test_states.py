@@ -84,7 +84,13 @@ def test_rows_are_those_of_nx_and_split(states: States) -> None:
 
 def test_no_states_at_all_come_back(states: States, tmp_path: Path) -> None:
     assert states.image is not None
-    none = States(*(getattr(states, name)[:0] for name in COLUMNS), attributes=states.attributes)
+    none = replace(
+        states,
+        **{name: getattr(states, name)[:0] for name in COLUMNS},
+        quality={},
+        source={},
+        units={},
+    )
     write_states(tmp_path / "none.h5", none)
     assert len(read_states(tmp_path / "none.h5")) == 0
 

@@ -108,17 +108,21 @@ def test_an_empty_archive_leads_nowhere() -> None:
 
 
 def test_every_code_known_has_a_chirality_and_elites(searched: Archive) -> None:
-    for nx in range(4):
-        for code in searched.codes(nx):
-            chiral = searched.known_chiralities(code)
-            assert chiral and {known.visits for known in chiral} == {code.visits}
-            assert all(searched.leading_to(known) for known in chiral)
+    codes = [code for nx in range(4) for code in searched.codes(nx)]
+    assert len(codes) > 3
+    for code in codes:
+        assert searched.known_chiralities(code) and all(
+            handed.visits == code.visits and searched.leading_to(handed)
+            for handed in searched.known_chiralities(code)
+        )
 
 
 def test_what_leads_to_a_code_has_it_among_its_mirror_images(searched: Archive) -> None:
-    for code in searched.codes(2):
-        for known in searched.known_chiralities(code):
-            assert all(known in mirror_images(elite.code) for elite in searched.leading_to(known))
+    handed = [chiral for code in searched.codes(2) for chiral in searched.known_chiralities(code)]
+    assert handed
+    for chiral in handed:
+        leading = searched.leading_to(chiral)
+        assert leading and all(chiral in mirror_images(elite.code) for elite in leading)
 
 
 def test_the_archive_comes_back_as_saved(searched: Archive, saved: Path) -> None:

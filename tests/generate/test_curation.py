@@ -10,7 +10,7 @@ from knotgym.datasets.near_duplicates import NEAR, distances
 from knotgym.datasets.states import States
 from knotgym.generate.states.curation import is_near_duplicate
 from knotgym.reset_noise import noised
-from knotgym.topology.knots import knot_type
+from knotgym.topology.knots import codes_of, knot_type
 
 EIGHT = list(codes_of("0_1", 2))
 

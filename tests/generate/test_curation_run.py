@@ -140,7 +140,9 @@ def test_a_finished_job_has_what_was_asked_for(finished: CurationRun) -> None:
 
 
 def test_accepted_states_have_no_faults_and_the_crossings_asked_for(finished: CurationRun) -> None:
-    assert all(one.faults == () and one.code.nx == nx for nx, one in accepted(finished))
+    candidates = list(accepted(finished))
+    assert len(candidates) == 2
+    assert all(one.faults == () and one.code.nx == nx for nx, one in candidates)
 
 
 def test_every_instance_has_a_seed_of_its_own(finished: CurationRun) -> None:
@@ -225,7 +227,7 @@ def test_what_cannot_be_accepted_ends_with_a_line_that_says_so() -> None:
 
 
 def test_a_job_stops_after_its_cycles_with_what_there_is() -> None:
-    job = done(CurationRun.begin(config(nx=(0, 1), count=40, cycles=2)))
+    job = done(CurationRun.begin(config(nx=(0, 1), count=40, cycles=2, wave=4)))
     assert job.cycle == len(job.growth) == 2 and 0 < len(job.accepted[1]) < 40
     assert job.growth[-1]["accepted"] == {
         str(nx): len(candidates) for nx, candidates in job.accepted.items()

@@ -1,5 +1,6 @@
 import json
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -22,7 +23,7 @@ from knotgym.tasks import TaskConfig
 
 def config(states_path: str, **settings: object) -> EvaluateConfig:
     task = TaskConfig(task="unknot", states=states_path, observation="state", horizon=5)
-    fields = {
+    fields: dict[str, Any] = {
         "policies": (PolicyConfig(policy="random"),),
         "tasks": ("unknot",),
         "nx": (1,),

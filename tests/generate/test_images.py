@@ -92,7 +92,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def rows(folder: Path) -> list[dict[str, Any]]:
-    return list(read_rows(folder))
+    rows = list(read_rows(folder))
+    assert rows
+    return rows
 
 
 def test_there_are_as_many_pictures_as_asked_for_of_each_nx(rows: list[dict[str, Any]]) -> None:
@@ -111,6 +113,7 @@ def test_every_check_passes(folder: Path) -> None:
 
 def test_no_two_rows_are_near_duplicates(folder: Path) -> None:
     points = tables.points_of(read_table(folder))
+    assert len(points) == CONFIG.count
     for k in range(len(points) - 1):
         assert distances(points[k], points[k + 1 :]).min() >= NEAR
 

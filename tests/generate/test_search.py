@@ -38,7 +38,9 @@ def kept(archive: Archive, folder: Path) -> bytes:
 
 
 def elites(archive: Archive) -> list[Elite]:
-    return [elite for niche in archive.niches.values() for elite in niche]
+    found = [elite for niche in archive.niches.values() for elite in niche]
+    assert len(found) > 10
+    return found
 
 
 def test_a_new_archive_knows_the_plain_loop() -> None:
@@ -67,7 +69,9 @@ def test_everything_found_is_an_unknot(searched: Archive) -> None:
     assert all(is_unknot(niche) for niche in searched.niches)
 
 
-def test_rounds_are_the_same_bytes_in_units_of_any_size(searched: Archive, tmp_path: Path) -> None:
+def test_rounds_are_the_same_bytes_in_work_units_of_any_size(
+    searched: Archive, tmp_path: Path
+) -> None:
     assert kept(grown(3, chunk=1), tmp_path) == kept(searched, tmp_path)
 
 
@@ -104,9 +108,7 @@ def test_every_sequence_from_the_plain_loop_ends_in_its_state_bit_for_bit(
         assert np.array_equal(simulation.states()[0], elite.state), elite.code.chiral
 
 
-def test_every_elite_shows_its_code_walked_from_its_base_shift(
-    searched: Archive, rope: Rope
-) -> None:
+def test_every_elite_shows_its_code_walked_from_its_base(searched: Archive, rope: Rope) -> None:
     simulation = Simulation(1, rope)
     for elite in elites(searched):
         simulation.restore(elite.state[None])
@@ -128,9 +130,11 @@ def test_the_objective_of_an_elite_is_that_of_its_state(searched: Archive, rope:
         )
 
 
-def test_base_spacing_is_taken_from_the_base_shift(searched: Archive, rope: Rope) -> None:
+def test_base_spacing_is_taken_from_the_shifted_base(searched: Archive, rope: Rope) -> None:
     simulation = Simulation(1, rope)
-    for elite in [elite for elite in elites(searched) if elite.code.nx][:10]:
+    crossed = [elite for elite in elites(searched) if elite.code.nx][:10]
+    assert len(crossed) == 10
+    for elite in crossed:
         simulation.restore(elite.state[None])
         points = simulation.points[0]
         renumbered = np.roll(points, -elite.base_shift, axis=0)

@@ -75,7 +75,7 @@ def coded(k: int) -> Episode:
         actions=np.stack(
             [np.full(length, k / 64), states[:-1] / 128, *np.zeros((4, length))], axis=1
         ).astype(np.float32),
-        rewards=number[:-1] + 0.5,
+        rewards=np.asarray(number[:-1] + 0.5, dtype=np.float64),
         terminations=last & terminated,
         truncations=last & (not terminated),
         gauss_code=np.array([f"code {k} {step}" for step in states]),

@@ -1,5 +1,7 @@
 """Appearance: what varies in a picture, and that none of it makes a label false."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -75,14 +77,15 @@ def test_a_zoomed_rope_stays_in_the_picture(points: Array) -> None:
 
 
 def test_a_turned_or_zoomed_picture_shows_its_crossings_where_it_says(points: Array) -> None:
-    found = find_crossings(points)
+    crossings = find_crossings(points)
+    assert crossings.nx == 3
     for look in looks(points, AppearanceConfig(vary=("turn", "zoom"), sizes=(256,)), 10):
         config = look.picture()
-        assert set(shown_strands(render(points, look), found, points, config)) <= {
+        assert set(shown_strands(render(points, look), crossings, points, config)) <= {
             "over",
             "ambiguous",
         }
-        for x, y in crossing_pixels(found, points, config):
+        for x, y in crossing_pixels(crossings, points, config):
             assert render(points, look)[int(y), int(x)].any()
 
 
@@ -136,6 +139,6 @@ def test_a_single_colour_is_one(points: Array) -> None:
         {"blur": float("nan")},
     ],
 )
-def test_nonsense_is_refused(settings: dict) -> None:
+def test_nonsense_is_refused(settings: dict[str, Any]) -> None:
     with pytest.raises(InvalidAppearance):
         AppearanceConfig(**settings)

@@ -57,9 +57,9 @@ def test_compiled_polygons_are_those_of_plain_arithmetic_bit_for_bit(config: Pic
             * [rng.choice([1.0, 0.01]), 1.0, rng.choice([0.2, 2.0])]
         )
         placed, side = _placed(rope, config), config.size * config.supersampling
-        for ours, plain in zip(
-            polygons(*placed, side), plain_polygons.polygons(*placed, side), strict=True
-        ):
+        made = polygons(*placed, side), plain_polygons.polygons(*placed, side)
+        for part in (0, 1):
+            ours, plain = made[0][part], made[1][part]
             assert ours.dtype == plain.dtype and np.array_equal(ours, plain)
 
 
@@ -410,10 +410,14 @@ def test_at_every_crossing_the_over_strand_is_shown() -> None:
 
 
 def test_the_strand_shown_changes_with_the_heights() -> None:
-    for points in curves()[:10]:
-        crossings, mirrored = find_crossings(points), points * [1.0, 1.0, -1.0]
-        shown = shown_strands(draw(mirrored), crossings, points)
-        assert not np.any(shown == "over")
+    shown = np.concatenate(
+        [
+            shown_strands(draw(points * [1.0, 1.0, -1.0]), find_crossings(points), points)
+            for points in curves()[:10]
+        ]
+    )
+    assert not np.any(shown == "over")
+    assert np.sum(shown == "under") > 10
 
 
 def test_a_strand_hidden_below_a_third_is_ambiguous() -> None:

@@ -31,10 +31,13 @@ def random_curve(rng: np.random.Generator) -> np.ndarray:
 
 def assert_agreement(curves: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
+    compared = 0
     for index in range(curves):
         points = random_curve(rng)
         if visit_spacing(find_crossings(points), 100).visits > 1e-9:
             assert label(points) == pyknotid_code(points), f"curve {index} of seed {seed}"
+            compared += 1
+    assert compared > 0.99 * curves
 
 
 def test_both_labellers_agree_on_500_curves() -> None:
