@@ -25,7 +25,7 @@ from knotgym.atomic_files import atomic_write
 from knotgym.control.planner import PlannerConfig
 from knotgym.control.policies import PolicyConfig
 from knotgym.generate.episodes.evaluate import EvaluateConfig, Result, evaluate
-from knotgym.runs.executors import engine
+from knotgym.runs.executors import executor
 from knotgym.tasks import TaskConfig
 
 
@@ -43,7 +43,7 @@ def play(args: argparse.Namespace) -> dict[str, dict[str, Any]]:
     ]
     if args.empirical:
         kinds.append(("random empirical", PolicyConfig(), args.random_episodes, args.empirical))
-    with engine(args.workers) as pool:
+    with executor(args.workers) as pool:
         for nx in map(int, args.nx.split(",")):
             for task in args.tasks.split(","):
                 for kind, policy, episodes, states in kinds:

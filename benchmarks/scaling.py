@@ -16,7 +16,6 @@ import statistics
 import tempfile
 import time
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -24,8 +23,9 @@ from rich.table import Table
 from knotgym.atomic_files import sha256
 from knotgym.control.policies import PolicyConfig
 from knotgym.generate.episodes.collect import CollectConfig, collect
-from knotgym.generate.states.curation_run import GenerateConfig
+from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.state_recipe import generate
+from knotgym.runs.options import RunOptions
 from knotgym.tasks import TaskConfig
 
 JOBS = ("state", "pixels", "main")
@@ -33,22 +33,14 @@ JOBS = ("state", "pixels", "main")
 
 def run(name: str, size: int, out: Path, workers: int) -> tuple[float, dict[str, str]]:
     """Seconds that a job takes, and the SHA-256 of its data files."""
-    settings: dict[str, Any] = {
-        "workers": workers,
-        "resume": False,
-        "quiet": True,
-        "console": Console(),
-    }
+    options = RunOptions(workers=workers, quiet=True)
     began = time.perf_counter()
     if name == "main":
-        generate(GenerateConfig(nx=(3,), count=size), out, archive=None, **settings)
+        generate(GenerateConfig(nx=(3,), count=size), out, options)
     else:
         task = TaskConfig(task="tie", nx=2, observation=name)
-        collect(
-            CollectConfig(task=task, policy=PolicyConfig(policy="random"), episodes=size),
-            out,
-            **settings,
-        )
+        policy = PolicyConfig(policy="random")
+        collect(CollectConfig(task=task, policy=policy, episodes=size), out, options)
     taken = time.perf_counter() - began
     return taken, {
         path.name: sha256(path)

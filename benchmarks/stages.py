@@ -124,39 +124,27 @@ class Stopwatch:
 
 
 def run(name: str, number: int, of: int, size: int, folder: Path) -> None:
-    """Shard `number` of `of` of a job that gives every shard `size` states, episodes or
-    pictures.
-    """
+    """Shard `number` of a run that gives each of `of` shards `size` things to make."""
     from knotgym.control.policies import PolicyConfig
     from knotgym.generate.episodes.collect import CollectConfig, collect
-    from knotgym.generate.images.image_recipe import ImagesConfig, make
-    from knotgym.generate.states.curation_run import GenerateConfig
+    from knotgym.generate.images.image_recipe import make_images
+    from knotgym.generate.images.images_config import ImagesConfig
+    from knotgym.generate.states.generate_config import GenerateConfig
     from knotgym.generate.states.state_recipe import generate
+    from knotgym.runs.options import RunOptions
     from knotgym.runs.shards import Shard
     from knotgym.tasks import TaskConfig
 
-    shard = Shard(number, of)
-    settings: dict[str, Any] = {
-        "workers": 1,
-        "resume": False,
-        "quiet": True,
-        "console": Console(),
-    }
-    out = shard.folder(folder / name)
+    options = RunOptions(workers=1, quiet=True, shard=Shard(number, of))
     if name == "main":
-        generate(
-            GenerateConfig(nx=(3,), count=size * of, shard=shard), out, archive=None, **settings
-        )
+        generate(GenerateConfig(nx=(3,), count=size * of), folder / name, options)
     elif name == "images":
-        make(ImagesConfig(count=size * of, shard=shard), out, archive=None, states=None, **settings)
+        make_images(ImagesConfig(count=size * of), folder / name, options)
     else:
         task = TaskConfig(task="tie", nx=2, observation=name)
-        collect(
-            CollectConfig(task=task, policy=PolicyConfig(policy="random"), episodes=size * of),
-            out,
-            shard=shard,
-            **settings,
-        )
+        policy = PolicyConfig(policy="random")
+        config = CollectConfig(task=task, policy=policy, episodes=size * of)
+        collect(config, options.shard.folder(folder / name), options)
 
 
 def worker(

@@ -16,7 +16,7 @@ from rich.console import Console
 from knotgym.control.transition_counts import TransitionCounts
 from knotgym.generate.states.archive import Archive
 from knotgym.generate.states.search import SearchConfig, advance, new_archive
-from knotgym.runs.executors import engine
+from knotgym.runs.executors import executor
 
 
 def main() -> None:
@@ -40,7 +40,7 @@ def main() -> None:
     console, table, settings = Console(), TransitionCounts(), SearchConfig(max_nx=4)
     for path in args.archive:
         table.add(Archive.load(path).transitions, settings.most_templates)
-    with engine(args.workers) as pool:
+    with executor(args.workers) as pool:
         for seed, rounds in zip(args.seeds, args.rounds, strict=True):
             config = replace(settings, seed=seed)
             archive = new_archive(config)

@@ -40,4 +40,4 @@ def test_nothing_led_to_the_first_state() -> None:
     actions = encode_actions([7, 60], [[0.1, 0, 0], [0, 0.2, 0]], points[:2], ROPE.config)
     beads, forces = steps_taken(actions, points, ROPE.config)
     assert beads.tolist() == [-1, 7, 60] and beads.dtype == np.int64
-    assert np.allclose(forces, [[0, 0, 0], [0.1, 0, 0], [0, 0.2, 0]])
+    assert np.allclose(forces, [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.2, 0.0]])

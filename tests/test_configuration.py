@@ -15,13 +15,14 @@ from knotgym.control.transition_graph import TransitionGraphConfig
 from knotgym.datasets.label_limits import LabelLimits
 from knotgym.errors import KnotgymError
 from knotgym.generate.episodes.collect import CollectConfig
-from knotgym.generate.images.image_recipe import ImagesConfig
+from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.generate.images.selection import SelectionConfig
 from knotgym.generate.images.walks import WalkConfig
 from knotgym.generate.states.archive import ArchiveConfig
 from knotgym.generate.states.candidates import CandidateConfig
 from knotgym.generate.states.code_frequencies import FrequencyConfig
-from knotgym.generate.states.curation_run import GenerateConfig, search_config
+from knotgym.generate.states.curation_run import search_config
+from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.hill_climb import HillClimbConfig
 from knotgym.generate.states.search import SearchSettings
 from knotgym.relaxation import RelaxationConfig

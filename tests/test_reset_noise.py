@@ -11,7 +11,8 @@ from knotgym.reset_noise import noised, start_qpos
 from knotgym.rope import Rope
 from knotgym.topology.crossings import label
 
-from .test_rope import BEAD, ROPE, chords, trefoil
+from .conftest import trefoil
+from .test_rope import BEAD, ROPE, chords
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 0.2))

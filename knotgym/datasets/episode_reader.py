@@ -27,7 +27,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.datasets.minari_folder import minari_root
+from knotgym.datasets.states import minari_root
 from knotgym.datasets.trajectory import INFOS, Episode
 from knotgym.errors import KnotgymError, MissingFile
 from knotgym.hdf5_files import check_format, foreign_bytes_as

@@ -13,8 +13,8 @@ import numpy as np
 
 import knotgym
 from knotgym.datasets.image_table import GRADES, file_stem, read_table
-from knotgym.datasets.markdown import table
 from knotgym.datasets.splits import IMAGE_SPLITS
+from knotgym.datasets.state_card import table
 
 _TEXT = ("gauss_code", "gauss_code_chiral", "split", "grade")
 _COUNTED = (*_TEXT, "nx", "accepted")

@@ -27,7 +27,7 @@ import knotgym
 from knotgym.atomic_files import atomic_write
 from knotgym.datasets.episode_reader import EpisodeReader, InvalidEpisodeFile
 from knotgym.datasets.episode_writer import merge_episodes
-from knotgym.datasets.minari_folder import minari_root
+from knotgym.datasets.states import minari_root
 from knotgym.tasks import TaskConfig
 
 _ID = re.compile(r"([-\w]+/)*[-\w]+-v\d+")

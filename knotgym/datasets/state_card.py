@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.datasets.markdown import table
 from knotgym.datasets.splits import STATE_SPLITS
 from knotgym.datasets.states import States
 from knotgym.topology.gauss import GaussCode
@@ -188,3 +187,21 @@ def _counts(states: States, rows: NDArray[np.int64]) -> dict[str, Any]:
         "negative_crossings": signs.count(-1),
         "actions_to_reach": actions,
     }
+
+
+def table_row(*cells: object) -> str:
+    """One row.
+
+    >>> table_row("nx", 3)
+    '| nx | 3 |'
+    """
+    return "| " + " | ".join(map(str, cells)) + " |"
+
+
+def table(head: Sequence[object], rows: Iterable[Sequence[object]]) -> list[str]:
+    """The lines of a table."""
+    return [
+        table_row(*head),
+        table_row(*["---"] * len(head)),
+        *(table_row(*row) for row in rows),
+    ]

@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.atomic_files import atomic_write, new_hdf5
-from knotgym.datasets.minari_folder import minari_root
 from knotgym.datasets.state_schema import FORMAT, FORMAT_VERSION, ROOT
 from knotgym.errors import KnotgymError
 from knotgym.hdf5_files import opened_hdf5
@@ -99,6 +98,11 @@ class States:
 def shipped() -> Path:
     """The curated states that come with the package: 17 loops, and 40 states for each nx to 4."""
     return Path(str(files("knotgym.datasets") / "curated" / "states.h5"))
+
+
+def minari_root() -> Path:
+    """The folder under which a dataset's id is found: MINARI_DATASETS_PATH, else Minari's own."""
+    return Path(os.environ.get("MINARI_DATASETS_PATH") or Path.home() / ".minari" / "datasets")
 
 
 def states_file(named: str) -> Path:

@@ -1,6 +1,7 @@
 """Macro-actions lead one bead where they say, by steps that an agent could take."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -125,6 +126,6 @@ def test_shares_decide_what_is_drawn(rope: Rope) -> None:
         ({"lift": float("nan")}, "lift must be at least 0"),
     ],
 )
-def test_settings_that_make_no_sense_are_refused(settings: dict[str, object], problem: str) -> None:
+def test_settings_that_make_no_sense_are_refused(settings: dict[str, Any], problem: str) -> None:
     with pytest.raises(InvalidConfig, match=problem):
         MacroActionConfig(**settings)

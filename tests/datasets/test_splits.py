@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from knotgym.datasets.splits import IMAGE_SPLITS, STATE_SPLITS, split
-from knotgym.generate.states.curation import codes_of
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.knots import codes_of
 
 EIGHT = list(codes_of("0_1", 2))
 
@@ -57,9 +57,8 @@ def test_a_split_is_the_same_for_the_same_seed(drawn: list[int], by: str, seed: 
 
 def test_another_seed_splits_otherwise() -> None:
     codes = EIGHT * 5
-    assert not np.array_equal(
-        *(split(codes, "state", 0.5, np.random.default_rng(seed)) for seed in (0, 1))
-    )
+    first, second = (split(codes, "state", 0.5, np.random.default_rng(seed)) for seed in (0, 1))
+    assert not np.array_equal(first, second)
 
 
 def test_codes_with_chirality_are_split_as_the_code_they_show() -> None:

@@ -9,15 +9,16 @@ from unittest import mock
 import cv2
 import numpy as np
 import pytest
-from rich.console import Console
 
 from knotgym.datasets.episode_writer import EpisodeWriter
 from knotgym.datasets.image_rows import Row, record
 from knotgym.datasets.image_table import write_rows
 from knotgym.datasets.trajectory import Episode
-from knotgym.generate.images.image_recipe import ImagesConfig, make
+from knotgym.generate.images.image_recipe import make_images
+from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.rendering.appearance import AppearanceConfig
 from knotgym.rope import Rope
+from knotgym.runs.options import RunOptions
 from knotgym.tasks import TaskConfig
 from knotgym.topology.crossings import label
 
@@ -130,18 +131,7 @@ def test_a_code_is_read_off_a_picture_by_tracing_its_colours(
 @pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="torch isn't installed")
 def test_a_network_is_trained_to_read_and_says_how_well(tmp_path: Path) -> None:
     config = ImagesConfig(nx=(0, 1), count=20, test_nx=(), test_share=0.3, steps=4)
-    silent = Console(quiet=True)
-    folder = tmp_path / "pictures"
-    make(
-        config,
-        folder,
-        archive=None,
-        states=None,
-        workers=1,
-        resume=False,
-        quiet=True,
-        console=silent,
-    )
+    folder = make_images(config, tmp_path / "pictures", RunOptions(workers=1, quiet=True))
     run_script(SCRIPTS[1], folder, "--steps", 2, "--batch", 4, "--out", tmp_path / "reader")
     report = json.loads((tmp_path / "reader" / "report.json").read_text())
     assert report["steps"] == 2 and "test" in report["exact match"]

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -229,6 +230,6 @@ def test_as_many_elites_are_kept_as_asked_for() -> None:
 
 
 @pytest.mark.parametrize("settings", [{"kept": 0}, {"kept": 1.5}, {"fair": 0.0}])
-def test_settings_that_make_no_sense_are_refused(settings: dict[str, object]) -> None:
+def test_settings_that_make_no_sense_are_refused(settings: dict[str, Any]) -> None:
     with pytest.raises(InvalidConfig):
         ArchiveConfig(**settings)

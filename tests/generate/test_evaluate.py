@@ -98,9 +98,9 @@ def test_the_file_holds_the_rate_the_interval_and_the_settings(
 
 
 def test_workers_do_not_change_the_result(states_path: str) -> None:
-    from knotgym.runs.executors import engine
+    from knotgym.runs.executors import executor
 
-    with engine(2) as pool:
+    with executor(2) as pool:
         assert (
             evaluate(config(states_path), pool)[0] == evaluate(config(states_path), InProcess())[0]
         )

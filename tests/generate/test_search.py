@@ -9,10 +9,10 @@ import pytest
 
 from knotgym.control.action_sequence import step_ropes
 from knotgym.generate.states.archive import Archive, Elite
-from knotgym.generate.states.search import SearchConfig, advance, new_archive
+from knotgym.generate.states.search import SearchConfig, advance, new_archive, search_round
 from knotgym.quality import Limits, base_spacing, measure
 from knotgym.rope import Rope, base_shifts
-from knotgym.runs.executors import InProcess, engine
+from knotgym.runs.executors import InProcess, executor
 from knotgym.runs.pools import Pool
 from knotgym.simulation import Simulation
 from knotgym.topology.crossings import find_crossings, label
@@ -27,7 +27,9 @@ def grown(
 ) -> Archive:
     archive = new_archive(config)
     for _ in range(rounds):
-        advance(archive, config, pool or InProcess(), chunk)
+        for batch in search_round(archive, config, chunk):
+            for _ in batch.follow(pool or InProcess()):
+                pass
     return archive
 
 
@@ -76,7 +78,7 @@ def test_rounds_are_the_same_bytes_in_work_units_of_any_size(
 
 
 def test_rounds_are_the_same_bytes_on_two_workers(searched: Archive, tmp_path: Path) -> None:
-    with engine(2) as pool:
+    with executor(2) as pool:
         assert kept(grown(3, pool=pool, chunk=3), tmp_path) == kept(searched, tmp_path)
 
 

@@ -23,8 +23,7 @@ from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import rollout
 from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
-from knotgym.datasets.minari_folder import minari_root
-from knotgym.datasets.states import states_file
+from knotgym.datasets.states import minari_root, states_file
 from knotgym.errors import KnotgymError
 from knotgym.rope import RopeConfig
 from knotgym.runs.engine import Batch, run
