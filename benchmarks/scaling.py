@@ -25,7 +25,7 @@ from knotgym.control.policies import PolicyConfig
 from knotgym.generate.episodes.collect import CollectConfig, collect
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.state_recipe import generate
-from knotgym.runs.options import RunOptions
+from knotgym.runs.run_options import RunOptions
 from knotgym.tasks import TaskConfig
 
 JOBS = ("state", "pixels", "main")

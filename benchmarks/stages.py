@@ -36,7 +36,7 @@ WATCHED = {
         "rope.Rope.points",
         "rope.Rope.points_and_gaps",
         "rope.Rope.qpos",
-        "rope.noised",
+        "reset_noise.noised",
         "rope.clearance",
     ),
     "label": (
@@ -58,7 +58,7 @@ WATCHED = {
     ),
     "compression": (
         "datasets.episode_writer.EpisodeWriter.add",
-        "datasets.episode_writer.merge",
+        "datasets.episode_writer.merge_episodes",
         "datasets.image_table.encode",
         "datasets.image_table.write_rows",
         "datasets.states.write_states",
@@ -131,7 +131,7 @@ def run(name: str, number: int, of: int, size: int, folder: Path) -> None:
     from knotgym.generate.images.images_config import ImagesConfig
     from knotgym.generate.states.generate_config import GenerateConfig
     from knotgym.generate.states.state_recipe import generate
-    from knotgym.runs.options import RunOptions
+    from knotgym.runs.run_options import RunOptions
     from knotgym.runs.shards import Shard
     from knotgym.tasks import TaskConfig
 

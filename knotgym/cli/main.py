@@ -16,8 +16,8 @@ from knotgym.cli.dataset_commands import dataset_app
 from knotgym.cli.policy_commands import collect, evaluate
 from knotgym.cli.run_commands import generate, images
 from knotgym.errors import KnotgymError
-from knotgym.runs.options import NotEnough
 from knotgym.runs.pools import LostWorkers
+from knotgym.runs.run_options import NotEnough
 
 app = typer.Typer(
     add_completion=False,

@@ -10,7 +10,7 @@ import typer
 
 from knotgym.configuration import Config, InvalidConfig, updated
 from knotgym.runs.executors import scheduler_of
-from knotgym.runs.options import RunOptions
+from knotgym.runs.run_options import RunOptions
 from knotgym.runs.shards import Shard
 
 EngineOption = Annotated[

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from knotgym.generate.images.images_config import ImagesConfig, InvalidImagesConfig
     from knotgym.generate.states.generate_config import GenerateConfig, InvalidGenerateConfig
     from knotgym.generate.states.state_recipe import generate as make_states
-    from knotgym.runs.options import InvalidRun, NotEnough, RunOptions
+    from knotgym.runs.run_options import InvalidRun, NotEnough, RunOptions
     from knotgym.runs.staging import Occupied
 else:
     from knotgym.lazy_exports import lazy_exports
@@ -30,10 +30,10 @@ else:
             "InvalidEvaluation": "knotgym.generate.episodes.evaluate",
             "InvalidGenerateConfig": "knotgym.generate.states.generate_config",
             "InvalidImagesConfig": "knotgym.generate.images.images_config",
-            "InvalidRun": "knotgym.runs.options",
-            "NotEnough": "knotgym.runs.options",
+            "InvalidRun": "knotgym.runs.run_options",
+            "NotEnough": "knotgym.runs.run_options",
             "Occupied": "knotgym.runs.staging",
-            "RunOptions": "knotgym.runs.options",
+            "RunOptions": "knotgym.runs.run_options",
             "collect": "knotgym.generate.episodes.collect",
             "evaluate": "knotgym.generate.episodes.evaluate:run",
             "make_images": "knotgym.generate.images.image_recipe",

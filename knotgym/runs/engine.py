@@ -26,9 +26,9 @@ from knotgym.atomic_files import atomic_write
 from knotgym.configuration import differences
 from knotgym.rope import RopeConfig
 from knotgym.runs.executors import executor
-from knotgym.runs.options import InvalidRun, RunOptions
 from knotgym.runs.pools import Pool
 from knotgym.runs.progress import Progress, Status
+from knotgym.runs.run_options import InvalidRun, RunOptions
 from knotgym.runs.staging import Occupied, lock_folder, staging, staging_folder
 
 REQUEST = "request.json"

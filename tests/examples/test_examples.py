@@ -18,7 +18,7 @@ from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.rendering.appearance import AppearanceConfig
 from knotgym.rope import Rope
-from knotgym.runs.options import RunOptions
+from knotgym.runs.run_options import RunOptions
 from knotgym.tasks import TaskConfig
 from knotgym.topology.crossings import label
 

@@ -24,7 +24,7 @@ from knotgym.datasets.minari_dataset import MinariMetadata, publish
 from knotgym.datasets.trajectory import relabel_all
 from knotgym.generate.episodes.collect import CollectConfig, InvalidCollection, collect
 from knotgym.runs.engine import request_of
-from knotgym.runs.options import InvalidRun, RunOptions
+from knotgym.runs.run_options import InvalidRun, RunOptions
 from knotgym.runs.staging import Occupied, staging_folder
 from knotgym.tasks import TaskConfig
 

@@ -23,7 +23,7 @@ from knotgym.generate.states.targeted_search import reach
 from knotgym.quality import Limits
 from knotgym.rope import Rope, RopeConfig
 from knotgym.runs.executors import InProcess
-from knotgym.runs.options import NotEnough
+from knotgym.runs.run_options import NotEnough
 from knotgym.simulation import Simulation
 from knotgym.topology.gauss import GaussCode
 

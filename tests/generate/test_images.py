@@ -45,7 +45,7 @@ from knotgym.quality import UNITS, Limits, measure
 from knotgym.relaxation import RelaxationConfig, relaxed
 from knotgym.rendering.appearance import VARIED, AppearanceConfig
 from knotgym.rope import Array, Rope
-from knotgym.runs.options import InvalidRun, RunOptions
+from knotgym.runs.run_options import InvalidRun, RunOptions
 from knotgym.runs.staging import Occupied
 from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.gauss import GaussCode

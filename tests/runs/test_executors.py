@@ -22,8 +22,8 @@ from knotgym.generate.episodes.collect import CollectConfig, collect
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.runs.executors import executor, scheduler_of
-from knotgym.runs.options import RunOptions
 from knotgym.runs.pools import AHEAD, InvalidEngine, ordered
+from knotgym.runs.run_options import RunOptions
 from knotgym.tasks import TaskConfig
 
 from ..cli.test_generate_command import SECONDS, WANTED, bytes_of, said

@@ -27,8 +27,8 @@ from knotgym.datasets.states import minari_root, states_file
 from knotgym.errors import KnotgymError
 from knotgym.rope import RopeConfig
 from knotgym.runs.engine import Batch, run
-from knotgym.runs.options import RunOptions
 from knotgym.runs.progress import Status
+from knotgym.runs.run_options import RunOptions
 from knotgym.tasks import TaskConfig
 
 REPORT = "collection.json"

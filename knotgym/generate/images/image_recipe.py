@@ -36,8 +36,8 @@ from knotgym.generate.images.seed_states import SeedStates, seed_states
 from knotgym.generate.images.selection import Chooser, ChosenFrame
 from knotgym.generate.images.walks import WALKS, Frames, Unit, Walk, make_walks
 from knotgym.runs.engine import Batch, run
-from knotgym.runs.options import NotEnough, RunOptions
 from knotgym.runs.progress import Status
+from knotgym.runs.run_options import NotEnough, RunOptions
 from knotgym.streams import Stream, generator
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import codes_of

@@ -23,7 +23,7 @@ from knotgym.generate.states.search import SearchConfig, new_archive, search_rou
 from knotgym.generate.states.targeted_search import Target, TargetPlan, reach
 from knotgym.rope import Array, Rope
 from knotgym.runs.engine import CHECKPOINT, Batch
-from knotgym.runs.options import NotEnough
+from knotgym.runs.run_options import NotEnough
 from knotgym.runs.shards import Shard
 from knotgym.streams import Stream, derived_seed, generator, key
 from knotgym.topology.crossings import label

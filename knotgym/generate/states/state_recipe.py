@@ -30,8 +30,8 @@ from knotgym.generate.states.curation_run import CurationRun
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.quality import Quality
 from knotgym.runs.engine import Batch, run
-from knotgym.runs.options import RunOptions
 from knotgym.runs.progress import Status
+from knotgym.runs.run_options import RunOptions
 from knotgym.topology.gauss import GaussCode
 
 _RUN = "run.json"
