@@ -573,9 +573,8 @@ def test_no_command_shows_the_help(capfd: pytest.CaptureFixture[str]) -> None:
 def test_too_few_attempts_are_a_failure_that_can_be_resumed(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    words = ("generate", "--nx", 2, "--count", 8, "--workers", 1, "--quiet")
-    words = (*words, "--out", tmp_path / "a")
-    assert knotgym(*words, "--attempts", 1) == 1
+    words = ("--nx", 2, "--count", 8, "--workers", 1, "--quiet", "--out", tmp_path / "a")
+    assert knotgym("generate", *words, "--attempts", 1) == 1
     (line,) = said(capfd)
     assert re.fullmatch(
         r"knotgym: [0-7] of 8 states with nx = 2 accepted in \d+ attempts; use --resume and more"
