@@ -153,19 +153,20 @@ def test_the_strand_on_top_is_the_one_labelled_over(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_every_job_is_timed_and_its_files_are_those_of_one_worker(tmp_path: Path) -> None:
-    words = ("--workers", 1, 2, "--repeats", 1, "--episodes", 2, "--states", 1)
-    assert figures("scaling", tmp_path, *words)["seconds"].keys() == {"state", "pixels", "main"}
+def test_a_collection_is_timed_and_its_files_are_those_of_one_worker(tmp_path: Path) -> None:
+    words = ("--jobs", "state", "pixels", "--workers", 1, 2, "--repeats", 1, "--episodes", 2)
+    assert figures("scaling", tmp_path, *words)["seconds"].keys() == {"state", "pixels"}
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed")
-def test_every_stage_of_every_job_has_its_share(tmp_path: Path) -> None:
-    words = ("--workers", 1, "--states", 1, "--episodes", 1, "--pictures", 4, "--clock", "cpu")
-    shares = figures("stages", tmp_path, *words)["shares"]
-    assert shares.keys() == {"main", "state", "pixels", "images"}
+def test_every_stage_of_a_collection_and_of_pictures_has_its_share(tmp_path: Path) -> None:
+    words = ("--jobs", "state", "pixels", "images", "--workers", 1, "--clock", "cpu")
+    sizes = ("--episodes", 1, "--pictures", 4)
+    shares = figures("stages", tmp_path, *words, *sizes)["shares"]
+    assert shares.keys() == {"state", "pixels", "images"}
     assert all(0 < share["mj_step"] < 1 for share in shares.values())
-    assert shares["images"]["picture"] > 0 and shares["main"]["quality"] > 0
+    assert shares["images"]["picture"] > 0 and shares["images"]["quality"] > 0
 
 
 @pytest.mark.slow
