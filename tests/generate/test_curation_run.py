@@ -275,7 +275,7 @@ def test_codes_not_surely_known_are_aimed_at_those_aimed_at_least_first() -> Non
         == list(job.shares[2])[: SMALL.targets]
     )
     assert len({one.seed for one in first + second}) == 2 * len(first) and set(
-        job.aimed.values()
+        job.targeted.values()
     ) == {2}
     for elite in reach(first[0]).elites:
         job.archive.offer(elite, ArchiveConfig())

@@ -136,15 +136,17 @@ class ImageRecipe:
         wave, idle, first = self.shard.first, 0, self.shard.first
         while lacking := self.chooser.lacking():
             number = first + sum(len(frames.numbers) for frames in self.walked)
-            walks, aims = _wave(self.config, self.start, self.split, lacking, gave, wave, number)
+            walks, quota_of = _wave(
+                self.config, self.start, self.split, lacking, gave, wave, number
+            )
             chosen = len(self.chooser.chosen)
 
             def absorb(
-                unit: _UnitFile, path: Path, aims: dict[int, tuple[str, int]] = aims
+                unit: _UnitFile, path: Path, quota_of: dict[int, tuple[str, int]] = quota_of
             ) -> None:
-                self._consider(_load(path), aims, gave)
+                self._consider(_load(path), quota_of, gave)
 
-            yield Batch(_walked, self._units(walks, aims, folder), absorb)
+            yield Batch(_walked, self._units(walks, quota_of, folder), absorb)
             idle = 0 if len(self.chooser.chosen) > chosen else idle + 1
             wave += 1
             if idle == self.config.idle:
@@ -158,10 +160,10 @@ class ImageRecipe:
                 )
 
     def _units(
-        self, walks: list[Walk], aims: dict[int, tuple[str, int]], folder: Path
+        self, walks: list[Walk], quota_of: dict[int, tuple[str, int]], folder: Path
     ) -> list[_UnitFile]:
         units: list[_UnitFile] = []
-        for steps, group in _by_steps(self.config, walks, aims):
+        for steps, group in _by_steps(self.config, walks, quota_of):
             for begin in range(0, len(group), WALKS):
                 some = tuple(group[begin : begin + WALKS])
                 unit = Unit(
@@ -180,7 +182,7 @@ class ImageRecipe:
     def _consider(
         self,
         frames: Frames,
-        aims: dict[int, tuple[str, int]],
+        quota_of: dict[int, tuple[str, int]],
         gave: dict[tuple[str, int], _Stretch],
     ) -> None:
         """Offer the frames of a unit to the chooser, one by one."""
@@ -188,10 +190,10 @@ class ImageRecipe:
         for points, number, ease in zip(
             frames.points, frames.walk.tolist(), frames.ease.tolist(), strict=True
         ):
-            aim = aims[number]
+            quota = quota_of[number]
             rng = generator(Stream.IMAGE_CHOICE, self.config.seed, self.shard.first + self.frames)
-            if self.chooser.consider(points, aim[0], ease, self.frames, rng):
-                gave[aim] = gave[aim]._replace(chosen=gave[aim].chosen + 1)
+            if self.chooser.consider(points, quota[0], ease, self.frames, rng):
+                gave[quota] = gave[quota]._replace(chosen=gave[quota].chosen + 1)
             self.frames += 1
 
     def _table_files(self) -> list[TableFile]:
@@ -312,12 +314,12 @@ def splits_of(
 
 
 def _by_steps(
-    config: ImagesConfig, walks: list[Walk], aims: dict[int, tuple[str, int]]
+    config: ImagesConfig, walks: list[Walk], quota_of: dict[int, tuple[str, int]]
 ) -> list[tuple[int, list[Walk]]]:
     """Walks by the steps they make."""
     groups: dict[int, list[Walk]] = {}
     for walk in walks:
-        nx = aims[walk.number][1]
+        nx = quota_of[walk.number][1]
         steps = config.steps * (3 if nx == 0 else 2 if nx < 3 else 1) // 3
         groups.setdefault(max(config.stride, steps), []).append(walk)
     return sorted(groups.items())
@@ -347,7 +349,7 @@ def _wave(
         total = sum(wanted.values())
         wanted = {key: max(1, count * most // total) for key, count in wanted.items()}
     walks: list[Walk] = []
-    aims: dict[int, tuple[str, int]] = {}
+    quota_of: dict[int, tuple[str, int]] = {}
     for key, count in wanted.items():
         own = np.flatnonzero((start.nx == 0) if key[1] == 0 else (split == key[0]))
         if not len(own):
@@ -364,9 +366,9 @@ def _wave(
             same = own[start.kind[own] == kind]
             number = first + len(walks)
             walks.append(Walk(number, int(same[rng.integers(len(same))])))
-            aims[number] = key
+            quota_of[number] = key
         gave[key] = gave[key]._replace(walks=gave[key].walks + count)
-    return walks, aims
+    return walks, quota_of
 
 
 class _UnitFile(NamedTuple):

@@ -45,7 +45,7 @@ class CurationRun:
         accepted: nx -> candidates, in the order of acceptance.
         rejected: nx -> reason -> how many.
         tried: nx -> code -> candidates made.
-        aimed: code -> targeted searches for it.
+        targeted: code -> targeted searches for it.
         cycle: cycles done.
         actions: environment steps made by targeted searches and candidates; the archive counts the
             search's.
@@ -61,7 +61,7 @@ class CurationRun:
     accepted: dict[int, list[Candidate]] = field(default_factory=dict)
     rejected: dict[int, Counter[str]] = field(default_factory=dict)
     tried: dict[int, Counter[GaussCode]] = field(default_factory=dict)
-    aimed: Counter[GaussCode] = field(default_factory=Counter)
+    targeted: Counter[GaussCode] = field(default_factory=Counter)
     cycle: int = 0
     actions: int = 0
     growth: list[dict[str, Any]] = field(default_factory=list)
@@ -225,20 +225,20 @@ def _targets(run: CurationRun, search: SearchConfig) -> list[Target]:
             continue
         index_of = {code: index for index, code in enumerate(shares)}
         for code in uncertain:
-            index, times = index_of[code], run.aimed[code]
+            index, times = index_of[code], run.targeted[code]
             seed = key(Stream.TARGETED_SEARCH, search.seed, nx, index, times)
             known = bool(run.archive.known_chiralities(code))
             target = Target(search, config.planner, start, code, seed)
             ranked.append(((have[code] >= shares[code], times, known, index), target))
     ranked.sort(key=lambda pair: pair[0])
     chosen = [target for _, target in ranked[: config.targets]]
-    run.aimed.update(target.goal for target in chosen)
+    run.targeted.update(target.goal for target in chosen)
     return chosen
 
 
 def _is_target(run: CurationRun, nx: int, code: GaussCode, have: int, search: SearchConfig) -> bool:
     """Whether a code is not surely known, or lacks states and nothing comes of its candidates."""
-    stuck = run.tried[nx][code] >= run.config.stuck * (1 + run.aimed[code])
+    stuck = run.tried[nx][code] >= run.config.stuck * (1 + run.targeted[code])
     known = run.archive.known_chiralities(code)
     sure = any(run.archive.sure(chiral, search.longest) for chiral in known)
     return not sure or (stuck and have < run.shares[nx][code])

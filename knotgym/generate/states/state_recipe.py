@@ -122,7 +122,7 @@ class StateRecipe:
                 str(nx): [[str(code), count] for code, count in tried.items()]
                 for nx, tried in state.tried.items()
             },
-            "aimed": [[str(code), count] for code, count in state.aimed.items()],
+            "targeted": [[str(code), count] for code, count in state.targeted.items()],
             "archive": archive.name,
             "accepted": {name: sha256(folder / "accepted" / name) for name in accepted},
             "sha256": sha256(archive),
@@ -152,7 +152,7 @@ class StateRecipe:
             for nx in self.config.nx:
                 state.rejected[nx] = Counter(said["rejected"][str(nx)])
                 state.tried[nx] = _counted(said["tried"][str(nx)])
-            state.aimed = _counted(said["aimed"])
+            state.targeted = _counted(said["targeted"])
             for name in said["accepted"]:
                 nx = int(name.split("-")[0])
                 state.accepted[nx].append(_load_candidate(folder / "accepted" / name))
