@@ -1,0 +1,101 @@
+"""Golden runs: small runs of states, episodes and pictures, and the SHA-256 of every stored array.
+
+    python benchmarks/golden.py --out before.json
+    python benchmarks/golden.py --compare before.json
+
+Runs `python -m knotgym` of the environment that it is started in, so that it can be run at any
+commit and the files compared: what a change of code left alone has the same digests. Versions,
+checksums and times in manifests are no part of it. --compare prints what differs; status 1 if
+anything does.
+"""
+
+import argparse
+import hashlib
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+SEED = "3"
+RUNS = {
+    "states": ("generate", "--nx", "0,1", "--count", "3"),
+    "episodes": (
+        *("collect", "--task", "tie", "--nx", "2", "--policy", "mixed"),
+        *("--episodes", "6", "--budget", "200"),
+    ),
+    "pictures": ("images", "--nx", "0-2", "--count", "60", "--vary", "all"),
+}
+
+
+def digests(folder: Path) -> dict[str, str]:
+    """File and dataset or column -> SHA-256 of its values, for all below a folder."""
+    found: dict[str, str] = {}
+    for path in sorted(folder.rglob("*")):
+        name = str(path.relative_to(folder))
+        if path.suffix in (".h5", ".hdf5"):
+            found.update({f"{name}:{key}": value for key, value in of_hdf5(path).items()})
+        elif path.suffix == ".parquet":
+            found.update({f"{name}:{key}": value for key, value in of_parquet(path).items()})
+        elif path.suffix == ".png":
+            found[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+    return found
+
+
+def of_hdf5(path: Path) -> dict[str, str]:
+    """Dataset -> SHA-256 of its values."""
+    found: dict[str, str] = {}
+
+    def visit(name: str, item: object) -> None:
+        if isinstance(item, h5py.Dataset):
+            values = np.asarray(item[()])
+            is_text = values.dtype == object
+            data = repr(values.tolist()).encode() if is_text else values.tobytes()
+            found[name] = hashlib.sha256(data).hexdigest()
+
+    with h5py.File(path, "r") as file:
+        file.visititems(visit)
+    return found
+
+
+def of_parquet(path: Path) -> dict[str, str]:
+    """Column -> SHA-256 of its values."""
+    from pyarrow import parquet
+
+    table = parquet.read_table(path)
+    return {
+        name: hashlib.sha256(repr(table[name].to_pylist()).encode()).hexdigest()
+        for name in table.column_names
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--kinds", default=",".join(RUNS), help="of %(default)s")
+    parser.add_argument("--out", type=Path, default=Path("golden.json"))
+    parser.add_argument("--compare", type=Path, help="what an earlier run wrote to --out")
+    args = parser.parse_args()
+    found: dict[str, str] = {}
+    with tempfile.TemporaryDirectory() as room:
+        for kind in args.kinds.split(","):
+            folder = Path(room) / kind
+            words = [*RUNS[kind], "--seed", SEED, "--quiet", "--out", str(folder)]
+            subprocess.run([sys.executable, "-m", "knotgym", *words], check=True)
+            found.update({f"{kind}/{name}": value for name, value in digests(folder).items()})
+    args.out.write_text(json.dumps(found, indent=1, sort_keys=True), encoding="utf-8")
+    total = hashlib.sha256(json.dumps(found, sort_keys=True).encode()).hexdigest()
+    print(f"{len(found)} datasets, columns and pictures; all together {total}")
+    if args.compare is not None:
+        before = json.loads(args.compare.read_text(encoding="utf-8"))
+        names = [name for name in sorted({*before, *found}) if before.get(name) != found.get(name)]
+        print("\n".join(f"differs: {name}" for name in names) or "nothing differs")
+        sys.exit(1 if names else 0)
+
+
+if __name__ == "__main__":
+    main()
