@@ -55,7 +55,8 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         f"{len(states)} configurations of a closed rope in MuJoCo (knot type {report['knot']}),"
         f" each labelled with its Gauss code, made by `knotgym generate` {report['version']}"
         f" (MuJoCo {report['mujoco']}) with seed {config['seed']}. `states.h5` holds one row a"
-        " state, `minari/` the trajectories that lead from the start to each of them, `archive.h5`"
+        " state, `minari/` the trajectories that lead from the start to each of them (train and"
+        " test are datasets of their own), `archive.h5`"
         " what the search found (`--archive` goes on from it), `gallery.png` shows all states,"
         " `manifest.json` lists checksums, configuration and counts. `knotgym dataset verify`"
         " recomputes every label and replays every trajectory.",
