@@ -98,13 +98,14 @@ def merge(sources: Sequence[str], out: Path) -> None:
             " --shard)"
         )
     if all(is_states(source) for source in sources):
-        write_states(out, merge_states([read_states(states_path(source)) for source in sources]))
+        parts = [read_states(states_path(source)) for source in sources]
+        write_states(out, merge_states(parts, distinct=True))
     elif any(is_states(source) for source in sources):
         raise UnknownDataset(
             f"states and trajectories don't go into one file: {', '.join(sources)}"
         )
     else:
-        merge_episodes(sources, out, concatenate=True)
+        merge_episodes(sources, out, concatenate=True, distinct=True)
 
 
 def film(path: str, row: int, out: Path) -> None:

@@ -14,7 +14,14 @@ from knotgym.datasets.episode_verification import show_episodes
 from knotgym.datasets.image_card import summary as image_summary
 from knotgym.datasets.image_table import GRADES, shards
 from knotgym.datasets.manifest_check import read_manifest
-from knotgym.datasets.state_card import growth, known_and_accepted, most_first
+from knotgym.datasets.state_card import (
+    SPREAD_HEAD,
+    SPREAD_SAYS,
+    growth,
+    known_and_accepted,
+    most_first,
+    spread_rows,
+)
 from knotgym.datasets.state_card import summary as state_summary
 from knotgym.datasets.states import read_states
 
@@ -54,6 +61,11 @@ def print_states(path: str, file: Path, console: Console) -> None:
         "of: codes there are; chiral: codes with chirality; both: codes in both splits; actions:"
         " fewest/median/most to reach",
     )
+    spread = _table(SPREAD_HEAD, title="spread")
+    for row in spread_rows(facts["nx"]):
+        spread.add_row(*row)
+    console.print(spread)
+    _say(console, SPREAD_SAYS)
     quality = _table(
         ("measure", "unit", "min", "median", "max"), title="quality", left=("measure", "unit")
     )

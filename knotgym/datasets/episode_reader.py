@@ -34,10 +34,13 @@ from knotgym.hdf5_files import check_format, foreign_bytes_as
 from knotgym.tasks import TaskConfig
 
 FORMAT = "knotgym-episodes"
-FORMAT_VERSION = 1
+# 2: every episode's start and goal are of the task's split, and infos hold the goal's code
+FORMAT_VERSION = 2
+READ_VERSIONS = (1, FORMAT_VERSION)
 STORED = ("pixels", "state", "both", "none")
 
 _ROPE = ("start_qpos", "points", "goal_points")
+GOAL_INFO = "infos/goal_gauss_code"  # the goal's label, repeated at every state
 _STEPS = ("actions", "rewards", "terminations", "truncations")
 
 
@@ -63,6 +66,7 @@ class EpisodeReader:
         stored: the observations in the file.
         rows: the k of the groups `episode_{k}` read here, in order.
         lengths: int64 (len(rows),), the T of each.
+        format_version: of the file.
     """
 
     def __init__(self, source: Any) -> None:
@@ -78,8 +82,8 @@ class EpisodeReader:
         self.path = episode_file(source)
         self._opened: tuple[int, h5py.File] | None = None
         with foreign_bytes_as(InvalidEpisodeFile, f"{self.path} isn't a whole episode file"):
-            check_format(
-                self.file, format=FORMAT, versions=(FORMAT_VERSION,), error=InvalidEpisodeFile
+            self.format_version = check_format(
+                self.file, format=FORMAT, versions=READ_VERSIONS, error=InvalidEpisodeFile
             )
             attributes = dict(self.file.attrs)
             self.task = TaskConfig(**json.loads(attributes["task"]))

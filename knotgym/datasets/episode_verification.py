@@ -16,11 +16,13 @@ from numpy.typing import NDArray
 
 from knotgym.actions import steps_taken
 from knotgym.datasets.episode_reader import (
+    GOAL_INFO,
     EpisodeReader,
     InvalidEpisodeFile,
     counted_index,
     stored_index,
 )
+from knotgym.datasets.split_verification import duplicate_faults, split_faults
 from knotgym.datasets.trajectory import Episode
 from knotgym.errors import one_line
 from knotgym.rendering.observations import observe, picture_config
@@ -89,7 +91,7 @@ def verify_episodes(
     except InvalidEpisodeFile as error:
         return [str(error)]
     rope = Rope(reader.task.rope)
-    faults = _file_faults(reader, rope)
+    faults = [*_file_faults(reader, rope), *split_faults(reader), *duplicate_faults(reader)]
     faultless: list[int] = []
     for index, row in enumerate(reader.rows):
         where = f"{reader.path}, episode {row}"
@@ -227,6 +229,7 @@ def _faults_of(
         if episode.digest() != reader.group(index).attrs["digest"]:
             faults.append("its contents don't have the digest they were written with")
         faults += episode_faults(episode, reader.task, rope)
+        faults += _goal_info_faults(reader, index, episode)
         faults += _observation_faults(reader, index, episode, frames)
         stored = str(episode.gauss_code_chiral[-1])
         second = pyknotid_code(episode.points[-1]).chiral if pyknotid else stored
@@ -237,6 +240,17 @@ def _faults_of(
     except (InvalidEpisodeFile, OSError, KeyError, ValueError) as error:
         faults.append(one_line(error))
     return faults
+
+
+def _goal_info_faults(reader: EpisodeReader, index: int, episode: Episode) -> list[str]:
+    """Whether the goal's code stands at every state, as it does since format version 2."""
+    group = reader.group(index)
+    if GOAL_INFO not in group:
+        return [f"{GOAL_INFO} is missing"] if reader.format_version > 1 else []
+    stored = np.char.decode(group[GOAL_INFO][()], "utf-8").tolist()
+    if stored == [episode.goal_gauss_code] * (len(episode) + 1):
+        return []
+    return [f"{GOAL_INFO} isn't {episode.goal_gauss_code!r} at every state"]
 
 
 def _observation_faults(

@@ -28,6 +28,7 @@ from knotgym.atomic_files import atomic_write, new_hdf5
 from knotgym.datasets.episode_reader import (
     FORMAT,
     FORMAT_VERSION,
+    GOAL_INFO,
     STORED,
     EpisodeReader,
     InvalidEpisodeFile,
@@ -110,6 +111,7 @@ class EpisodeWriter:
                 group.attrs[name] = value
         for name, array in episode.arrays().items():
             _write(group, place(name), array)
+        _write_goal(group)
         _observe(group, self.task, self.stored, episode.points, episode.goal_points)
 
 
@@ -119,6 +121,8 @@ def merge_episodes(
     *,
     store: str | None = None,
     concatenate: bool = False,
+    distinct: bool = False,
+    task: TaskConfig | None = None,
     attributes: Mapping[str, str] | None = None,
 ) -> None:
     """Put the episodes of several files into one, numbered from 0.
@@ -133,19 +137,26 @@ def merge_episodes(
             from the source's are drawn. None keeps them.
         concatenate: the sources one after another; else, as for the shards of one run, by the
             episodes' numbers.
+        distinct: refuse episodes that are the same.
+        task: of the target, for episodes dealt out anew: `split` and `states` of the sources may
+            then differ.
         attributes: of the target, beside its own.
 
     Raises:
-        InvalidEpisodeFile: the sources don't go together, or two episodes have one number.
+        InvalidEpisodeFile: the sources don't go together, two episodes have one number, or two that
+            are to be distinct are the same.
     """
     if store is not None and store not in STORED:
         raise InvalidEpisodeFile(f"store must be one of {', '.join(STORED)}, got {store!r}")
     readers = [EpisodeReader(source) for source in sources]
-    _require_one_kind(readers)
+    _require_one_kind(readers, task)
     first = readers[0]
     order = _in_order(readers, concatenate)
+    if distinct:
+        _require_distinct(order)
     store = store or first.stored
-    task = replace(first.task, observation=store) if store != "none" else first.task
+    task = task or first.task
+    task = replace(task, observation=store) if store != "none" else task
     versions = {
         name: ", ".join(sorted({reader.versions[name] for reader in readers}))
         for name in first.versions
@@ -169,18 +180,36 @@ def merge_episodes(
         reader.close()
 
 
-def _require_one_kind(readers: Sequence[EpisodeReader]) -> None:
-    """Refuse files whose episodes can't stand in one."""
+def _require_one_kind(readers: Sequence[EpisodeReader], task: TaskConfig | None) -> None:
+    """Refuse files whose episodes can't stand in one; those of a task given may be dealt anew."""
     if not readers:
         raise InvalidEpisodeFile("nothing to merge: name at least one file")
     first = readers[0]
+    dealt: dict[str, Any] = {}
+    if task is not None:
+        dealt = {"split": task.split, "states": task.states}
     for other in readers[1:]:
         for name in ("task", "rope", "stored"):
-            if getattr(other, name) != getattr(first, name):
+            one, two = getattr(first, name), getattr(other, name)
+            if name == "task":
+                one, two = replace(one, **dealt), replace(two, **dealt)
+            if one != two:
                 raise InvalidEpisodeFile(
-                    f"files of one {name} can be merged; {first.path} has {getattr(first, name)},"
-                    f" {other.path} has {getattr(other, name)}"
+                    f"files of one {name} can be merged; {first.path} has {one}, {other.path} has"
+                    f" {two}"
                 )
+
+
+def _require_distinct(order: Sequence[tuple[EpisodeReader, int]]) -> None:
+    """Refuse two episodes of one digest."""
+    seen: dict[str, str] = {}
+    for reader, i in order:
+        here = f"episode {reader.rows[i]} of {reader.path}"
+        earlier = seen.setdefault(str(reader.group(i).attrs["digest"]), here)
+        if earlier is not here:
+            raise InvalidEpisodeFile(
+                f"{earlier} and {here} are the same; merge sets that share no episode"
+            )
 
 
 def _in_order(
@@ -273,6 +302,12 @@ def _write(group: h5py.Group, name: str, array: NDArray[Any]) -> None:
         )
 
 
+def _write_goal(group: h5py.Group) -> None:
+    """Repeat the goal's code at every state, for readers that know infos alone."""
+    states = int(group.attrs["total_steps"]) + 1
+    _write(group, GOAL_INFO, np.full(states, str(group.attrs["goal_gauss_code"])))
+
+
 def _copy(source: h5py.Group, target: h5py.Group, number: int, keep: bool) -> None:
     """Copy an episode under a new number, its observations only if they are kept."""
     for name, value in source.attrs.items():
@@ -280,6 +315,8 @@ def _copy(source: h5py.Group, target: h5py.Group, number: int, keep: bool) -> No
     for name in _members(source):
         if keep or not name.startswith("observations"):
             _copy_dataset(source[name], target, name)
+    if GOAL_INFO not in source:  # of format version 1
+        _write_goal(target)
 
 
 def _copy_dataset(source: h5py.Dataset, target: h5py.Group, name: str) -> None:

@@ -86,6 +86,7 @@ def publish(
     concatenate: bool = False,
     overwrite: bool = False,
     states: str | os.PathLike[str] | None = None,
+    task: TaskConfig | None = None,
 ) -> Path:
     """Merge episode files, compact ones too, into a Minari dataset; it appears whole or not at all.
 
@@ -99,6 +100,7 @@ def publish(
         overwrite: replace a dataset of this id.
         states: a state file to carry along; a task whose `states` is the dataset's id resets from
             it, wherever the dataset goes.
+        task: as `merge_episodes`.
 
     Returns:
         The dataset's folder.
@@ -127,6 +129,7 @@ def publish(
             data / "main_data.hdf5",
             store=store,
             concatenate=concatenate,
+            task=task,
             attributes={"metadata": json.dumps(asdict(metadata))},
         )
         merged = EpisodeReader(temporary)

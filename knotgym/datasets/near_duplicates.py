@@ -34,6 +34,17 @@ def apart(points: NDArray[np.float64]) -> NDArray[np.bool_]:
     return kept
 
 
+def repeated(points: NDArray[np.float64]) -> list[tuple[int, int]]:
+    """Which rows repeat an earlier one bit for bit: pairs of the first such row and the later one.
+
+    >>> repeated(np.array([[1.0], [2.0], [1.0]]))
+    [(0, 2)]
+    """
+    first: dict[bytes, int] = {}
+    pairs = [(first.setdefault(one.tobytes(), row), row) for row, one in enumerate(points)]
+    return [(earlier, row) for earlier, row in pairs if earlier != row]
+
+
 def distances(points: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
     """How far each of `others` is from a configuration at best, over turns about z and shifts.
 

@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.datasets.splits import STATE_SPLITS
+from knotgym.datasets.spread import spread_of
 from knotgym.datasets.states import States
 from knotgym.topology.gauss import GaussCode
 
 
 def summary(states: States) -> dict[str, Any]:
-    """Counts of a state file, JSON-able: by nx; and the spread of every quality measure."""
+    """Counts of a state file, JSON-able: by nx, with the spread of each; and the
+    range of every quality measure."""
     return {
         "states": len(states),
         "nx": {
@@ -55,7 +57,8 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         f"{len(states)} configurations of a closed rope in MuJoCo (knot type {report['knot']}),"
         f" each labelled with its Gauss code, made by `knotgym generate` {report['version']}"
         f" (MuJoCo {report['mujoco']}) with seed {config['seed']}. `states.h5` holds one row a"
-        " state, `minari/` the trajectories that lead from the start to each of them, `archive.h5`"
+        " state, `minari/` the trajectories that lead from the start to each of them (train and"
+        " test are datasets of their own), `archive.h5`"
         " what the search found (`--archive` goes on from it), `gallery.png` shows all states,"
         " `manifest.json` lists checksums, configuration and counts. `knotgym dataset verify`"
         " recomputes every label and replays every trajectory.",
@@ -73,6 +76,12 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
                 for name, spread in facts["quality"].items()
             ],
         ),
+        "",
+        "## Spread",
+        "",
+        SPREAD_SAYS[0].upper() + SPREAD_SAYS[1:] + ".",
+        "",
+        *table(SPREAD_HEAD, spread_rows(facts["nx"])),
         "",
         "## Rejected",
         "",
@@ -145,6 +154,45 @@ def _growth_section(report: Mapping[str, Any]) -> list[str]:
     ]
 
 
+SPREAD_HEAD = (
+    "nx",
+    "apart",
+    "shapes",
+    "gyration",
+    "height",
+    "visits",
+    "bare",
+)
+SPREAD_SAYS = (
+    "apart: mm, median / min distance of two states after the best turn about z, root mean square"
+    " over the beads; shapes: the same at the best base bead and direction; gyration: mm, min"
+    " / max radius; height: mm, min / max from the lowest bead to the highest; visits: beads, mean"
+    " distance along the rope of crossings in two states, 25 if they lie anywhere; bare: beads,"
+    " longest stretch where no state crosses"
+)
+
+
+def spread_rows(counts: Mapping[str, Any]) -> list[list[str]]:
+    """The spread of each nx of a summary, in the order of SPREAD_HEAD."""
+
+    def told(values: Sequence[float] | None) -> str:
+        return (
+            "-"
+            if values is None
+            else " / ".join(f"{round(1000 * value, 1):.3g}" for value in values)
+        )
+
+    def beads(value: float | None) -> str:
+        return "-" if value is None else f"{value:.1f}"
+
+    rows = []
+    for nx, count in counts.items():
+        found = count["spread"]
+        lengths = (told(found[name]) for name in ("distance", "shape", "gyration", "height"))
+        rows.append([nx, *lengths, beads(found["visits"]), beads(found["bare"])])
+    return rows
+
+
 def growth(report: Mapping[str, Any], rows: int = 12) -> list[dict[str, Any]]:
     """So many rows of a run's growth, the last among them.
 
@@ -186,6 +234,7 @@ def _counts(states: States, rows: NDArray[np.int64]) -> dict[str, Any]:
         "positive_crossings": signs.count(1),
         "negative_crossings": signs.count(-1),
         "actions_to_reach": actions,
+        "spread": spread_of(states.points[rows]).as_json(),
     }
 
 

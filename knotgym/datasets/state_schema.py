@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from knotgym.quality_limits import UNITS
 
 FORMAT = "knotgym-states"
-FORMAT_VERSION = 1
+# 2: demonstrations of each split are a dataset of their own, which `source/dataset` names
+FORMAT_VERSION = 2
+READ_VERSIONS = (1, FORMAT_VERSION)
 
 ATTRIBUTES = {
     "knotgym": "version of this package",
@@ -83,7 +85,8 @@ SOURCE = (
     Column("source/steps", "int64", (), "actions", "how many of them are taken"),
     Column("source/seed", "int64", (None,), "", "key of the random stream it was drawn from"),
     Column("source/policy", "text", (), "", "who acted"),
-    Column("source/trajectory", "int64", (), "", "its episode in the dataset of its nx"),
+    Column("source/dataset", "text", (), "", "Minari dataset that its demonstration is in"),
+    Column("source/trajectory", "int64", (), "", "its episode in that dataset"),
     Column("source/step", "int64", (), "actions", "state of that episode"),
 )
 COLUMNS = (*ROOT, *QUALITY, *SOURCE)

@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import verify_episodes
 from knotgym.datasets.manifest_check import listed_faults, read_manifest
-from knotgym.datasets.near_duplicates import NEAR, distances
+from knotgym.datasets.near_duplicates import NEAR, distances, repeated
 from knotgym.datasets.splits import STATE_SPLITS
 from knotgym.datasets.state_schema import COLUMNS, REPLAYED
 from knotgym.datasets.states import InvalidStates, States, read_states
@@ -41,6 +42,8 @@ def state_faults(states: States) -> Iterator[str]:
         for fault in _row_faults(states, row, simulation):
             yield f"states.h5 row {row}: {fault}"
     yield from _leaks(states)
+    for first, row in repeated(states.points):
+        yield f"states.h5 rows {first} and {row} are the same configuration"
 
 
 def folder_faults(folder: Path) -> Iterator[str]:
@@ -58,7 +61,11 @@ def folder_faults(folder: Path) -> Iterator[str]:
         return
     yield from state_faults(states)
     for dataset in sorted(folder.glob("minari/**/main_data.hdf5")):
-        yield from verify_episodes(dataset, act_out=True)
+        own = verify_episodes(dataset, act_out=True)
+        yield from own
+        if not own:
+            name = dataset.relative_to(folder / "minari").parents[1].as_posix()
+            yield from demonstration_faults(states, name, EpisodeReader(dataset))
     if not manifest:
         return
     if manifest["config"].get("split_by") == "code":
@@ -66,6 +73,23 @@ def folder_faults(folder: Path) -> Iterator[str]:
         for code in sorted(train & test):
             yield f"code {code or 'loop'} is in both splits, which share no code"
     yield from _misplaced(states, manifest)
+
+
+def demonstration_faults(states: States, name: str, demonstrations: EpisodeReader) -> Iterator[str]:
+    """Rows that say they come from an episode of the dataset `name` and don't."""
+    source = states.source
+    if not {"dataset", "trajectory", "step"} <= source.keys():
+        return
+    for row in np.flatnonzero(source["dataset"] == name).tolist():
+        k, step = int(source["trajectory"][row]), int(source["step"][row])
+        where = f"states.h5 row {row}: episode {k} of {name}"
+        if not 0 <= k < len(demonstrations) or not 0 <= step <= demonstrations.lengths[k]:
+            yield f"{where} has no state {step}"
+        elif not np.array_equal(demonstrations.column(k, "points")[step], states.points[row]):
+            yield f"{where} doesn't lead to it: its state {step} lies elsewhere"
+        elif demonstrations.task.split != states.split[row]:
+            yield f"{where} is of the {demonstrations.task.split} split, the row of the other"
+    demonstrations.close()
 
 
 def _row_faults(states: States, row: int, simulation: Simulation) -> Iterator[str]:

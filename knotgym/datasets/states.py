@@ -18,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.atomic_files import atomic_write, new_hdf5
-from knotgym.datasets.state_schema import FORMAT, FORMAT_VERSION, ROOT
+from knotgym.datasets.near_duplicates import repeated
+from knotgym.datasets.state_schema import FORMAT, FORMAT_VERSION, READ_VERSIONS, ROOT
 from knotgym.errors import KnotgymError
 from knotgym.hdf5_files import opened_hdf5
 
@@ -44,7 +45,7 @@ class States:
         units: measure -> its unit.
         source: name -> (n, ...); `start_qpos` float64 (n, nq) laid at rest, then `actions` float32
             (n, T, 6), of which the first `steps` are taken, end in the row's qpos bit for bit;
-            `seed`, `policy`, `trajectory` say where from.
+            `seed`, `policy`, `dataset` and `trajectory` say where from.
         attributes: of the file.
     """
 
@@ -111,6 +112,20 @@ def states_file(named: str) -> Path:
     return carried if carried.is_file() and not Path(named).is_file() else Path(named)
 
 
+def demonstrations_id(nx: int, split: str = "train") -> str:
+    """The Minari dataset of the demonstrations of the states with nx crossings in a split.
+
+    A loop has nothing to tie: the way to one is an episode of an unknot task.
+
+    >>> demonstrations_id(3)
+    'knotgym/tie-nx3/demonstrations-v0'
+    >>> demonstrations_id(0, "test")
+    'knotgym/unknot-nx1/demonstrations-test-v0'
+    """
+    name = "demonstrations" if split == "train" else f"demonstrations-{split}"
+    return f"knotgym/{'tie' if nx else 'unknot'}-nx{max(1, nx)}/{name}-v0"
+
+
 def write_states(path: str | os.PathLike[str], states: States) -> None:
     """Write a state file; it appears under its name whole or not at all."""
     if states.image is None:
@@ -140,7 +155,7 @@ def read_states(path: str | os.PathLike[str], *, images: bool = True) -> States:
         InvalidStates: foreign, truncated, or of a format this version doesn't know.
     """
     with opened_hdf5(
-        path, what="state file", format=FORMAT, versions=(FORMAT_VERSION,), error=InvalidStates
+        path, what="state file", format=FORMAT, versions=READ_VERSIONS, error=InvalidStates
     ) as file:
         columns = {
             column.name: _read(file[column.name], text=column.kind == "text")
@@ -150,6 +165,10 @@ def read_states(path: str | os.PathLike[str], *, images: bool = True) -> States:
         for group in _GROUPS:
             for name, data in file[group].items():
                 columns[f"{group}/{name}"] = _read(data, h5py.check_string_dtype(data.dtype))
+        if file.attrs["format_version"] == 1 and "source/trajectory" in columns:
+            # then demonstrations of both splits were in the dataset that now is train's alone
+            mixed = [demonstrations_id(nx) for nx in columns["nx"].tolist()]
+            columns["source/dataset"] = np.array(mixed, dtype=np.str_)
         return States(
             **_fields_of(columns),
             units={name: str(data.attrs["unit"]) for name, data in file["quality"].items()},
@@ -161,14 +180,15 @@ def read_states(path: str | os.PathLike[str], *, images: bool = True) -> States:
         )
 
 
-def merge_states(parts: Sequence[States]) -> States:
+def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
     """Put the rows of several state files together, in order of nx; those of one nx keep theirs.
 
     Args:
         parts: read with images; made for the same rope, with the same measures.
+        distinct: refuse states that are the same bit for bit.
 
     Raises:
-        InvalidStates: they don't go together.
+        InvalidStates: they don't go together, or two that are to be distinct are the same.
     """
     if not parts:
         raise InvalidStates("nothing to merge: name at least one state file")
@@ -189,6 +209,12 @@ def merge_states(parts: Sequence[States]) -> States:
         {name: np.concatenate([own[name] for own in columns])[order] for name in shared}
     )
     config = json.dumps(configs if len(configs) > 1 else configs[0])
+    twice = repeated(merged.points) if distinct else []
+    if twice:
+        raise InvalidStates(
+            f"{len(twice)} states are there twice, rows {twice[0][0]} and {twice[0][1]} of the"
+            " merged file to begin with; merge sets that share no state"
+        )
     return replace(merged, attributes={**first.attributes, "config": config})
 
 

@@ -12,6 +12,7 @@ import shutil
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import groupby, product
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,7 @@ from knotgym.datasets.image_table import (
     write_table,
 )
 from knotgym.datasets.near_duplicates import apart
-from knotgym.datasets.splits import IMAGE_SPLITS, split
+from knotgym.datasets.splits import IMAGE_SPLITS, STATE_SPLITS, split
 from knotgym.datasets.states import (
     States,
     merge_states,
@@ -168,24 +169,25 @@ def _states(ordered: Sequence[ShardFolder], folder: Path) -> Path:
     kept = np.flatnonzero(apart(every.points))
     from_shard = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
     from_shard = from_shard[merged_order(parts)][kept]
-    merged, trajectory = _renumbered(every.taken(kept), config)
+    chosen = every.taken(kept)
+    merged = _renumbered(chosen, config)
     folder.mkdir(parents=True)
     write_states(folder / "states.h5", merged)
-    for nx in sorted(set(merged.nx.tolist())):
-        mine = merged.nx == nx
-        chosen = [
-            Chosen(
-                state_folder.demonstrations_folder(shard.folder / "minari", nx),
-                trajectory[mine & (from_shard == k)].tolist(),
-            )
-            for k, shard in enumerate(ordered)
+    # where the demonstration of each row is, in order
+    datasets = [
+        ordered[k].folder / "minari" / name
+        for k, name in zip(from_shard.tolist(), chosen.source["dataset"], strict=True)
+    ]
+    for nx, name in product(sorted(set(merged.nx.tolist())), STATE_SPLITS):
+        mine = merged.rows(nx, name).tolist()
+        if not mine:
+            continue
+        sources = [
+            Chosen(dataset, [int(chosen.source["trajectory"][row]) for row in rows])
+            for dataset, rows in groupby(mine, datasets.__getitem__)
         ]
         state_folder.publish_demonstrations(
-            nx,
-            [episodes for episodes in chosen if episodes.episode_indices],
-            int(mine.sum()),
-            folder / "minari",
-            folder / "states.h5",
+            nx, name, sources, len(mine), folder / "minari", folder / "states.h5"
         )
     archives = [Archive.load(shard.folder / "archive.h5") for shard in ordered]
     search = from_json(SearchSettings, config["search"])
@@ -196,23 +198,20 @@ def _states(ordered: Sequence[ShardFolder], folder: Path) -> Path:
     return folder
 
 
-def _renumbered(states: States, config: dict[str, Any]) -> tuple[States, NDArray[np.int64]]:
-    """States split anew, with the trajectories of each nx numbered from 0; and the old numbers."""
+def _renumbered(states: States, config: dict[str, Any]) -> States:
+    """States split anew, each nx and split with demonstrations of its own."""
     splits = states.split.copy()
-    numbers = np.zeros(len(states), dtype=np.int64)
     for nx in config["nx"]:
         mine = np.flatnonzero(states.nx == nx)
         codes = [GaussCode.parse(text) for text in states.gauss_code[mine]]
         rng = generator(Stream.SPLIT, config["seed"], nx)
         splits[mine] = split(codes, config["split_by"], config["train_share"], rng)
-        numbers[mine] = np.arange(len(mine))
-    renumbered = replace(
+    return replace(
         states,
         split=splits,
-        source={**states.source, "trajectory": numbers},
+        source={**states.source, **state_folder.demonstrations_of(states.nx, splits)},
         attributes={**states.attributes, "config": json.dumps(config, sort_keys=True)},
     )
-    return renumbered, states.source["trajectory"]
 
 
 def _joined_archive(archives: Sequence[Archive], search: SearchSettings) -> Archive:

@@ -16,7 +16,8 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.episode_reader import Chosen, EpisodeReader
+from knotgym.datasets.episode_writer import merge_episodes
 from knotgym.datasets.gallery import contact_sheet, write_gallery
 from knotgym.datasets.state_card import growth, summary
 from knotgym.datasets.state_verification import state_faults
@@ -28,6 +29,7 @@ from ..small_job import knotgym
 
 FRAMES = [np.full((40, 60, 3), level, dtype=np.uint8) for level in (0, 60, 120, 180, 240)]
 WAYS = "minari/knotgym/tie-nx1/demonstrations-v0"
+TEST_WAYS = "minari/knotgym/tie-nx1/demonstrations-test-v0"
 
 
 @contextmanager
@@ -136,8 +138,8 @@ def test_show_sums_up_trajectories(curated: Path, capfd: pytest.CaptureFixture[s
     assert knotgym("dataset", "show", curated / WAYS) == 0
     told = {line.split()[0]: line for line in capfd.readouterr().out.splitlines()}
     assert (
-        told["episodes"].split()[1] == "4"
-        and told["successes"].split()[1] == "4"
+        told["episodes"].split()[1] == "2"
+        and told["successes"].split()[1] == "2"
         and "demonstrations" in told["policies"]
     )
 
@@ -284,19 +286,15 @@ def rows(states: States) -> list[bytes]:
 
 def test_merged_states_are_those_of_both_in_order_of_nx(curated: Path, tmp_path: Path) -> None:
     whole = read_states(curated / "states.h5")
-    assert (
-        knotgym("dataset", "merge", curated, curated / "states.h5", "--out", tmp_path / "m.h5") == 0
-    )
-    merged = read_states(tmp_path / "m.h5")
-    assert (
-        merged.nx.tolist() == [0] * 8 + [1] * 8
-        and rows(merged) == 2 * rows(whole)[:4] + 2 * rows(whole)[4:]
-    )
-    assert (
-        merged.image is not None
-        and whole.image is not None
-        and np.array_equal(merged.image[:4], whole.image[:4])
-    )
+    parts = [tmp_path / "odd.h5", tmp_path / "even.h5"]
+    for part, first in zip(parts, (1, 0), strict=True):
+        write_states(part, cut(whole, np.arange(8) % 2 == first))
+    assert knotgym("dataset", "merge", *parts, "--out", tmp_path / "m.h5") == 0
+    merged, order = read_states(tmp_path / "m.h5"), [1, 3, 0, 2, 5, 7, 4, 6]
+    assert merged.nx.tolist() == [0] * 4 + [1] * 4
+    assert rows(merged) == [rows(whole)[row] for row in order]
+    assert merged.image is not None and whole.image is not None
+    assert np.array_equal(merged.image, whole.image[order])
     assert (
         merged.source.keys() == whole.source.keys()
         and merged.quality.keys() == whole.quality.keys()
@@ -341,10 +339,33 @@ def test_states_and_trajectories_do_not_go_into_one_file(
 
 
 def test_merged_trajectories_hold_every_episode(curated: Path, tmp_path: Path) -> None:
-    assert (
-        knotgym("dataset", "merge", curated / WAYS, curated / WAYS, "--out", tmp_path / "m.h5") == 0
-    )
-    assert len(EpisodeReader(tmp_path / "m.h5")) == 8
+    parts = [tmp_path / "b.h5", tmp_path / "a.h5"]
+    for k, part in enumerate(parts):
+        merge_episodes([Chosen(curated / WAYS, [k])], part)
+    assert knotgym("dataset", "merge", *parts[::-1], "--out", tmp_path / "m.h5") == 0
+    merged, whole = EpisodeReader(tmp_path / "m.h5"), EpisodeReader(curated / WAYS)
+    assert [one.digest() for one in merged] == [one.digest() for one in whole][::-1]
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        ((WAYS, WAYS), "are the same; merge sets that share no episode"),
+        ((WAYS, TEST_WAYS), "files of one task can be merged"),
+        (("states.h5", ""), "8 states are there twice"),
+    ],
+)
+def test_a_set_is_not_merged_with_itself_nor_train_with_test(
+    curated: Path,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
+    names: tuple[str, ...],
+    said: str,
+) -> None:
+    sources = [curated / name for name in names]
+    assert knotgym("dataset", "merge", *sources, "--out", tmp_path / "m.h5") == 2
+    (line,) = capfd.readouterr().err.splitlines()
+    assert said in line and not (tmp_path / "m.h5").exists()
 
 
 def test_exported_trajectories_are_the_same_without_pictures(

@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Iterable, Iterator
 from concurrent.futures.process import BrokenProcessPool
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ import knotgym as package
 from knotgym.atomic_files import sha256
 from knotgym.cli import main as cli
 from knotgym.datasets.state_verification import folder_faults
-from knotgym.datasets.states import States, read_states
+from knotgym.datasets.states import States, demonstrations_id, read_states
 from knotgym.generate.states.archive import Archive
 from knotgym.generate.states.curation import is_near_duplicate
 from knotgym.generate.states.search import new_archive
@@ -199,9 +200,12 @@ def test_no_two_states_are_near_duplicates(states: States) -> None:
 
 def test_rows_name_their_own_trajectory(states: States) -> None:
     assert (
-        states.source["trajectory"].tolist() == [0, 1, 2, 3] * 2
+        states.source["dataset"].tolist()
+        == [demonstrations_id(*row) for row in zip(states.nx, states.split, strict=True)]
         and len({tuple(seed) for seed in states.source["seed"]}) == 8
     )
+    for nx, split in product((0, 1), ("train", "test")):
+        assert states.source["trajectory"][states.rows(nx, split)].tolist() == [0, 1]
 
 
 def test_every_measure_is_within_its_limit(states: States, manifest: dict[str, Any]) -> None:
@@ -247,18 +251,24 @@ def test_the_environment_resets_from_the_states(curated: Path, states: States, s
 
 
 @pytest.mark.parametrize(
-    ("name", "nx"),
-    [("knotgym/unknot-nx1/demonstrations-v0", 0), ("knotgym/tie-nx1/demonstrations-v0", 1)],
+    ("name", "nx", "split"),
+    [
+        ("knotgym/unknot-nx1/demonstrations-v0", 0, "train"),
+        ("knotgym/tie-nx1/demonstrations-v0", 1, "train"),
+        ("knotgym/tie-nx1/demonstrations-test-v0", 1, "test"),
+    ],
 )
-def test_minari_loads_the_trajectories(
-    curated: Path, states: States, monkeypatch: pytest.MonkeyPatch, name: str, nx: int
+def test_minari_loads_the_trajectories_of_one_split(
+    curated: Path, states: States, monkeypatch: pytest.MonkeyPatch, name: str, nx: int, split: str
 ) -> None:
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(curated / "minari"))
     dataset = minari.load_dataset(name)
-    assert dataset.total_episodes == 4
-    for row, episode in zip(
-        np.flatnonzero(states.nx == nx), dataset.iterate_episodes(), strict=True
-    ):
+    assert dataset.total_episodes == 2
+    env: Any = dataset.recover_environment().unwrapped
+    assert env.config.split == split
+    for row, episode in zip(states.rows(nx, split), dataset.iterate_episodes(), strict=True):
+        goals = {text.decode() for text in episode.infos["goal_gauss_code"]}
+        assert goals == {states.gauss_code[row]}
         steps = states.source["steps"][row]
         assert np.array_equal(episode.actions, states.source["actions"][row, :steps])
         assert (
@@ -270,7 +280,7 @@ def test_minari_loads_the_trajectories(
 
 
 @pytest.mark.parametrize(
-    "name", ["knotgym/unknot-nx1/demonstrations-v0", "knotgym/tie-nx1/demonstrations-v0"]
+    "name", ["knotgym/unknot-nx1/demonstrations-test-v0", "knotgym/tie-nx1/demonstrations-v0"]
 )
 def test_minari_does_with_the_trajectories_all_that_it_does(
     curated: Path, monkeypatch: pytest.MonkeyPatch, name: str

@@ -408,7 +408,9 @@ def test_minari_iterates_what_was_written(
     for read, episode in zip(dataset.iterate_episodes(), episodes, strict=True):
         for name in ("actions", "rewards", "terminations", "truncations"):
             assert np.array_equal(getattr(read, name), getattr(episode, name))
-        assert sorted(read.infos) == sorted(INFOS)
+        assert sorted(read.infos) == sorted([*INFOS, "goal_gauss_code"])
+        goals = [text.decode() for text in read.infos["goal_gauss_code"]]
+        assert goals == [episode.goal_gauss_code] * (len(episode) + 1)
         for name in INFOS:
             right = getattr(episode, name)
             assert np.array_equal(
@@ -554,6 +556,8 @@ def set_last(name: str, value: Any) -> Callable[[h5py.Group], None]:
     ("change", "said"),
     [
         (set_last("infos/gauss_code", b"1+"), "step 20: gauss_code is"),
+        (set_last("infos/goal_gauss_code", b"1+"), "infos/goal_gauss_code isn't"),
+        (lambda group: group.pop("infos/goal_gauss_code"), "goal_gauss_code is missing"),
         (set_last("infos/crossings", 99), "step 20: crossings is 99"),
         (set_last("infos/bead", -7), "step 20: bead is -7"),
         (set_last("rewards", 1.0), "step 19: rewards is 1.0, should be -5.0"),

@@ -213,10 +213,10 @@ def test_a_truncated_trajectory_file_is_named(copy: Path) -> None:
 @pytest.mark.parametrize("name", ["actions", "rewards", "infos/force"])
 def test_an_edited_trajectory_is_named_with_its_episode(copy: Path, name: str) -> None:
     with opened(copy / TRAJECTORIES) as file:
-        data = file["episode_2"][name]
+        data = file["episode_1"][name]
         data[(1,) * data.ndim] = 0.0625
     found = faults(copy)
-    assert found and all(f"{TRAJECTORIES}, episode 2" in fault for fault in found)
+    assert found and all(f"{TRAJECTORIES}, episode 1" in fault for fault in found)
 
 
 def test_edited_pixels_of_a_trajectory_are_named_with_their_episode(copy: Path) -> None:

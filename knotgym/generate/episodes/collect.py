@@ -50,7 +50,8 @@ class CollectConfig:
         seed: of the run; episode i is that of `rollouts.episode_seed(seed, i)`.
         keep_failed: keep episodes that didn't reach the goal.
         episodes_per_file: of a run under way; doesn't show in the dataset.
-        dataset_id: of Minari; "" for knotgym/tie-nx3/expert-v0 and the like.
+        dataset_id: of Minari; "" for knotgym/tie-nx3/expert-v0 and the like, of the test split
+            knotgym/tie-nx3/expert-test-v0.
         author, author_email, code_permalink: for Minari's metadata.
     """
 
@@ -72,11 +73,9 @@ class CollectConfig:
         if self.seed < 0:
             raise InvalidCollection(f"seed must be at least 0, got {self.seed}")
         if not self.dataset_id:
-            object.__setattr__(
-                self,
-                "dataset_id",
-                f"knotgym/{self.task.task}-nx{self.task.nx}/{self.policy.short}-v0",
-            )
+            name = self.policy.short + ("" if self.task.split == "train" else f"-{self.task.split}")
+            made = f"knotgym/{self.task.task}-nx{self.task.nx}/{name}-v0"
+            object.__setattr__(self, "dataset_id", made)
 
     @property
     def stored_task(self) -> TaskConfig:

@@ -8,11 +8,13 @@ import json
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, fields
+from itertools import compress, product
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 import knotgym
 from knotgym.actions import steps_taken
@@ -20,9 +22,9 @@ from knotgym.atomic_files import sha256
 from knotgym.datasets.episode_writer import EpisodeWriter
 from knotgym.datasets.gallery import write_gallery
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
-from knotgym.datasets.splits import split
+from knotgym.datasets.splits import STATE_SPLITS, split
 from knotgym.datasets.state_card import card, summary
-from knotgym.datasets.states import States, write_states
+from knotgym.datasets.states import States, demonstrations_id, write_states
 from knotgym.datasets.trajectory import Episode
 from knotgym.generate.states.candidates import Candidate
 from knotgym.generate.states.curation_run import CurationRun
@@ -52,6 +54,7 @@ def states_of(run: CurationRun) -> States:
             [one.code for one in run.accepted[nx]], config.split_by, config.train_share, rng
         ).tolist()
     points = np.stack([one.points[-1] for _, one in candidates])
+    crossings = np.array([nx for nx, _ in candidates], dtype=np.int64)
     return States(
         qpos=np.stack([one.qpos for _, one in candidates]),
         points=points,
@@ -59,7 +62,7 @@ def states_of(run: CurationRun) -> States:
         gauss_code=np.array([str(one.code) for _, one in candidates]),
         gauss_code_chiral=np.array([one.code.chiral for _, one in candidates]),
         knot=np.array([knot_type(one.code) for _, one in candidates]),
-        nx=np.array([nx for nx, _ in candidates], dtype=np.int64),
+        nx=crossings,
         split=np.array(splits),
         quality={
             field.name: np.array([getattr(one.quality, field.name) for _, one in candidates])
@@ -72,9 +75,7 @@ def states_of(run: CurationRun) -> States:
             "steps": np.array([len(one.actions) for _, one in candidates], dtype=np.int64),
             "seed": np.array([one.seed for _, one in candidates], dtype=np.int64),
             "policy": np.array([POLICY] * len(candidates)),
-            "trajectory": np.array(
-                [k for nx in config.nx for k in range(len(run.accepted[nx]))], dtype=np.int64
-            ),
+            **demonstrations_of(crossings, np.array(splits)),
             "step": np.array([len(one.actions) for _, one in candidates], dtype=np.int64),
         },
         attributes={
@@ -84,6 +85,27 @@ def states_of(run: CurationRun) -> States:
             "config": json.dumps(asdict(config), sort_keys=True),
         },
     )
+
+
+def demonstrations_of(nx: NDArray[np.int64], splits: NDArray[np.str_]) -> dict[str, NDArray[Any]]:
+    """The columns that say which demonstration leads to each state.
+
+    Each nx and split has a dataset, its episodes in the order of the states.
+
+    Args:
+        nx: int64 (n,), of the states.
+        splits: str (n,), of the states.
+
+    Returns:
+        "dataset", str (n,), and "trajectory", int64 (n,), the episode there.
+    """
+    ids = [demonstrations_id(*key) for key in zip(nx.tolist(), splits.tolist(), strict=True)]
+    return {
+        "dataset": np.array(ids, dtype=np.str_),
+        "trajectory": np.array(
+            [ids[:row].count(one) for row, one in enumerate(ids)], dtype=np.int64
+        ),
+    }
 
 
 def report_of(run: CurationRun) -> dict[str, Any]:
@@ -108,7 +130,7 @@ def write(run: CurationRun, folder: Path, request: dict[str, Any]) -> None:
     folder.mkdir(parents=True)
     states = states_of(run)
     write_states(folder / "states.h5", states)
-    write_trajectories(run, folder / "minari", folder / "states.h5")
+    write_trajectories(run, states, folder / "minari", folder / "states.h5")
     run.archive.save(folder / "archive.h5")
     finish(folder, states, report_of(run), request)
 
@@ -135,59 +157,64 @@ def finish(folder: Path, states: States, report: dict[str, Any], request: dict[s
     )
 
 
-def write_trajectories(run: CurationRun, folder: Path, states: Path) -> None:
-    """One Minari dataset for each nx, knotgym/tie-nx3/demonstrations-v0 below `folder`, pixels and
-    states; an episode a state, in their order.
+def write_trajectories(run: CurationRun, states: States, folder: Path, carried: Path) -> None:
+    """One Minari dataset for each nx and split below `folder`, knotgym/tie-nx3/demonstrations-v0
+    for train and knotgym/tie-nx3/demonstrations-test-v0 for test, with pixels and states; an
+    episode a state, in their order.
     """
-    for nx in [nx for nx in run.config.nx if run.accepted[nx]]:
+    for nx, name in product(run.config.nx, STATE_SPLITS):
+        splits = states.split[states.nx == nx].tolist()
+        candidates = list(compress(run.accepted[nx], [one == name for one in splits]))
+        if not candidates:
+            continue
         shard = folder / f"nx{nx}.h5"
-        with EpisodeWriter(shard, demonstration_task(nx)) as writer:
-            for candidate in run.accepted[nx]:
+        with EpisodeWriter(shard, demonstration_task(nx, name)) as writer:
+            for candidate in candidates:
                 writer.add(episode_of(candidate))
-        publish_demonstrations(nx, [shard], len(run.accepted[nx]), folder, states)
+        publish_demonstrations(nx, name, [shard], len(candidates), folder, carried)
         shard.unlink()
 
 
-def demonstration_task(nx: int) -> TaskConfig:
-    """The task that the ways to states with nx crossings are episodes of."""
+def demonstration_task(nx: int, split: str) -> TaskConfig:
+    """The task that the ways to states with nx crossings in a split are episodes of."""
     # a loop has nothing to tie: its episodes are those of an unknot task whose goal is shown from
     # the start
     return TaskConfig(
         task="tie" if nx else "unknot",
         nx=max(1, nx),
+        split=split,
         observation="both",
         horizon=HORIZON,
-        states=_demonstrations_id(nx),
+        states=demonstrations_id(nx, split),
     )
-
-
-def demonstrations_folder(root: Path, nx: int) -> Path:
-    """Where the ways to states with nx crossings stand below `root`."""
-    return root / _demonstrations_id(nx)
 
 
 def publish_demonstrations(
-    nx: int, sources: Sequence[Any], count: int, root: Path, states: Path
+    nx: int, split: str, sources: Sequence[Any], count: int, root: Path, states: Path
 ) -> None:
     """Write `count` ways from the episodes of `sources`, one source after another, below `root`.
 
-    The dataset carries `states`, so that the environment recovered from it resets from the very
-    states that the ways lead to.
+    The sources may be of either split: they are dealt out anew. The dataset carries `states`, so
+    that the environment recovered from it resets from the very states that the ways lead to.
     """
     metadata = MinariMetadata(
-        dataset_id=_demonstrations_id(nx),
+        dataset_id=demonstrations_id(nx, split),
         algorithm_name=POLICY,
         description=(
-            f"The ways to {count} curated rope states with {nx} crossings: searched, carried over"
-            " by symmetry, opened up. An episode goes on past the first time that its code is"
-            " shown, until the rope lies open and at rest, and ends there."
+            f"The ways to {count} curated rope states with {nx} crossings, those of the {split}"
+            " split: searched, carried over by symmetry, opened up. An episode goes on past the"
+            " first time that its code is shown, until the rope lies open and at rest, and ends"
+            " there."
         ),
     )
-    publish(sources, metadata, root, concatenate=True, states=states)
-
-
-def _demonstrations_id(nx: int) -> str:
-    return f"knotgym/{'tie' if nx else 'unknot'}-nx{max(1, nx)}/{POLICY}-v0"
+    publish(
+        sources,
+        metadata,
+        root,
+        concatenate=True,
+        states=states,
+        task=demonstration_task(nx, split),
+    )
 
 
 def episode_of(candidate: Candidate) -> Episode:

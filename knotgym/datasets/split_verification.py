@@ -1,0 +1,176 @@
+"""Whether episodes keep to their split: every start and goal is of the split that the task says,
+and no episode is there twice.
+
+A start or goal belongs to the split of the state that it lies at, whatever its options say. It lies
+at a state when it comes within half of NEAR of it, turned about z and moved: reset noise at its
+default scale stays below 6 mm, and no place is so near to two states of a curated set.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.near_duplicates import NEAR, distances
+from knotgym.datasets.splits import STATE_SPLITS
+from knotgym.datasets.states import States, read_states, shipped, states_file
+from knotgym.errors import KnotgymError
+from knotgym.rope import Rope
+
+_AT = NEAR / 2  # metres
+
+
+def split_faults(reader: EpisodeReader) -> list[str]:
+    """Episodes whose start or goal isn't of the split that their file says.
+
+    Configurations are compared with the states that the task resets from: those that the dataset
+    carries, else those that its `states` names, else those that ship. An episode file by itself
+    whose states aren't found can't be checked; a dataset without them is a fault.
+    """
+    try:
+        sides = _sides(reader)
+    except KnotgymError as error:
+        return [f"{reader.path}: its split can't be checked: {error}"]
+    faults: list[str] = []
+    found: dict[str, set[int]] = {split: set() for split in STATE_SPLITS}
+    for name, states in sides.items():
+        checked = _Side(name, states, reader)
+        for index, row in enumerate(reader.rows):
+            try:
+                split, own = checked.judge(index)
+            except (OSError, KeyError, ValueError):
+                continue  # an episode that can't be read is named by whoever reads all of it
+            if split is not None:
+                found.setdefault(split, set()).add(row)
+            faults += [f"{reader.path}, episode {row}: {fault}" for fault in own]
+    mixed = {split: rows for split, rows in found.items() if rows}
+    if len(mixed) > 1:
+        told = "; ".join(f"{split}: {_ranges(rows)}" for split, rows in mixed.items())
+        faults.append(f"{reader.path}: mixes splits, of starts or goals of episodes {told}")
+    return faults
+
+
+def duplicate_faults(reader: EpisodeReader) -> list[str]:
+    """Episodes that repeat an earlier one: the same start, goal and actions, bit for bit.
+
+    Without reset noise two seeds may give the same episode; then they are no fault.
+    """
+    faults: list[str] = []
+    first: dict[Any, int] = {}
+    for index, row in enumerate(reader.rows):
+        try:
+            names = ("start_qpos", "goal_points", "actions")
+            told = b"".join(reader.column(index, name).tobytes() for name in names)
+            seed = None if reader.task.reset_noise else reader.group(index).attrs.get("seed")
+            key = hashlib.sha256(told).digest(), seed
+        except (OSError, KeyError, ValueError):
+            continue
+        earlier = first.setdefault(key, row)
+        if earlier != row:
+            faults.append(
+                f"{reader.path}, episode {row}: the same as episode {earlier}, start, goal and"
+                " actions"
+            )
+    return faults
+
+
+class _Side:
+    """The starts or the goals of a file, and the states they are drawn from."""
+
+    def __init__(self, name: str, states: States, reader: EpisodeReader) -> None:
+        self.name, self.states, self.reader = name, states, reader
+        self.rope = Rope(reader.task.rope)
+        self.mine = states.split == reader.task.split
+        self.known: dict[bytes, int | None] = {}
+        # where the ways to the states of a split begin is no other split's
+        self.origins: set[bytes] = set()
+        if name == "start" and "start_qpos" in states.source:
+            self.origins = {one.tobytes() for one in states.source["start_qpos"][self.mine]}
+
+    def judge(self, index: int) -> tuple[str | None, list[str]]:
+        """The split of an episode's start or goal, None if it can't be told; and its faults."""
+        named = self.reader.group(index).attrs.get(f"options/{self.name}")
+        right, states = self.reader.task.split, self.states
+        if named is not None and not 0 <= named < len(states):
+            return None, [f"its {self.name} is row {named}, of {len(states)} states"]
+        row = self._row_at(index)
+        if row is None:
+            if named is None:
+                return None, []
+            split = str(states.split[named])
+            if split == right:
+                return split, []
+            return split, [f"its {self.name} is row {named} by its options, of the {split} split"]
+        split = str(states.split[row])
+        if split != right:
+            return split, [
+                f"its {self.name} is row {row} of the states, of the {split} split; the dataset"
+                f" says {right}"
+            ]
+        if named is not None and states.split[named] != right:
+            return split, [
+                f"options/{self.name} is row {named}, of the {states.split[named]} split"
+            ]
+        if named is not None and self.name == "goal":
+            goal = self.reader.column(index, "goal_points")
+            if not np.array_equal(goal, states.points[named]):
+                return split, [f"its goal isn't row {named}, as options/goal says"]
+        return split, []
+
+    def _row_at(self, index: int) -> int | None:
+        """The state that the start or goal lies at, one of the task's split if there is."""
+        what = "start_qpos" if self.name == "start" else "goal_points"
+        lies = self.reader.column(index, what)
+        key = lies.tobytes()
+        if key in self.origins:
+            return None
+        if key not in self.known:
+            points = self.rope.points(lies) if self.name == "start" else lies
+            self.known[key] = self._nearest(points)
+        return self.known[key]
+
+    def _nearest(self, points: NDArray[np.float64]) -> int | None:
+        if points.shape != self.states.points.shape[1:] or not np.isfinite(points).all():
+            return None
+        apart = distances(points, self.states.points)
+        for rows in (np.flatnonzero(self.mine), np.flatnonzero(~self.mine)):
+            if len(rows) and apart[rows].min() < _AT:
+                return int(rows[np.argmin(apart[rows])])
+        return None
+
+
+def _sides(reader: EpisodeReader) -> dict[str, States]:
+    """The states that starts and goals are drawn from, as the environment finds them."""
+    task = reader.task
+    files = [shipped()]
+    if task.states is not None:
+        carried = reader.path.with_name("states.h5")
+        asked = carried if carried.is_file() else states_file(task.states)
+        if not asked.is_file() and not reader.path.with_name("metadata.json").is_file():
+            return {}
+        files.insert(0, asked)
+    read = [read_states(path, images=False) for path in files]
+    return {
+        name: next((states for states in read if len(states.rows(nx, task.split))), read[0])
+        for name, nx in (("start", task.start_nx), ("goal", task.goal_nx))
+    }
+
+
+def _ranges(numbers: Iterable[int]) -> str:
+    """Whole numbers in short.
+
+    >>> _ranges([4, 0, 1, 2])
+    '0-2, 4'
+    """
+    runs: list[list[int]] = []
+    for number in sorted(numbers):
+        if runs and number == runs[-1][1] + 1:
+            runs[-1][1] = number
+        else:
+            runs.append([number, number])
+    return ", ".join(str(a) if a == b else f"{a}-{b}" for a, b in runs)
