@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +24,8 @@ from knotgym.simulation import Simulation
 from knotgym.tasks import InvalidSetting, TaskConfig
 from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
+
+OWN, SHIPPED = "own", "shipped"  # the state file asked for, or the one that ships
 
 
 class EpisodeBatch:
@@ -44,8 +46,9 @@ class EpisodeBatch:
         self.count = count
         self.simulation = Simulation(count, Rope(config.rope), threads)
         self._picture = picture_config(config)
-        self._starts = _side(config, config.start_nx)
-        self._goals = _side(config, config.goal_nx)
+        starts, goals = _side(config, config.start_nx), _side(config, config.goal_nx)
+        self._starts, self._goals = starts.states, goals.states
+        self._came_from = {"start_states": starts.origin, "goal_states": goals.origin}
         self._goal_images: dict[int, NDArray[np.uint8]] = {}
         self.codes = [GaussCode(())] * count
         self.goals = [GaussCode(())] * count
@@ -152,6 +155,7 @@ class EpisodeBatch:
             "simulation_failed": bool(self.failed[index]),
             "start": int(self.start_row[index]),
             "goal": int(self.goal_row[index]),
+            **self._came_from,
             "bead": int(self.beads[index]),
             "force": self.forces[index].copy(),
         }
@@ -173,26 +177,65 @@ class EpisodeBatch:
         return int(row), side
 
 
-def _side(config: TaskConfig, nx: int) -> States:
+class _Side(NamedTuple):
+    """The states that a side of a task draws from, and whose they are: OWN or SHIPPED."""
+
+    states: States
+    origin: str
+
+
+def state_origins(config: TaskConfig) -> dict[str, str]:
+    """Where the states of a task come from: OWN or SHIPPED for `start` and for `goal`.
+
+    Raises:
+        InvalidSetting: they cannot be had.
+    """
+    return {
+        "start": _side(config, config.start_nx).origin,
+        "goal": _side(config, config.goal_nx).origin,
+    }
+
+
+def _side(config: TaskConfig, nx: int) -> _Side:
     """The states that a side of the task draws from.
 
-    They come from the file asked for, or for want of rows there from the one that ships.
+    They come from the file asked for. Plain loops alone come from the one that ships, where that
+    file has none of either split.
     """
-    paths = [shipped()] if config.states is None else [states_file(config.states), shipped()]
-    for path in paths:
-        states = _read(path, path.stat().st_mtime_ns if path.exists() else 0)
-        # the usual rope's, however finely an action is integrated: a configuration at rest fits
-        made_for, ours = states.attributes.get("rope"), RopeConfig().fingerprint
-        if made_for != ours:
-            raise InvalidSetting(
-                f"{path} was made for rope model {made_for}, this version has {ours}"
-            )
-        if len(states.rows(nx, config.split)):
-            return states
-    raise InvalidSetting(
-        f"no states with nx = {nx} in split {config.split!r} of {paths[0]}; make some:"
-        f" knotgym-generate --nx {nx}"
-    )
+    if config.states is None:
+        path, origin = shipped(), SHIPPED
+    else:
+        path, origin = states_file(config.states), OWN
+    states = _of_our_rope(path)
+    if nx == 0 and not (states.nx == 0).any():
+        path, origin = shipped(), SHIPPED
+        states = _of_our_rope(path)
+    if not len(states.rows(nx, config.split)):
+        raise InvalidSetting(
+            f"no states with nx = {nx} in split {config.split!r} of {path}, asked for by task"
+            f" {config.task!r} with nx = {config.nx}; it has {_contents(states)}. Make some:"
+            f" knotgym-generate --nx {nx}"
+        )
+    return _Side(states, origin)
+
+
+def _of_our_rope(path: Path) -> States:
+    """The states of a file, refused if made for another rope."""
+    states = _read(path, path.stat().st_mtime_ns if path.exists() else 0)
+    # the usual rope's, however finely an action is integrated: a configuration at rest fits
+    made_for, ours = states.attributes.get("rope"), RopeConfig().fingerprint
+    if made_for != ours:
+        raise InvalidSetting(f"{path} was made for rope model {made_for}, this version has {ours}")
+    return states
+
+
+def _contents(states: States) -> str:
+    """Which crossings and splits a file has, as "nx 0 (train, test), 3 (test)"."""
+    splits = {
+        nx: ", ".join(dict.fromkeys(states.split[states.nx == nx].tolist()))
+        for nx in sorted(set(states.nx.tolist()))
+    }
+    return "nx " + ", ".join(f"{nx} ({of})" for nx, of in splits.items()) if splits else "no rows"
 
 
 @lru_cache(maxsize=4)

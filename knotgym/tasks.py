@@ -38,8 +38,8 @@ class TaskConfig:
         nx: crossings of the tangled side; convert starts at nx - 1.
         split: rows of the state file to draw from, "train" or "test".
         states: path of a state file, or id of a Minari dataset that carries one; None for the one
-            that ships. A side of the task whose number of crossings it lacks (the plain loops of
-            `tie`, mostly) comes from the one that ships.
+            that ships. Plain loops, and they alone, come from the one that ships where the file has
+            none.
         observation: "pixels", "state" or "both".
         horizon: steps until truncation.
         hold: consecutive steps the goal code must show.
