@@ -24,6 +24,7 @@ from knotgym.simulation import Simulation
 from knotgym.tasks import InvalidSetting, TaskConfig
 from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
+from knotgym.towing import TowBound, centres, distances_towed
 
 OWN, SHIPPED = "own", "shipped"  # the state file asked for, or the one that ships
 
@@ -39,6 +40,7 @@ class EpisodeBatch:
         steps: int (count,), actions taken since the reset.
         held: int (count,), consecutive steps the goal has been shown.
         failed: bool (count,), the simulation blew up in the last step.
+        origins: float64 (count, 3), metres, where each rope's centre was at reset.
     """
 
     def __init__(self, config: TaskConfig, count: int = 1, threads: int = 1) -> None:
@@ -57,6 +59,7 @@ class EpisodeBatch:
         self.steps = np.zeros(count, dtype=np.int64)
         self.held = np.zeros(count, dtype=np.int64)
         self.failed = np.zeros(count, dtype=bool)
+        self.origins = np.zeros((count, 3))
         self.beads = np.full(count, -1, dtype=np.int64)
         self.forces = np.zeros((count, 3))
 
@@ -91,6 +94,7 @@ class EpisodeBatch:
             ),
             [index],
         )
+        self.origins[index] = centres(self.simulation.points[[index]])[0]
         self.codes[index] = code
         self.goals[index] = GaussCode.parse(str(goal_states.gauss_code[goal]))
         self.steps[index] = self.held[index] = 0
@@ -110,9 +114,21 @@ class EpisodeBatch:
         reached = np.array(
             [self.codes[index].matches(self.goals[index]) for index in ids], dtype=bool
         )
+        towed = np.zeros(len(ids), dtype=bool)
+        if self.config.tow_limit is not None:
+            far = distances_towed(self.simulation.points[ids], self.origins[ids])
+            towed = far > self.config.tow_limit
         self.steps[ids] += 1
-        self.held[ids] = np.where(reached, self.held[ids] + 1, 0)
-        return self.config.reward_rule.outcome(self.held[ids], self.steps[ids], self.failed[ids])
+        self.held[ids] = np.where(reached & ~towed, self.held[ids] + 1, 0)
+        return self.config.reward_rule.outcome(
+            self.held[ids], self.steps[ids], self.failed[ids], towed
+        )
+
+    def tow_bound(self, index: int) -> TowBound | None:
+        """Where the centre of rope `index` may be; None where it may be anywhere."""
+        if self.config.tow_limit is None:
+            return None
+        return TowBound(self.origins[index].copy(), self.config.tow_limit)
 
     def picture(self, index: int) -> NDArray[np.uint8]:
         """The rope now, left, and its goal, right: uint8 (size, 2 size, 3)."""

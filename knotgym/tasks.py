@@ -43,6 +43,9 @@ class TaskConfig:
         observation: "pixels", "state" or "both".
         horizon: steps until truncation.
         hold: consecutive steps the goal code must show.
+        tow_limit: metres that the rope's centre may be from where it was at reset; farther off no
+            state counts as the goal, and the episode is truncated. None for no bound. With 0.05
+            no action repeated unties a rope (`benchmarks/towing.py`).
         reset_noise: scale of the noise at reset, radians per joint and metres.
         image_size: pixels, each half of the picture.
         camera: "orthographic" or "perspective".
@@ -61,6 +64,7 @@ class TaskConfig:
     observation: str = "pixels"
     horizon: int = 50
     hold: int = 1
+    tow_limit: float | None = None
     reset_noise: float = 0.015
     image_size: int = 128
     camera: str = "orthographic"
@@ -96,6 +100,10 @@ class TaskConfig:
         if self.states is not None and not isinstance(self.states, str):
             raise InvalidSetting(
                 f"states must be the path of a state file as a string, got {self.states!r}"
+            )
+        if self.tow_limit is not None and not self.tow_limit > 0:
+            raise InvalidSetting(
+                f"tow_limit must be a number of metres above 0, or None, got {self.tow_limit!r}"
             )
         if not 0 <= self.reset_noise < 1:
             raise InvalidSetting(f"reset_noise must be in [0, 1), got {self.reset_noise!r}")

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from knotgym.control.policies import PolicyConfig
 
 _POLICIES = (
-    "random, scripted, expert, noisy-expert, mixed, module:function, or a .zip (SB3), .onnx or .pt"
-    " file."
+    "random, constant, scripted, expert, noisy-expert, mixed, module:function, or a .zip (SB3),"
+    " .onnx or .pt file."
 )
 
 Policy = Annotated[str, typer.Option("--policy", help=_POLICIES)]
@@ -32,6 +32,10 @@ States = Annotated[Path | None, typer.Option(help="State file, instead of the on
 Observation = Annotated[str, typer.Option(help="pixels, state or both.")]
 Horizon = Annotated[int, typer.Option(help="Steps until truncation.")]
 Hold = Annotated[int, typer.Option(help="Consecutive steps the goal code must show.")]
+TowLimit = Annotated[
+    float | None,
+    typer.Option(help="Metres that the rope's centre may be towed; no bound by default."),
+]
 ResetNoise = Annotated[
     float, typer.Option(help="Scale of the noise at reset, radians per joint and metres.")
 ]
@@ -60,6 +64,7 @@ def collect(
     image_size: Annotated[int, typer.Option(help="Pixels, each half of the picture.")] = 128,
     horizon: Horizon = 50,
     hold: Hold = 1,
+    tow_limit: TowLimit = None,
     reset_noise: ResetNoise = 0.015,
     integrator_steps: IntegratorSteps = 24,
     noise: Noise = 0.1,
@@ -110,6 +115,7 @@ def collect(
             image_size=image_size,
             horizon=horizon,
             hold=hold,
+            tow_limit=tow_limit,
             reset_noise=reset_noise,
             integrator_steps=integrator_steps,
         ),
@@ -143,6 +149,7 @@ def evaluate(
     ] = "state",
     horizon: Horizon = 50,
     hold: Hold = 1,
+    tow_limit: TowLimit = None,
     reset_noise: ResetNoise = 0.015,
     integrator_steps: IntegratorSteps = 24,
     noise: Noise = 0.1,
@@ -170,6 +177,7 @@ def evaluate(
         observation=observation,
         horizon=horizon,
         hold=hold,
+        tow_limit=tow_limit,
         reset_noise=reset_noise,
         integrator_steps=integrator_steps,
     )
