@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.datasets.states import States, read_states, shipped, states_file
-from knotgym.rendering.observations import picture_config, pixels, state
+from knotgym.rendering.observations import picture_config, pixels, state, symbols
 from knotgym.rendering.picture import draw
 from knotgym.reset_noise import start_qpos
 from knotgym.reward import Outcome
@@ -147,6 +147,11 @@ class EpisodeBatch:
         )[0]
         return seen
 
+    def symbols(self, index: int) -> NDArray[np.int16]:
+        """Gauss codes of the rope now, and of its goal: int16 (2, SYMBOLS)."""
+        told: NDArray[np.int16] = symbols([self.codes[index]], self.goals[index])[0]
+        return told
+
     def goal_points(self, index: int) -> Array:
         """The goal's exemplar, float64 (beads, 3), metres; a copy."""
         return self._goals.points[self.goal_row[index]].copy()
@@ -157,6 +162,8 @@ class EpisodeBatch:
             return self.picture(index)
         if self.config.observation == "state":
             return self.state(index)
+        if self.config.observation == "symbolic":
+            return self.symbols(index)
         return {"pixels": self.picture(index), "state": self.state(index)}
 
     def info(self, index: int) -> dict[str, Any]:

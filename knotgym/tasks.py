@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from knotgym.rope import RopeConfig
 
 SPLITS = ("train", "test")  # of a state file
+OBSERVATIONS = ("pixels", "state", "both", "symbolic")
 MAX_NX = 6  # codes above are not enumerated, nor ever met in numbers
 
 # task -> (crossings of the start, crossings of the goal) for a difficulty nx
@@ -40,12 +41,12 @@ class TaskConfig:
         states: path of a state file, or id of a Minari dataset that carries one; None for the one
             that ships. Plain loops, and they alone, come from the one that ships where the file has
             none.
-        observation: "pixels", "state" or "both".
+        observation: "pixels", "state", "both" or "symbolic".
         horizon: steps until truncation.
         hold: consecutive steps the goal code must show.
         tow_limit: metres that the rope's centre may be from where it was at reset; farther off no
-            state counts as the goal, and the episode is truncated. None for no bound. With 0.05
-            no action repeated unties a rope (`benchmarks/towing.py`).
+            state counts as the goal, and the episode is truncated. None for no bound. With 0.04
+            an action that is only repeated hardly ever unties a rope (`benchmarks/towing.py`).
         reset_noise: scale of the noise at reset, radians per joint and metres.
         image_size: pixels, each half of the picture.
         camera: "orthographic" or "perspective".
@@ -77,7 +78,7 @@ class TaskConfig:
         for name, known in {
             "task": tuple(TASKS),
             "split": SPLITS,
-            "observation": ("pixels", "state", "both"),
+            "observation": OBSERVATIONS,
             "camera": ("orthographic", "perspective"),
             "renderer": ("auto", "opencv", "mujoco"),
         }.items():

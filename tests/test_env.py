@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from knotgym.datasets.states import InvalidStates, States, merge_states, write_states
 from knotgym.env import KnotEnv
 from knotgym.episode_batch import state_origins
+from knotgym.rendering.observations import SYMBOLS, symbols
 from knotgym.rendering.picture import PictureConfig, draw
 from knotgym.simulation import InvalidAction
 from knotgym.tasks import InvalidSetting, TaskConfig
@@ -28,7 +29,7 @@ from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 
 TASKS = ("unknot", "tie", "convert")
-MODES = ("pixels", "state", "both")
+MODES = ("pixels", "state", "both", "symbolic")
 IDLE = np.zeros(6, dtype=np.float32)
 INFO = {
     "gauss_code",
@@ -167,9 +168,29 @@ def test_states_hold_the_rope_and_then_the_goal(make: Make, states: States) -> N
 
 
 def test_both_is_the_picture_and_the_state(make: Make) -> None:
-    one = [rollout(make("tie", observation=mode), 0) for mode in MODES]
+    one = [rollout(make("tie", observation=mode), 0) for mode in MODES[:3]]
     for pixels, state, both in zip(*one, strict=True):
         assert same(both[0], {"pixels": pixels[0], "state": state[0]})
+
+
+def test_symbols_are_the_codes_of_rope_and_goal(make: Make) -> None:
+    env = make("convert", nx=3, observation="symbolic")
+    steps = rollout(env, 0, steps=6)
+    for seen, *_, info in steps:
+        assert seen.shape == (2, SYMBOLS) and seen.dtype == np.int16
+        for row, name in zip(seen.tolist(), ("gauss_code", "goal_gauss_code"), strict=True):
+            visits = [visit for visit in row if visit]
+            assert str(GaussCode(tuple(visits))) == info[name]
+            assert not any(row[len(visits) :])
+    assert np.count_nonzero(steps[0][0][0]) == 4 and np.count_nonzero(steps[0][0][1]) == 6
+
+
+def test_of_a_code_too_long_the_first_symbols_are_kept() -> None:
+    visits = tuple(label for k in range(1, 41) for label in (k, -k))
+    told = symbols([GaussCode(visits)], GaussCode((1, -1)))
+    assert told[0, 0].tolist() == list(visits[:SYMBOLS]) and told[0, 1, :3].tolist() == [1, -1, 0]
+    once = tuple(range(1, 41)) + tuple(-k for k in range(1, 41))
+    assert np.abs(symbols([GaussCode(once)], GaussCode(once))).max() <= SYMBOLS
 
 
 def test_the_perspective_camera_shows_another_picture(make: Make) -> None:
@@ -429,7 +450,10 @@ def test_a_row_of_the_other_split_is_refused(make: Make, states: States) -> None
         ({"nx": True}, "nx must be a whole number from 1 to 6, got True"),
         ({"split": "validation"}, "no split 'validation'; there is train, test"),
         ({"task": "plait"}, "no task 'plait'; there is unknot, tie, convert"),
-        ({"observation": "depth"}, "no observation 'depth'; there is pixels, state, both"),
+        (
+            {"observation": "depth"},
+            "no observation 'depth'; there is pixels, state, both, symbolic",
+        ),
         ({"camera": "fisheye"}, "no camera 'fisheye'"),
         ({"renderer": "filament"}, "no renderer 'filament'"),
         ({"render_mode": "human"}, "no render_mode 'human'"),

@@ -29,7 +29,7 @@ _POLICIES = (
 
 Policy = Annotated[str, typer.Option("--policy", help=_POLICIES)]
 States = Annotated[Path | None, typer.Option(help="State file, instead of the one that ships.")]
-Observation = Annotated[str, typer.Option(help="pixels, state or both.")]
+Observation = Annotated[str, typer.Option(help="pixels, state, both or symbolic.")]
 Horizon = Annotated[int, typer.Option(help="Steps until truncation.")]
 Hold = Annotated[int, typer.Option(help="Consecutive steps the goal code must show.")]
 TowLimit = Annotated[
@@ -145,7 +145,7 @@ def evaluate(
     split: Annotated[str, typer.Option(help="train, test, or both with a comma.")] = "test",
     states: States = None,
     observation: Annotated[
-        str, typer.Option(help="What models and functions see: pixels, state or both.")
+        str, typer.Option(help="What models and functions see: pixels, state, both or symbolic.")
     ] = "state",
     horizon: Horizon = 50,
     hold: Hold = 1,

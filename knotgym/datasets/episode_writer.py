@@ -129,8 +129,8 @@ def merge_episodes(
     Args:
         sources: what `EpisodeReader` takes; of one task and rope.
         target: the file, replaced if there is one.
-        store: observations in the target, "pixels", "state", "both" or "none"; those that differ
-            from the source's are drawn. None keeps them.
+        store: observations in the target, "pixels", "state", "both", "symbolic" or "none"; those
+            that differ from the source's are made. None keeps them.
         concatenate: the sources one after another; else, as for the shards of one run, by the
             episodes' numbers.
         attributes: of the target, beside its own.

@@ -57,7 +57,7 @@ class Transitions:
         Args:
             dataset: a Minari dataset's id or folder or `minari.MinariDataset`, or an episode file,
                 compact or not.
-            observation: "pixels", "state" or "both"; None for the environment's.
+            observation: "pixels", "state", "both" or "symbolic"; None for the environment's.
             picture: a `knotgym.rendering.picture.PictureConfig` to draw with; None for the
                 environment's pictures.
             relabel: hindsight: None; "last": of each episode the part up to the last new code it
@@ -154,7 +154,8 @@ class Transitions:
         """Observations of the states [start, stop), of 0 to T, of a segment of T transitions.
 
         Returns:
-            uint8 (n, size, 2 size, 3), float32 (n, 6 beads), or a dict of both.
+            uint8 (n, size, 2 size, 3), float32 (n, 6 beads), a dict of both, or int16 (n, 2,
+            symbols).
         """
         last = int(self.starts[segment + 1] - self.starts[segment]) + 1
         goal = int(self.goal_step[segment])
