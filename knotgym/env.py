@@ -14,6 +14,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from knotgym.episode_batch import EpisodeBatch
+from knotgym.rendering.observations import SYMBOLS
 from knotgym.simulation import InvalidAction
 from knotgym.tasks import InvalidSetting, TaskConfig
 
@@ -28,6 +29,7 @@ def observation_space(config: TaskConfig, beads: int = 100) -> spaces.Space[Any]
         "pixels": pixels,
         "state": state,
         "both": spaces.Dict({"pixels": pixels, "state": state}),
+        "symbolic": spaces.Box(-SYMBOLS, SYMBOLS, (2, SYMBOLS), np.int16),
     }
     return choices[config.observation]
 

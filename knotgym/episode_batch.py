@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.datasets.states import States, read_states, shipped, states_file
-from knotgym.rendering.observations import picture_config, pixels, state
+from knotgym.rendering.observations import picture_config, pixels, state, symbols
 from knotgym.rendering.picture import draw
 from knotgym.reset_noise import start_qpos
 from knotgym.reward import Outcome
@@ -24,6 +24,9 @@ from knotgym.simulation import Simulation
 from knotgym.tasks import InvalidSetting, TaskConfig
 from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
+from knotgym.towing import TowBound, centres, distances_towed
+
+OWN, SHIPPED = "own", "shipped"  # the state file asked for, or the one that ships
 
 
 class EpisodeBatch:
@@ -37,6 +40,7 @@ class EpisodeBatch:
         steps: int (count,), actions taken since the reset.
         held: int (count,), consecutive steps the goal has been shown.
         failed: bool (count,), the simulation blew up in the last step.
+        origins: float64 (count, 3), metres, where each rope's centre was at reset.
     """
 
     def __init__(self, config: TaskConfig, count: int = 1, threads: int = 1) -> None:
@@ -44,8 +48,9 @@ class EpisodeBatch:
         self.count = count
         self.simulation = Simulation(count, Rope(config.rope), threads)
         self._picture = picture_config(config)
-        self._starts = _side(config, config.start_nx)
-        self._goals = _side(config, config.goal_nx)
+        starts, goals = _side(config, config.start_nx), _side(config, config.goal_nx)
+        self._starts, self._goals = starts.states, goals.states
+        self._came_from = {"start_states": starts.origin, "goal_states": goals.origin}
         self._goal_images: dict[int, NDArray[np.uint8]] = {}
         self.codes = [GaussCode(())] * count
         self.goals = [GaussCode(())] * count
@@ -54,6 +59,7 @@ class EpisodeBatch:
         self.steps = np.zeros(count, dtype=np.int64)
         self.held = np.zeros(count, dtype=np.int64)
         self.failed = np.zeros(count, dtype=bool)
+        self.origins = np.zeros((count, 3))
         self.beads = np.full(count, -1, dtype=np.int64)
         self.forces = np.zeros((count, 3))
 
@@ -88,6 +94,7 @@ class EpisodeBatch:
             ),
             [index],
         )
+        self.origins[index] = centres(self.simulation.points[[index]])[0]
         self.codes[index] = code
         self.goals[index] = GaussCode.parse(str(goal_states.gauss_code[goal]))
         self.steps[index] = self.held[index] = 0
@@ -107,9 +114,21 @@ class EpisodeBatch:
         reached = np.array(
             [self.codes[index].matches(self.goals[index]) for index in ids], dtype=bool
         )
+        towed = np.zeros(len(ids), dtype=bool)
+        if self.config.tow_limit is not None:
+            far = distances_towed(self.simulation.points[ids], self.origins[ids])
+            towed = far > self.config.tow_limit
         self.steps[ids] += 1
-        self.held[ids] = np.where(reached, self.held[ids] + 1, 0)
-        return self.config.reward_rule.outcome(self.held[ids], self.steps[ids], self.failed[ids])
+        self.held[ids] = np.where(reached & ~towed, self.held[ids] + 1, 0)
+        return self.config.reward_rule.outcome(
+            self.held[ids], self.steps[ids], self.failed[ids], towed
+        )
+
+    def tow_bound(self, index: int) -> TowBound | None:
+        """Where the centre of rope `index` may be; None where it may be anywhere."""
+        if self.config.tow_limit is None:
+            return None
+        return TowBound(self.origins[index].copy(), self.config.tow_limit)
 
     def picture(self, index: int) -> NDArray[np.uint8]:
         """The rope now, left, and its goal, right: uint8 (size, 2 size, 3)."""
@@ -128,6 +147,11 @@ class EpisodeBatch:
         )[0]
         return seen
 
+    def symbols(self, index: int) -> NDArray[np.int16]:
+        """Gauss codes of the rope now, and of its goal: int16 (2, SYMBOLS)."""
+        told: NDArray[np.int16] = symbols([self.codes[index]], self.goals[index])[0]
+        return told
+
     def goal_points(self, index: int) -> Array:
         """The goal's exemplar, float64 (beads, 3), metres; a copy."""
         return self._goals.points[self.goal_row[index]].copy()
@@ -138,6 +162,8 @@ class EpisodeBatch:
             return self.picture(index)
         if self.config.observation == "state":
             return self.state(index)
+        if self.config.observation == "symbolic":
+            return self.symbols(index)
         return {"pixels": self.picture(index), "state": self.state(index)}
 
     def info(self, index: int) -> dict[str, Any]:
@@ -152,6 +178,7 @@ class EpisodeBatch:
             "simulation_failed": bool(self.failed[index]),
             "start": int(self.start_row[index]),
             "goal": int(self.goal_row[index]),
+            **self._came_from,
             "bead": int(self.beads[index]),
             "force": self.forces[index].copy(),
         }
@@ -173,26 +200,65 @@ class EpisodeBatch:
         return int(row), side
 
 
-def _side(config: TaskConfig, nx: int) -> States:
+class _Side(NamedTuple):
+    """The states that a side of a task draws from, and whose they are: OWN or SHIPPED."""
+
+    states: States
+    origin: str
+
+
+def state_origins(config: TaskConfig) -> dict[str, str]:
+    """Where the states of a task come from: OWN or SHIPPED for `start` and for `goal`.
+
+    Raises:
+        InvalidSetting: they cannot be had.
+    """
+    return {
+        "start": _side(config, config.start_nx).origin,
+        "goal": _side(config, config.goal_nx).origin,
+    }
+
+
+def _side(config: TaskConfig, nx: int) -> _Side:
     """The states that a side of the task draws from.
 
-    They come from the file asked for, or for want of rows there from the one that ships.
+    They come from the file asked for. Plain loops alone come from the one that ships, where that
+    file has none of either split.
     """
-    paths = [shipped()] if config.states is None else [states_file(config.states), shipped()]
-    for path in paths:
-        states = _read(path, path.stat().st_mtime_ns if path.exists() else 0)
-        # the usual rope's, however finely an action is integrated: a configuration at rest fits
-        made_for, ours = states.attributes.get("rope"), RopeConfig().fingerprint
-        if made_for != ours:
-            raise InvalidSetting(
-                f"{path} was made for rope model {made_for}, this version has {ours}"
-            )
-        if len(states.rows(nx, config.split)):
-            return states
-    raise InvalidSetting(
-        f"no states with nx = {nx} in split {config.split!r} of {paths[0]}; make some:"
-        f" knotgym-generate --nx {nx}"
-    )
+    if config.states is None:
+        path, origin = shipped(), SHIPPED
+    else:
+        path, origin = states_file(config.states), OWN
+    states = _of_our_rope(path)
+    if nx == 0 and not (states.nx == 0).any():
+        path, origin = shipped(), SHIPPED
+        states = _of_our_rope(path)
+    if not len(states.rows(nx, config.split)):
+        raise InvalidSetting(
+            f"no states with nx = {nx} in split {config.split!r} of {path}, asked for by task"
+            f" {config.task!r} with nx = {config.nx}; it has {_contents(states)}. Make some:"
+            f" knotgym-generate --nx {nx}"
+        )
+    return _Side(states, origin)
+
+
+def _of_our_rope(path: Path) -> States:
+    """The states of a file, refused if made for another rope."""
+    states = _read(path, path.stat().st_mtime_ns if path.exists() else 0)
+    # the usual rope's, however finely an action is integrated: a configuration at rest fits
+    made_for, ours = states.attributes.get("rope"), RopeConfig().fingerprint
+    if made_for != ours:
+        raise InvalidSetting(f"{path} was made for rope model {made_for}, this version has {ours}")
+    return states
+
+
+def _contents(states: States) -> str:
+    """Which crossings and splits a file has, as "nx 0 (train, test), 3 (test)"."""
+    splits = {
+        nx: ", ".join(dict.fromkeys(states.split[states.nx == nx].tolist()))
+        for nx in sorted(set(states.nx.tolist()))
+    }
+    return "nx " + ", ".join(f"{nx} ({of})" for nx, of in splits.items()) if splits else "no rows"
 
 
 @lru_cache(maxsize=4)

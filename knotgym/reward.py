@@ -2,6 +2,7 @@
 
     the goal code shown `hold` steps running    success_reward, terminated
     else, at step `horizon`                     failure_reward, truncated
+    else, where the rope was towed too far      failure_reward, truncated
     else, where the simulation blew up          0, truncated
     else                                        0, goes on
 
@@ -44,20 +45,24 @@ class RewardRule:
     success_reward: float = SUCCESS_REWARD
     failure_reward: float = FAILURE_REWARD
 
-    def outcome(self, held: ArrayLike, steps: ArrayLike, failed: ArrayLike) -> Outcome:
+    def outcome(
+        self, held: ArrayLike, steps: ArrayLike, failed: ArrayLike, towed: ArrayLike = False
+    ) -> Outcome:
         """What steps pay.
 
         Args:
             held: int (n,), consecutive steps that the goal has been shown by then.
             steps: int (n,), taken by then since the reset.
             failed: bool (n,), the simulation blew up in this step.
+            towed: bool (n,), the rope lies beyond the bound on towing; such states count as none
+                that show the goal.
 
         >>> RewardRule(hold=2, horizon=9).outcome([2, 1, 1], [4, 4, 9], [False] * 3).rewards
         array([ 5.,  0., -5.])
         """
         blew_up = np.asarray(failed, dtype=bool)
         terminated = (np.asarray(held) >= self.hold) & ~blew_up
-        late = (np.asarray(steps) >= self.horizon) & ~terminated
+        late = ((np.asarray(steps) >= self.horizon) | np.asarray(towed)) & ~terminated
         unsuccessful = np.where(late & ~blew_up, self.failure_reward, 0.0)
         return Outcome(
             rewards=np.where(terminated, self.success_reward, unsuccessful),

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from knotgym.rope import RopeConfig
 
 SPLITS = ("train", "test")  # of a state file
+OBSERVATIONS = ("pixels", "state", "both", "symbolic")
 MAX_NX = 6  # codes above are not enumerated, nor ever met in numbers
 
 # task -> (crossings of the start, crossings of the goal) for a difficulty nx
@@ -38,11 +39,14 @@ class TaskConfig:
         nx: crossings of the tangled side; convert starts at nx - 1.
         split: rows of the state file to draw from, "train" or "test".
         states: path of a state file, or id of a Minari dataset that carries one; None for the one
-            that ships. A side of the task whose number of crossings it lacks (the plain loops of
-            `tie`, mostly) comes from the one that ships.
-        observation: "pixels", "state" or "both".
+            that ships. Plain loops, and they alone, come from the one that ships where the file has
+            none.
+        observation: "pixels", "state", "both" or "symbolic".
         horizon: steps until truncation.
         hold: consecutive steps the goal code must show.
+        tow_limit: metres that the rope's centre may be from where it was at reset; farther off no
+            state counts as the goal, and the episode is truncated. None for no bound. With 0.04
+            an action that is only repeated hardly ever unties a rope (`benchmarks/towing.py`).
         reset_noise: scale of the noise at reset, radians per joint and metres.
         image_size: pixels, each half of the picture.
         camera: "orthographic" or "perspective".
@@ -61,6 +65,7 @@ class TaskConfig:
     observation: str = "pixels"
     horizon: int = 50
     hold: int = 1
+    tow_limit: float | None = None
     reset_noise: float = 0.015
     image_size: int = 128
     camera: str = "orthographic"
@@ -73,7 +78,7 @@ class TaskConfig:
         for name, known in {
             "task": tuple(TASKS),
             "split": SPLITS,
-            "observation": ("pixels", "state", "both"),
+            "observation": OBSERVATIONS,
             "camera": ("orthographic", "perspective"),
             "renderer": ("auto", "opencv", "mujoco"),
         }.items():
@@ -96,6 +101,10 @@ class TaskConfig:
         if self.states is not None and not isinstance(self.states, str):
             raise InvalidSetting(
                 f"states must be the path of a state file as a string, got {self.states!r}"
+            )
+        if self.tow_limit is not None and not self.tow_limit > 0:
+            raise InvalidSetting(
+                f"tow_limit must be a number of metres above 0, or None, got {self.tow_limit!r}"
             )
         if not 0 <= self.reset_noise < 1:
             raise InvalidSetting(f"reset_noise must be in [0, 1), got {self.reset_noise!r}")

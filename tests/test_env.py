@@ -18,8 +18,10 @@ from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from numpy.typing import NDArray
 
-from knotgym.datasets.states import InvalidStates, States, write_states
+from knotgym.datasets.states import InvalidStates, States, merge_states, write_states
 from knotgym.env import KnotEnv
+from knotgym.episode_batch import state_origins
+from knotgym.rendering.observations import SYMBOLS, symbols
 from knotgym.rendering.picture import PictureConfig, draw
 from knotgym.simulation import InvalidAction
 from knotgym.tasks import InvalidSetting, TaskConfig
@@ -27,7 +29,7 @@ from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 
 TASKS = ("unknot", "tie", "convert")
-MODES = ("pixels", "state", "both")
+MODES = ("pixels", "state", "both", "symbolic")
 IDLE = np.zeros(6, dtype=np.float32)
 INFO = {
     "gauss_code",
@@ -38,6 +40,8 @@ INFO = {
     "simulation_failed",
     "start",
     "goal",
+    "start_states",
+    "goal_states",
     "bead",
     "force",
 }
@@ -164,9 +168,29 @@ def test_states_hold_the_rope_and_then_the_goal(make: Make, states: States) -> N
 
 
 def test_both_is_the_picture_and_the_state(make: Make) -> None:
-    one = [rollout(make("tie", observation=mode), 0) for mode in MODES]
+    one = [rollout(make("tie", observation=mode), 0) for mode in MODES[:3]]
     for pixels, state, both in zip(*one, strict=True):
         assert same(both[0], {"pixels": pixels[0], "state": state[0]})
+
+
+def test_symbols_are_the_codes_of_rope_and_goal(make: Make) -> None:
+    env = make("convert", nx=3, observation="symbolic")
+    steps = rollout(env, 0, steps=6)
+    for seen, *_, info in steps:
+        assert seen.shape == (2, SYMBOLS) and seen.dtype == np.int16
+        for row, name in zip(seen.tolist(), ("gauss_code", "goal_gauss_code"), strict=True):
+            visits = [visit for visit in row if visit]
+            assert str(GaussCode(tuple(visits))) == info[name]
+            assert not any(row[len(visits) :])
+    assert np.count_nonzero(steps[0][0][0]) == 4 and np.count_nonzero(steps[0][0][1]) == 6
+
+
+def test_of_a_code_too_long_the_first_symbols_are_kept() -> None:
+    visits = tuple(label for k in range(1, 41) for label in (k, -k))
+    told = symbols([GaussCode(visits)], GaussCode((1, -1)))
+    assert told[0, 0].tolist() == list(visits[:SYMBOLS]) and told[0, 1, :3].tolist() == [1, -1, 0]
+    once = tuple(range(1, 41)) + tuple(-k for k in range(1, 41))
+    assert np.abs(symbols([GaussCode(once)], GaussCode(once))).max() <= SYMBOLS
 
 
 def test_the_perspective_camera_shows_another_picture(make: Make) -> None:
@@ -426,7 +450,10 @@ def test_a_row_of_the_other_split_is_refused(make: Make, states: States) -> None
         ({"nx": True}, "nx must be a whole number from 1 to 6, got True"),
         ({"split": "validation"}, "no split 'validation'; there is train, test"),
         ({"task": "plait"}, "no task 'plait'; there is unknot, tie, convert"),
-        ({"observation": "depth"}, "no observation 'depth'; there is pixels, state, both"),
+        (
+            {"observation": "depth"},
+            "no observation 'depth'; there is pixels, state, both, symbolic",
+        ),
         ({"camera": "fisheye"}, "no camera 'fisheye'"),
         ({"renderer": "filament"}, "no renderer 'filament'"),
         ({"render_mode": "human"}, "no render_mode 'human'"),
@@ -458,29 +485,50 @@ def test_crossings_that_no_file_has_are_refused_with_the_command_that_makes_them
         make("tie", nx=6)
 
 
-def test_a_side_that_the_file_lacks_comes_from_the_one_that_ships(
-    make: Make, states: States, states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.fixture
+def only_nx3(states: States, tmp_path: Path) -> str:
+    """A state file with rows of nx 3 alone, both splits."""
+    kept = states.taken(states.rows(3, "train")), states.taken(states.rows(3, "test"))
+    write_states(tmp_path / "nx3.h5", merge_states(kept))
+    return str(tmp_path / "nx3.h5")
+
+
+def test_plain_loops_that_the_file_lacks_are_those_that_ship_and_info_says_so(
+    make: Make,
+    states: States,
+    states_path: str,
+    only_nx3: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("knotgym.episode_batch.shipped", lambda: Path(states_path))
-    only = states.nx == 3
-    columns = {
-        name: getattr(states, name)[only]
-        for name in (
-            "qpos",
-            "points",
-            "image",
-            "gauss_code",
-            "gauss_code_chiral",
-            "knot",
-            "nx",
-            "split",
-        )
-    }
-    write_states(tmp_path / "nx3.h5", States(**columns, attributes=states.attributes))
-    env = make("tie", nx=3, states=str(tmp_path / "nx3.h5"))
-    info = env.reset(seed=0)[1]
-    assert info["crossings"] == 0 and info["start"] in states.rows(0, "train")
-    assert info["goal"] in range(6) and GaussCode.parse(info["goal_gauss_code"]).nx == 3
+    env = make("tie", nx=3, states=only_nx3)
+    for info in (env.reset(seed=0)[1], env.step(IDLE)[4]):
+        assert info["crossings"] == 0 and info["start"] in states.rows(0, "train")
+        assert info["goal"] in range(6) and GaussCode.parse(info["goal_gauss_code"]).nx == 3
+        assert (info["start_states"], info["goal_states"]) == ("shipped", "own")
+    assert state_origins(env.config) == {"start": "shipped", "goal": "own"}
+    unasked = state_origins(replace(env.config, states=None))
+    assert unasked == {"start": "shipped", "goal": "shipped"}
+
+
+@pytest.mark.parametrize(
+    ("task", "nx", "lacks"), [("unknot", 2, 2), ("tie", 2, 2), ("convert", 3, 2)]
+)
+def test_other_crossings_that_the_file_lacks_are_refused_with_what_it_has(
+    make: Make, only_nx3: str, task: str, nx: int, lacks: int
+) -> None:
+    right = f"nx = {lacks} in split 'train' of .*nx3.h5, .* nx = {nx}; it has nx 3 .train, test.. "
+    with pytest.raises(InvalidSetting, match=right) as caught:
+        make(task, nx=nx, states=only_nx3)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_split_that_the_file_lacks_is_refused_plain_loops_too(
+    make: Make, states: States, tmp_path: Path
+) -> None:
+    write_states(tmp_path / "train.h5", states.taken(np.flatnonzero(states.split == "train")))
+    with pytest.raises(InvalidSetting, match="nx = 0 in split 'test' .* it has nx 0 .train., 1"):
+        make("tie", nx=2, split="test", states=str(tmp_path / "train.h5"))
 
 
 def test_a_missing_state_file_is_named(make: Make, tmp_path: Path) -> None:

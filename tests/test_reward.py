@@ -28,6 +28,12 @@ def test_the_rule(held: int, step: int, failed: bool, right: tuple[float, bool, 
     assert tuple(column.item() for column in RULE.outcome([held], [step], [failed])) == right
 
 
+def test_towing_too_far_pays_as_the_horizon_does() -> None:
+    outcome = RULE.outcome([0, 0, 0], [4, 9, 4], [False, False, True], [True, True, True])
+    assert outcome.rewards.tolist() == [-1.0, -1.0, 0.0]
+    assert outcome.truncated.all() and not outcome.terminated.any()
+
+
 @given(st.integers(0, 60), st.integers(1, 60), st.booleans())
 def test_no_step_is_both_terminated_and_truncated(held: int, step: int, failed: bool) -> None:
     outcome = RULE.outcome([held], [step], [failed])

@@ -66,7 +66,7 @@ def synced(states_path: str) -> Callable[..., SyncVectorEnv]:
     return made
 
 
-@pytest.mark.parametrize("observation", ["pixels", "state", "both"])
+@pytest.mark.parametrize("observation", ["pixels", "state", "both", "symbolic"])
 def test_make_vec_gives_one_batched_simulation(states_path: str, observation: str) -> None:
     envs = gym.make_vec(
         "knotgym/Tie-v0", num_envs=4, nx=3, states=states_path, observation=observation

@@ -23,15 +23,19 @@ if TYPE_CHECKING:
     from knotgym.control.policies import PolicyConfig
 
 _POLICIES = (
-    "random, scripted, expert, noisy-expert, mixed, module:function, or a .zip (SB3), .onnx or .pt"
-    " file."
+    "random, constant, scripted, expert, noisy-expert, mixed, module:function, or a .zip (SB3),"
+    " .onnx or .pt file."
 )
 
 Policy = Annotated[str, typer.Option("--policy", help=_POLICIES)]
 States = Annotated[Path | None, typer.Option(help="State file, instead of the one that ships.")]
-Observation = Annotated[str, typer.Option(help="pixels, state or both.")]
+Observation = Annotated[str, typer.Option(help="pixels, state, both or symbolic.")]
 Horizon = Annotated[int, typer.Option(help="Steps until truncation.")]
 Hold = Annotated[int, typer.Option(help="Consecutive steps the goal code must show.")]
+TowLimit = Annotated[
+    float | None,
+    typer.Option(help="Metres that the rope's centre may be towed; no bound by default."),
+]
 ResetNoise = Annotated[
     float, typer.Option(help="Scale of the noise at reset, radians per joint and metres.")
 ]
@@ -60,6 +64,7 @@ def collect(
     image_size: Annotated[int, typer.Option(help="Pixels, each half of the picture.")] = 128,
     horizon: Horizon = 50,
     hold: Hold = 1,
+    tow_limit: TowLimit = None,
     reset_noise: ResetNoise = 0.015,
     integrator_steps: IntegratorSteps = 24,
     noise: Noise = 0.1,
@@ -110,6 +115,7 @@ def collect(
             image_size=image_size,
             horizon=horizon,
             hold=hold,
+            tow_limit=tow_limit,
             reset_noise=reset_noise,
             integrator_steps=integrator_steps,
         ),
@@ -139,10 +145,11 @@ def evaluate(
     split: Annotated[str, typer.Option(help="train, test, or both with a comma.")] = "test",
     states: States = None,
     observation: Annotated[
-        str, typer.Option(help="What models and functions see: pixels, state or both.")
+        str, typer.Option(help="What models and functions see: pixels, state, both or symbolic.")
     ] = "state",
     horizon: Horizon = 50,
     hold: Hold = 1,
+    tow_limit: TowLimit = None,
     reset_noise: ResetNoise = 0.015,
     integrator_steps: IntegratorSteps = 24,
     noise: Noise = 0.1,
@@ -170,6 +177,7 @@ def evaluate(
         observation=observation,
         horizon=horizon,
         hold=hold,
+        tow_limit=tow_limit,
         reset_noise=reset_noise,
         integrator_steps=integrator_steps,
     )

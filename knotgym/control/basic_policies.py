@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from knotgym.control.macro_actions import MacroActionConfig, WaypointController, propose
 from knotgym.control.policy import Choice, Effort, PlanningPolicy, Policy, UnplannedPolicy
@@ -19,6 +19,18 @@ class RandomPolicy(UnplannedPolicy):
     def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
         actions = np.stack([uniform_action(self._rngs[int(index)]) for index in ids])
         return Choice(actions, [""] * len(ids))
+
+
+class ConstantPolicy(UnplannedPolicy):
+    """One action, again and again: it tows the rope."""
+
+    def __init__(self, action: ArrayLike = (1.0,) * 6) -> None:
+        """Take `action`, (6,) in [-1, 1]."""
+        super().__init__("constant")
+        self._action = np.asarray(action, dtype=np.float32)
+
+    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
+        return Choice(np.tile(self._action, (len(ids), 1)), [""] * len(ids))
 
 
 class ScriptedPolicy(UnplannedPolicy):

@@ -105,6 +105,7 @@ class Expert:
             steps=int(episodes.config.horizon - episodes.steps[index]),
             hold=max(1, hold - held) if held else hold,
             budget=self.config.budget - progress.spent,
+            bound=episodes.tow_bound(index),
         )
 
     def _act_without_plan(

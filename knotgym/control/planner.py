@@ -38,6 +38,7 @@ from knotgym.rope import Array
 from knotgym.simulation import Simulation
 from knotgym.topology.crossings import find_crossings, label_many
 from knotgym.topology.gauss import GaussCode
+from knotgym.towing import TowBound
 
 # code set out from, nearest code in a surrogate rollout -> macro-actions chosen for it
 Promises = Counter[tuple[GaussCode, GaussCode]]
@@ -176,6 +177,7 @@ def plan(
     steps: int,
     hold: int = 1,
     budget: int | None = None,
+    bound: TowBound | None = None,
 ) -> Plan:
     """Find steps that lead to the goal code.
 
@@ -189,12 +191,13 @@ def plan(
         steps: that there are.
         hold: consecutive states that shall show the goal.
         budget: simulated actions, instead of the configuration's.
+        bound: where the rope's centre must stay; None for anywhere.
 
     Returns:
         The first plan found that reaches the goal; for want of one, the plan to the state nearest
         to it.
     """
-    search = _Search(simulation, state, goal, graph, config, rng, steps, hold)
+    search = _Search(simulation, state, goal, graph, config, rng, steps, hold, bound)
     return search.run(config.budget if budget is None else budget)
 
 
@@ -246,10 +249,11 @@ class _Search:
         rng: np.random.Generator,
         steps: int,
         hold: int,
+        bound: TowBound | None,
     ) -> None:
         self.simulation, self.goal, self.graph = simulation, goal, graph
         self.config, self.rng = config, rng
-        self.steps, self.hold = steps, hold
+        self.steps, self.hold, self.bound = steps, hold, bound
         simulation.restore(state[None], [0])
         self.root = Node(state, label_many(simulation.points[:1])[0])
         self.distances = graph.distances(goal)
@@ -284,6 +288,7 @@ class _Search:
         forces = controller.forces(simulation.points)[:count]
         actions, held = step_ropes(simulation, controller.beads[:count], forces, np.arange(count))
         self.spent += count
+        held &= self._allowed(np.arange(count))
         codes = label_many(simulation.points[:count])
         controller.advance(simulation.points)
         idle = controller.idle
@@ -306,6 +311,12 @@ class _Search:
             if ended:
                 del self.branches[row]
         return None
+
+    def _allowed(self, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Which ropes of the simulation lie where they may."""
+        if self.bound is None:
+            return np.ones(len(rows), dtype=bool)
+        return ~self.bound.exceeded(self.simulation.points[rows])
 
     def _is_over(self, branch: _Branch) -> bool:
         """Whether the branch, or the episode, has no step left."""
@@ -402,6 +413,7 @@ class _Search:
             )
             self.spent += 1
             still = (*still, actions[0])
+            held &= self._allowed(np.array([row]))
             if not held[0] or node.steps + extra > self.steps:
                 return None
             if not label_many(self.simulation.points[row : row + 1])[0].matches(self.goal):

@@ -1,6 +1,7 @@
 """Policies by name: which there are, and how one is made.
 
 random          uniform in [-1, 1]^6
+constant        (1, 1, 1, 1, 1, 1) at every step, which tows the rope
 scripted        one macro-action after the other, without a goal
 expert          plans in the simulator from the state the rope is in, see `expert`
 noisy-expert    an expert; each step is a random one instead with probability `noise`, and the
@@ -21,7 +22,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from knotgym.control.basic_policies import MixedPolicy, NoisyPolicy, RandomPolicy, ScriptedPolicy
+from knotgym.control.basic_policies import (
+    ConstantPolicy,
+    MixedPolicy,
+    NoisyPolicy,
+    RandomPolicy,
+    ScriptedPolicy,
+)
 from knotgym.control.expert import Expert
 from knotgym.control.learned_policies import (
     MODEL_FILES,
@@ -136,6 +143,7 @@ def _mixed(config: PolicyConfig) -> Policy:
 
 
 register_policy("random", lambda config: RandomPolicy())
+register_policy("constant", lambda config: ConstantPolicy())
 register_policy("scripted", _scripted)
 register_policy("expert", lambda config: Expert(config.planner))
 register_policy(

@@ -7,12 +7,12 @@
     /episode_{k}        attributes: id, number, total_steps, policy, goal_gauss_code, relabelled,
                         hold, digest, seed, options/start, options/goal
         actions rewards terminations truncations infos/*            what Minari reads
-        observations    pixels and state, one of them, or none      what Minari reads; redrawn from
-                        `rope/points`, they are the same bytes
+        observations    pixels and state, one of them, symbols,     what Minari reads; made from
+                        or none                                     `rope/points`, the same bytes
         rope/start_qpos rope/points rope/goal_points                float64: what everything else
                                                                     can be made from again
 
-`stored` is "pixels", "state", "both" or, in the compact form, "none".
+`stored` is "pixels", "state", "both", "symbolic" or, in the compact form, "none".
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from knotgym.datasets.states import minari_root
 from knotgym.datasets.trajectory import INFOS, Episode
 from knotgym.errors import KnotgymError, MissingFile
 from knotgym.hdf5_files import check_format, foreign_bytes_as
-from knotgym.tasks import TaskConfig
+from knotgym.tasks import OBSERVATIONS, TaskConfig
 
 FORMAT = "knotgym-episodes"
 # 2: every episode's start and goal are of the task's split, and infos hold the goal's code
 FORMAT_VERSION = 2
 READ_VERSIONS = (1, FORMAT_VERSION)
-STORED = ("pixels", "state", "both", "none")
+STORED = (*OBSERVATIONS, "none")
 
 _ROPE = ("start_qpos", "points", "goal_points")
 GOAL_INFO = "infos/goal_gauss_code"  # the goal's label, repeated at every state
@@ -170,23 +170,26 @@ class EpisodeReader:
             index: of the episode.
             steps: which of its T + 1 states.
             goal_step: show this state of the episode as the goal instead.
-            observation: "pixels", "state" or "both"; "" for the task's.
+            observation: "pixels", "state", "both" or "symbolic"; "" for the task's.
             picture: a `knotgym.rendering.picture.PictureConfig` to draw with, instead of what the
                 file holds.
 
         Returns:
-            uint8 (n, size, 2 size, 3), float32 (n, 6 beads), or a dict of both; drawn where the
-            file holds none.
+            uint8 (n, size, 2 size, 3), float32 (n, 6 beads), a dict of both, or int16 (n, 2,
+            SYMBOLS); made from the vertices where the file holds none.
         """
         wanted = observation or self.task.observation
-        if wanted not in STORED[:3]:
-            raise InvalidEpisodeFile(f"observation must be pixels, state or both, got {wanted!r}")
-        if self.stored in (wanted, "both") and picture is None:
+        if wanted not in OBSERVATIONS:
+            raise InvalidEpisodeFile(
+                f"observation must be one of {', '.join(OBSERVATIONS)}, got {wanted!r}"
+            )
+        part_of_both = self.stored == "both" and wanted in ("pixels", "state")
+        if (self.stored == wanted or part_of_both) and picture is None:
             return self._stored(index, steps, goal_step, wanted)
         return self._drawn(index, steps, goal_step, wanted, picture)
 
     def stored_observations(self, index: int) -> dict[str, h5py.Dataset]:
-        """The observations in the file of all states of an episode: pixels, state, both or none."""
+        """The observations in the file of all states of an episode, by name; of "both" two."""
         if self.stored == "none":
             return {}
         data = self.group(index)["observations"]

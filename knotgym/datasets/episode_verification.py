@@ -33,6 +33,7 @@ from knotgym.tasks import TaskConfig
 from knotgym.topology.crossings import label, label_many
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.reference_labeller import pyknotid_code
+from knotgym.towing import TowBound
 
 _BATCH = 64  # episodes replayed side by side
 
@@ -285,9 +286,14 @@ def _outcome(
 ) -> dict[str, NDArray[Any]]:
     """What the environment pays and says for these codes, up to the step the episode ends at."""
     goal = GaussCode.parse(episode.goal_gauss_code)
-    held = consecutive([code.matches(goal) for code in codes[1:]])
+    shown = np.array([code.matches(goal) for code in codes[1:]])
+    towed = np.zeros(len(shown), dtype=bool)
+    if task.tow_limit is not None:
+        bound = TowBound.of_episode(episode.points, task.tow_limit)
+        towed = bound.exceeded(episode.points[1:])
+    held = consecutive(shown & ~towed)
     rule = replace(task.reward_rule, hold=episode.hold or task.hold)
-    outcome = rule.outcome(held, np.arange(1, len(codes)), episode.simulation_failed[1:])
+    outcome = rule.outcome(held, np.arange(1, len(codes)), episode.simulation_failed[1:], towed)
     return {
         "is_success": np.concatenate([[False], outcome.terminated]),
         "terminations": outcome.terminated,

@@ -133,8 +133,8 @@ def merge_episodes(
     Args:
         sources: what `EpisodeReader` takes; of one task and rope.
         target: the file, replaced if there is one.
-        store: observations in the target, "pixels", "state", "both" or "none"; those that differ
-            from the source's are drawn. None keeps them.
+        store: observations in the target, "pixels", "state", "both", "symbolic" or "none"; those
+            that differ from the source's are made. None keeps them.
         concatenate: the sources one after another; else, as for the shards of one run, by the
             episodes' numbers.
         distinct: refuse episodes that are the same.

@@ -94,8 +94,8 @@ def publish(
         sources: as `merge_episodes`.
         metadata: what Minari says of it.
         out: the root under which Minari would find the id; None for Minari's own.
-        store: observations, "pixels", "state" or "both"; None for the sources' (the task's, if
-            those are compact).
+        store: observations, "pixels", "state", "both" or "symbolic"; None for the sources' (the
+            task's, if those are compact).
         concatenate: as `merge_episodes`.
         overwrite: replace a dataset of this id.
         states: a state file to carry along; a task whose `states` is the dataset's id resets from

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from knotgym.errors import KnotgymError
 from knotgym.reward import SUCCESS_REWARD, success_at_last
+from knotgym.towing import TowBound
 
 RELABEL = ("last", "all")
 
@@ -198,8 +199,29 @@ def goal_steps(codes: Sequence[str] | NDArray[np.str_], relabel: str, hold: int 
     return steps if relabel == "all" else steps[-1:]
 
 
+def codes_in_bounds(
+    codes: NDArray[np.str_], points: NDArray[np.float64], tow_limit: float | None
+) -> NDArray[np.str_]:
+    """The codes of an episode up to the state, if any, that lies beyond the bound on towing.
+
+    Args:
+        codes: (T + 1,).
+        points: float64 (T + 1, beads, 3), metres.
+        tow_limit: see `TaskConfig`.
+    """
+    if tow_limit is None:
+        return codes
+    beyond = TowBound.of_episode(points, tow_limit).exceeded(points)
+    return codes[: int(beyond.argmax())] if beyond.any() else codes
+
+
 def relabelled(
-    episode: Episode, goal_step: int, *, hold: int = 1, reward: float = SUCCESS_REWARD
+    episode: Episode,
+    goal_step: int,
+    *,
+    hold: int = 1,
+    reward: float = SUCCESS_REWARD,
+    tow_limit: float | None = None,
 ) -> Episode:
     """Cut an episode so that the last state left is the goal, reached for the first time.
 
@@ -208,11 +230,13 @@ def relabelled(
         goal_step: which state becomes the goal, one of `goals_reached`.
         hold: consecutive steps the goal code must show.
         reward: paid at success.
+        tow_limit: of the task; no state beyond it is a goal.
 
     Raises:
         InvalidEpisode: the goal would not be reached there, or would be before.
     """
-    possible = goals_reached(episode.gauss_code, hold)
+    codes = codes_in_bounds(episode.gauss_code, episode.points, tow_limit)
+    possible = goals_reached(codes, hold)
     if goal_step not in possible:
         raise InvalidEpisode(
             f"goal_step must be a state that reaches another code first, one of {possible}, got"
@@ -246,8 +270,10 @@ def relabel_all(
     *,
     hold: int = 1,
     reward: float = SUCCESS_REWARD,
+    tow_limit: float | None = None,
 ) -> Iterator[Episode]:
     """Yield each episode cut at its `goal_steps`, nothing of one that shows no other code."""
     for episode in episodes:
-        for step in goal_steps(episode.gauss_code, relabel, hold):
-            yield relabelled(episode, step, hold=hold, reward=reward)
+        codes = codes_in_bounds(episode.gauss_code, episode.points, tow_limit)
+        for step in goal_steps(codes, relabel, hold):
+            yield relabelled(episode, step, hold=hold, reward=reward, tow_limit=tow_limit)

@@ -3,7 +3,8 @@
 Every loader takes a dataset as a Minari id, a folder, an episode file (compact ones too) or a
 `minari.MinariDataset`, and
 
-    observation     "pixels", "state" or "both"; None for what the dataset's environment shows
+    observation     "pixels", "state", "both" or "symbolic"; None for what the dataset's environment
+                    shows
     picture         a `knotgym.rendering.picture.PictureConfig`, to draw pictures of another size,
                     camera or colours
     relabel         "last" or "all": hindsight, the code reached becomes the goal (see

@@ -62,7 +62,8 @@ def torch_dataset(
 
     Returns:
         A Dataset of dicts of tensors: observations uint8 (size, 2 size, 3) as the environment's, or
-        float32 (6 beads,), or a dict of both; rewards float32; frames' gauss_code a str.
+        float32 (6 beads,), a dict of both, or int16 (2, symbols); rewards float32; frames'
+        gauss_code a str.
 
     Raises:
         MissingExtra: torch isn't installed.

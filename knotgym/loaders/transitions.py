@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.datasets.trajectory import goal_steps
+from knotgym.datasets.trajectory import codes_in_bounds, goal_steps
 from knotgym.reward import success_at_last
 
 _KEPT = 256  # segments whose codes are kept
@@ -57,7 +57,7 @@ class Transitions:
         Args:
             dataset: a Minari dataset's id or folder or `minari.MinariDataset`, or an episode file,
                 compact or not.
-            observation: "pixels", "state" or "both"; None for the environment's.
+            observation: "pixels", "state", "both" or "symbolic"; None for the environment's.
             picture: a `knotgym.rendering.picture.PictureConfig` to draw with; None for the
                 environment's pictures.
             relabel: hindsight: None; "last": of each episode the part up to the last new code it
@@ -74,10 +74,11 @@ class Transitions:
             lengths = self._reader.lengths.tolist()
         else:
             hold = self._reader.task.hold
+            shown = [self._codes_in_bounds(index) for index in range(len(self._reader))]
             parts = [
                 (k, goal)
-                for k in range(len(self._reader))
-                for goal in goal_steps(self._reader.column(k, "gauss_code"), relabel, hold)
+                for k, codes in enumerate(shown)
+                for goal in goal_steps(codes, relabel, hold)
             ]
             lengths = [goal for _, goal in parts]
         self.episode, self.goal_step = np.array(parts, dtype=np.int64).reshape(-1, 2).T
@@ -117,6 +118,13 @@ class Transitions:
             self._read[segment] = Columns(actions, *outcome)
         return self._read[segment]
 
+    def _codes_in_bounds(self, index: int) -> NDArray[np.str_]:
+        """The codes of an episode's states that may be goals."""
+        codes, tow_limit = self._reader.column(index, "gauss_code"), self._reader.task.tow_limit
+        if tow_limit is None:
+            return codes
+        return codes_in_bounds(codes, self._reader.column(index, "points"), tow_limit)
+
     def _all(self, column: int, empty: NDArray[Any]) -> NDArray[Any]:
         return np.concatenate(
             [empty, *(self.columns(segment)[column] for segment in range(self.segments))]
@@ -146,7 +154,8 @@ class Transitions:
         """Observations of the states [start, stop), of 0 to T, of a segment of T transitions.
 
         Returns:
-            uint8 (n, size, 2 size, 3), float32 (n, 6 beads), or a dict of both.
+            uint8 (n, size, 2 size, 3), float32 (n, 6 beads), a dict of both, or int16 (n, 2,
+            symbols).
         """
         last = int(self.starts[segment + 1] - self.starts[segment]) + 1
         goal = int(self.goal_step[segment])

@@ -1,4 +1,5 @@
-"""What the agent sees of a rope and its goal: both pictures side by side, or both's vertices.
+"""What the agent sees of a rope and its goal: both pictures side by side, or both's vertices, or
+both's Gauss codes.
 
 The environment, the datasets and the loaders all observe through this one module, so that a stored
 observation is the environment's byte for byte.
@@ -6,6 +7,7 @@ observation is the environment's byte for byte.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.rendering.picture import PictureConfig, draw, draw_many
 from knotgym.tasks import TaskConfig
+from knotgym.topology.crossings import label, label_many
+from knotgym.topology.gauss import GaussCode
+
+SYMBOLS = 64  # visits of a code that an agent is told, two a crossing
 
 
 def picture_config(task: TaskConfig) -> PictureConfig:
@@ -54,6 +60,25 @@ def state(points: ArrayLike, goal_points: ArrayLike) -> NDArray[np.float32]:
     return np.concatenate([ropes, goals], axis=1).astype(np.float32)
 
 
+def symbols(codes: Sequence[GaussCode], goal: GaussCode) -> NDArray[np.int16]:
+    """Gauss codes of ropes, each above that of their one goal.
+
+    A visit is +label over and -label under, as in `GaussCode.visits`, and 0 after the last. Of a
+    code of more than SYMBOLS visits the first SYMBOLS are kept.
+
+    Returns:
+        int16 (n, 2, SYMBOLS), in [-SYMBOLS, SYMBOLS].
+
+    >>> symbols([GaussCode((1, -1), "c")], GaussCode(()))[0, :, :3].tolist()
+    [[1, -1, 0], [0, 0, 0]]
+    """
+    told = np.zeros((len(codes), 2, SYMBOLS), dtype=np.int16)
+    for row, code in enumerate(codes):
+        for side, visits in enumerate((code.visits[:SYMBOLS], goal.visits[:SYMBOLS])):
+            told[row, side, : len(visits)] = visits
+    return told
+
+
 def observe(
     points: ArrayLike, goal_points: ArrayLike, observation: str, picture: PictureConfig
 ) -> Any:
@@ -62,12 +87,14 @@ def observe(
     Args:
         points: float64 (n, beads, 3), metres.
         goal_points: float64 (beads, 3), metres.
-        observation: "pixels", "state" or "both".
-        picture: how they are drawn; unused for "state".
+        observation: "pixels", "state", "both" or "symbolic".
+        picture: how they are drawn; used for pixels alone.
 
     Returns:
-        `pixels`, `state`, or a dict of the two.
+        `pixels`, `state`, a dict of the two, or `symbols`.
     """
+    if observation == "symbolic":
+        return symbols(label_many(np.asarray(points)), label(np.asarray(goal_points)))
     seen: dict[str, NDArray[Any]] = {}
     if observation != "state":
         seen["pixels"] = pixels(points, draw(goal_points, picture), picture)

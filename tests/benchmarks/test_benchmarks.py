@@ -118,6 +118,16 @@ def test_every_function_with_a_stopwatch_is_there() -> None:
             assert callable(getattr(holder, function)), name
 
 
+def test_fixed_actions_tow_with_and_without_a_bound(tmp_path: Path) -> None:
+    sizes = ("--episodes", 1, "--directions", 1, "--nx", 2, "--limits", 0.001)
+    (setup,) = figures("towing", tmp_path, *sizes).values()
+    assert setup["constant"] == 0 and setup["untied"].keys() == {
+        "constant",
+        "base (-1, -1, -1)",
+        "origin (-1, -1, -1)",
+    }
+
+
 def test_an_archive_tells_how_far_it_reaches(searched: Archive, tmp_path: Path) -> None:
     searched.save(tmp_path / "archive.h5")
     reached = figures("ways", tmp_path, tmp_path / "archive.h5", "--most-nx", 1)["nx"]

@@ -43,7 +43,9 @@ def act_once(
     return np.stack(actions, axis=1)
 
 
-@pytest.mark.parametrize("name", ["random", "scripted", "expert", "noisy-expert", "mixed"])
+@pytest.mark.parametrize(
+    "name", ["random", "constant", "scripted", "expert", "noisy-expert", "mixed"]
+)
 def test_the_same_seed_gives_the_same_actions(name: str, states_path: str) -> None:
     config = PolicyConfig(policy=name, planner=QUICK)
     assert np.array_equal(act_once(config, states_path, 1), act_once(config, states_path, 1))
@@ -65,10 +67,17 @@ def test_what_an_episode_sees_does_not_depend_on_its_neighbours(
     )
 
 
-@pytest.mark.parametrize("name", ["random", "scripted", "expert", "noisy-expert", "mixed"])
+@pytest.mark.parametrize(
+    "name", ["random", "constant", "scripted", "expert", "noisy-expert", "mixed"]
+)
 def test_actions_are_float32_inside_the_box(name: str, states_path: str) -> None:
     actions = act_once(PolicyConfig(policy=name, planner=QUICK), states_path, 3)
     assert actions.dtype == np.float32 and np.abs(actions).max() <= 1
+
+
+def test_the_constant_policy_takes_one_action(states_path: str) -> None:
+    actions = act_once(PolicyConfig(policy="constant"), states_path, 1)
+    assert actions.dtype == np.float32 and (actions == 1).all()
 
 
 def test_a_noisy_expert_of_noise_one_is_never_the_expert(states_path: str) -> None:

@@ -364,6 +364,31 @@ def test_to_other_observations_and_back_gives_the_same_bytes(tmp_path: Path, roo
     )
 
 
+def test_symbols_go_to_minari_and_back(
+    tmp_path: Path, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = publish([root / ID], METADATA, tmp_path, store="symbolic")
+    assert verify_episodes(folder, pyknotid=False) == []
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    dataset = minari.load_dataset(ID)
+    reader = EpisodeReader(folder)
+    assert reader.task.observation == reader.stored == "symbolic"
+    for index, read in enumerate(dataset.iterate_episodes()):
+        drawn = EpisodeReader(root / ID).observations(index, observation="symbolic")
+        assert np.array_equal(read.observations, drawn) and drawn.dtype == np.int16
+        assert dataset.observation_space.contains(read.observations[-1])
+    assert dataset.recover_environment().reset(seed=0)[0] in dataset.observation_space
+    publish([folder], METADATA, tmp_path / "again", store="both")
+    back, first = (where / ID / "data" / "main_data.hdf5" for where in (tmp_path / "again", root))
+    assert sha(back) == sha(first)
+    spoilt = tmp_path / "spoilt.h5"
+    spoilt.write_bytes((folder / "data" / "main_data.hdf5").read_bytes())
+    with h5py.File(spoilt, "a") as file:
+        file["episode_0/observations"][0, 1, 0] *= -1
+    faults = verify_episodes(spoilt, pyknotid=False)
+    assert any("the stored symbolic" in fault for fault in faults)
+
+
 def test_a_dataset_is_replaced_only_when_asked(root: Path, tmp_path: Path) -> None:
     publish([root / ID], METADATA, tmp_path)
     with pytest.raises(InvalidEpisodeFile, match="there is a dataset"):

@@ -9,16 +9,18 @@ from rich.console import Console
 
 from knotgym.control.planner import PlannerConfig
 from knotgym.control.policies import PolicyConfig
+from knotgym.datasets.states import States, write_states
 from knotgym.generate.episodes.evaluate import (
     EvaluateConfig,
     InvalidEvaluation,
     evaluate,
     report,
     run,
+    show,
     wilson,
 )
 from knotgym.runs.executors import InProcess
-from knotgym.tasks import TaskConfig
+from knotgym.tasks import InvalidSetting, TaskConfig
 
 
 def config(states_path: str, **settings: object) -> EvaluateConfig:
@@ -95,6 +97,25 @@ def test_the_file_holds_the_rate_the_interval_and_the_settings(
         and held["interval"][0] <= held["success_rate"] <= held["interval"][1]
     )
     assert held["settings"]["seed"] == 0 and held["settings"]["policies"][0]["policy"] == "random"
+
+
+def test_states_that_the_file_lacks_are_refused_before_any_work(
+    states_path: str, tmp_path: Path
+) -> None:
+    made = config(states_path, nx=(1, 6))
+    with pytest.raises(InvalidSetting, match="no states with nx = 6 in split 'test'"):
+        run(made, workers=1, out=tmp_path / "r.json", video=None, quiet=True, console=Console())
+    assert not (tmp_path / "r.json").exists()
+
+
+def test_the_result_says_whose_states_were_used(
+    states: States, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_states(tmp_path / "nx1.h5", states.taken(np.flatnonzero(states.nx == 1)))
+    results, _ = evaluate(config(str(tmp_path / "nx1.h5"), episodes=1), InProcess())
+    assert (results[0].start_states, results[0].goal_states) == ("own", "shipped")
+    show(results, Console())
+    assert "unknot nx 1: the state file has no plain loops" in capsys.readouterr().out
 
 
 def test_workers_do_not_change_the_result(states_path: str) -> None:

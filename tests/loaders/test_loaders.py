@@ -204,6 +204,18 @@ def test_hindsight_to_every_code_gives_one_segment_a_code(folder: Path) -> None:
         assert all(np.array_equal(seen[name], right[name]) for name in right)
 
 
+@pytest.mark.parametrize("relabel", [None, "last"])
+def test_symbols_load_stored_or_made_from_vertices(
+    folder: Path, tmp_path: Path, relabel: str | None
+) -> None:
+    merge_episodes([folder / "both.h5"], tmp_path / "symbolic.h5", store="symbolic")
+    stored = arrays(tmp_path / "symbolic.h5", relabel=relabel)
+    made = arrays(folder / "both.h5", observation="symbolic", relabel=relabel)
+    for name in ("observations", "next_observations"):
+        assert stored[name].dtype == np.int16 and stored[name].shape[1:] == (2, 64)
+        assert np.array_equal(stored[name], made[name])
+
+
 def test_a_transition_knows_its_segment_and_step(folder: Path) -> None:
     found = Transitions(folder / "state.h5")
     assert [found.place(i) for i in range(N)] == list(

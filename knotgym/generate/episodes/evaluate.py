@@ -24,6 +24,7 @@ from knotgym.atomic_files import atomic_write
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import Rollout, rollout
 from knotgym.datasets.trajectory import Episode
+from knotgym.episode_batch import OWN, SHIPPED, state_origins
 from knotgym.errors import KnotgymError
 from knotgym.runs.executors import executor
 from knotgym.runs.pools import Pool
@@ -89,6 +90,8 @@ class Result:
         mean_return: rewards of an episode, mean.
         planned_actions, planning_seconds: mean of an episode.
         simulation_failures: episodes that ended because the simulation blew up.
+        start_states, goal_states: where they were drawn from, "own" for the state file asked for
+            or "shipped" for the one that ships.
     """
 
     policy: str
@@ -105,6 +108,8 @@ class Result:
     planned_actions: float
     planning_seconds: float
     simulation_failures: int
+    start_states: str
+    goal_states: str
 
 
 class _Piece(NamedTuple):
@@ -218,6 +223,14 @@ def show(results: Sequence[Result], console: Console) -> None:
             *effort,
         )
     console.print(table)
+    for task, nx in dict.fromkeys(
+        (one.task, one.nx)
+        for one in results
+        if {one.start_states, one.goal_states} == {OWN, SHIPPED}
+    ):
+        console.print(
+            f"{task} nx {nx}: the state file has no plain loops; those that ship are used."
+        )
     columns = list(dict.fromkeys(one.nx for one in results))
     if len(columns) > 1:
         matrix = Table(
@@ -247,6 +260,7 @@ def run(
     Raises:
         InvalidEvaluation: fewer than 0 workers.
         UnknownFilm: the video is neither .mp4 nor .gif.
+        InvalidSetting: the state file lacks what a task needs.
     """
     if workers < 0:
         raise InvalidEvaluation(f"workers must be at least 0, got {workers}")
@@ -258,6 +272,8 @@ def run(
         config = config if config.filmed else replace(config, filmed=2)
     for policy in config.policies:
         make_policy(policy)  # refuses what isn't there before any work is done
+    for _, task in config.setups():
+        state_origins(task)  # so does this
     with executor(workers) as pool:
         results, films = evaluate(config, pool)
     if not quiet:
@@ -316,6 +332,7 @@ def _counted(one: Rollout, filmed: bool) -> _Played:
 def _result(policy: PolicyConfig, task: TaskConfig, played: Sequence[_Played]) -> Result:
     successes = sum(one.success for one in played)
     low, high = wilson(successes, len(played))
+    origins = state_origins(task)
     return Result(
         policy=policy.policy,
         task=task.task,
@@ -331,4 +348,6 @@ def _result(policy: PolicyConfig, task: TaskConfig, played: Sequence[_Played]) -
         planned_actions=float(np.mean([one.planned_actions for one in played])),
         planning_seconds=float(np.mean([one.planning_seconds for one in played])),
         simulation_failures=sum(one.failed for one in played),
+        start_states=origins["start"],
+        goal_states=origins["goal"],
     )
