@@ -178,7 +178,7 @@ def _side(config: TaskConfig, nx: int) -> States:
 
     They come from the file asked for, or for want of rows there from the one that ships.
     """
-    paths = [shipped()] if config.states is None else [states_file(config.states), shipped()]
+    paths = [states_file(config.states), shipped()]
     for path in paths:
         states = _read(path, path.stat().st_mtime_ns if path.exists() else 0)
         # the usual rope's, however finely an action is integrated: a configuration at rest fits

@@ -37,9 +37,10 @@ class TaskConfig:
         task: "unknot", "tie" or "convert".
         nx: crossings of the tangled side; convert starts at nx - 1.
         split: rows of the state file to draw from, "train" or "test".
-        states: path of a state file, or id of a Minari dataset that carries one; None for the one
-            that ships. A side of the task whose number of crossings it lacks (the plain loops of
-            `tie`, mostly) comes from the one that ships.
+        states: "readable" (the same as None) or "random-walk", sets that ship, see
+            `datasets.states.shipped`; or path of a state file, or id of a Minari dataset that
+            carries one. A side of the task whose number of crossings it lacks (the plain loops of
+            `tie`, mostly) comes from the readable set.
         observation: "pixels", "state" or "both".
         horizon: steps until truncation.
         hold: consecutive steps the goal code must show.
