@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from knotgym.streams import generator_of
+
 if TYPE_CHECKING:
     from knotgym.rope import RopeConfig  # not at run time, so that loaders need no simulator
 
@@ -69,3 +71,12 @@ def steps_taken(
     """
     beads, forces = decode_actions(actions, points[:-1], rope)
     return np.concatenate([[-1], beads]), np.concatenate([np.zeros((1, 3)), forces])
+
+
+def drawn_actions(key: tuple[int, ...], steps: int) -> NDArray[np.float32]:
+    """The first actions of a random walk, float32 (steps, 6), uniform in [-1, 1].
+
+    The key of their stream is all that has to be kept of them; fewer steps are the beginning of
+    more.
+    """
+    return generator_of(key).uniform(-1, 1, (steps, 6)).astype(np.float32)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.datasets.states import States, read_states, shipped, states_file
+from knotgym.datasets.states import States, read_states, shipped, ships, states_file
 from knotgym.rendering.observations import picture_config, pixels, state, symbols
 from knotgym.rendering.picture import draw
 from knotgym.reset_noise import start_qpos
@@ -225,10 +225,7 @@ def _side(config: TaskConfig, nx: int) -> _Side:
     They come from the file asked for. Plain loops alone come from the one that ships, where that
     file has none of either split.
     """
-    if config.states is None:
-        path, origin = shipped(), SHIPPED
-    else:
-        path, origin = states_file(config.states), OWN
+    path, origin = states_file(config.states), SHIPPED if ships(config.states) else OWN
     states = _of_our_rope(path)
     if nx == 0 and not (states.nx == 0).any():
         path, origin = shipped(), SHIPPED

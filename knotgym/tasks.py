@@ -38,8 +38,9 @@ class TaskConfig:
         task: "unknot", "tie" or "convert".
         nx: crossings of the tangled side; convert starts at nx - 1.
         split: rows of the state file to draw from, "train" or "test".
-        states: path of a state file, or id of a Minari dataset that carries one; None for the one
-            that ships. Plain loops, and they alone, come from the one that ships where the file has
+        states: "readable" (the same as None) or "random-walk", sets that ship, see
+            `datasets.states.shipped`; or path of a state file, or id of a Minari dataset that
+            carries one. Plain loops, and they alone, come from the readable set where a file has
             none.
         observation: "pixels", "state", "both" or "symbolic".
         horizon: steps until truncation.

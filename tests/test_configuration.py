@@ -12,7 +12,6 @@ from knotgym.control.planner import PlannerConfig
 from knotgym.control.policies import PolicyConfig
 from knotgym.control.surrogate import SurrogateConfig
 from knotgym.control.transition_graph import TransitionGraphConfig
-from knotgym.datasets.label_limits import LabelLimits
 from knotgym.errors import KnotgymError
 from knotgym.generate.episodes.collect import CollectConfig
 from knotgym.generate.images.images_config import ImagesConfig
@@ -25,6 +24,7 @@ from knotgym.generate.states.curation_run import search_config
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.hill_climb import HillClimbConfig
 from knotgym.generate.states.search import SearchSettings
+from knotgym.label_limits import LabelLimits
 from knotgym.relaxation import RelaxationConfig
 from knotgym.tasks import TaskConfig
 

@@ -16,11 +16,11 @@ from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_writer import merge_episodes
 from knotgym.datasets.image_table import is_images
 from knotgym.datasets.states import merge_states, read_states, write_states
-from knotgym.datasets.video import FRAMES_PER_SECOND, captioned, write_film
 from knotgym.errors import KnotgymError
 from knotgym.generate.merge_shards import merge_shards, shard_folder_of
 from knotgym.hdf5_files import hdf5_format
 from knotgym.rendering.picture import draw
+from knotgym.rendering.video import FRAMES_PER_SECOND, captioned, write_film
 from knotgym.rope import Array, Rope
 from knotgym.runs.executors import executor
 from knotgym.runs.staging import Occupied

@@ -28,7 +28,10 @@ _POLICIES = (
 )
 
 Policy = Annotated[str, typer.Option("--policy", help=_POLICIES)]
-States = Annotated[Path | None, typer.Option(help="State file, instead of the one that ships.")]
+States = Annotated[
+    Path | None,
+    typer.Option(help="readable (default) or random-walk, which ship, or a state file."),
+]
 Observation = Annotated[str, typer.Option(help="pixels, state, both or symbolic.")]
 Horizon = Annotated[int, typer.Option(help="Steps until truncation.")]
 Hold = Annotated[int, typer.Option(help="Consecutive steps the goal code must show.")]

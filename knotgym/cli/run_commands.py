@@ -34,6 +34,15 @@ def generate(
     out: Annotated[
         Path | None, typer.Option(help="Folder to make; knotgym-data/nx3 for --nx 3.")
     ] = None,
+    source: Annotated[
+        str,
+        typer.Option(
+            help=(
+                '"play": searched and opened up, with the trajectories; "random-walk": saved from'
+                " uniform random actions, only over-twisted states left out."
+            )
+        ),
+    ] = "play",
     every_code: Annotated[
         int, typer.Option(help="Instead of --count: so many states of every code there is.")
     ] = 0,
@@ -56,7 +65,10 @@ def generate(
         Path | None, typer.Option(help="Go on from the archive of another run (its archive.h5).")
     ] = None,
     attempts: Annotated[
-        int, typer.Option(help="Candidates tried, for each state wanted, before giving up.")
+        int,
+        typer.Option(
+            help="Candidates tried, or ropes walked, for each state wanted, before giving up."
+        ),
     ] = 100,
     cycles: Annotated[
         int,
@@ -76,11 +88,32 @@ def generate(
     resume: ResumeOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Make curated states, split into train and test, with the trajectories that reach them."""
+    """Make states, split into train and test: curated, with the trajectories that reach them, or as
+    random play meets them.
+    """
     from knotgym.generate.states.generate_config import GenerateConfig
+    from knotgym.generate.states.random_walk import RandomWalkConfig
+    from knotgym.generate.states.random_walk_recipe import walk_states
     from knotgym.generate.states.state_recipe import generate as run
 
     options = run_options(engine, scheduler, workers, shard, resume, quiet)
+    folder = out or Path("knotgym-data") / f"nx{nx.replace(' ', '')}"
+    if source not in ("play", "random-walk"):
+        raise typer.BadParameter(f"--source takes play or random-walk, got {source!r}")
+    if source == "random-walk":
+        for option, given in {
+            "--every-code": every_code != 0,
+            "--balance": balance != "even",
+            "--split-by": split_by != "state",
+            "--knot": knot != "0_1",
+            "--archive": archive is not None,
+            "--cycles": cycles != 0,
+        }.items():
+            if given:
+                raise typer.BadParameter(f"{option} goes with --source play, not with random-walk")
+        walks = RandomWalkConfig(nx=numbers(nx), count=count, seed=seed, attempts=attempts)
+        walk_states(with_settings(walks, settings), folder, options)
+        return
     config = GenerateConfig(
         nx=numbers(nx),
         count=count,
@@ -92,7 +125,6 @@ def generate(
         attempts=attempts,
         cycles=cycles,
     )
-    folder = out or Path("knotgym-data") / f"nx{nx.replace(' ', '')}"
     run(with_settings(config, settings), folder, options, archive=archive)
 
 

@@ -24,12 +24,12 @@ from knotgym.datasets.image_table import (
     read_table,
     shards,
 )
-from knotgym.datasets.label_limits import at_base, pressed_together, visits_too_close
 from knotgym.datasets.manifest_check import listed_faults, read_manifest
 from knotgym.datasets.near_duplicates import NEAR, distances
 from knotgym.datasets.splits import IMAGE_SPLITS
 from knotgym.datasets.walks_file import InvalidWalks, read_walks, retrace
 from knotgym.errors import KnotgymError, MissingFile
+from knotgym.label_limits import at_base, pressed_together, visits_too_close
 from knotgym.relaxation import RelaxationConfig, relaxed
 from knotgym.rendering.appearance import render
 from knotgym.rope import Array, Rope

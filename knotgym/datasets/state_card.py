@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from knotgym.datasets.splits import STATE_SPLITS
 from knotgym.datasets.spread import spread_of
+from knotgym.datasets.state_schema import RANDOM_WALK
 from knotgym.datasets.states import States
 from knotgym.topology.gauss import GaussCode
 
@@ -56,12 +57,9 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         "",
         f"{len(states)} configurations of a closed rope in MuJoCo (knot type {report['knot']}),"
         f" each labelled with its Gauss code, made by `knotgym generate` {report['version']}"
-        f" (MuJoCo {report['mujoco']}) with seed {config['seed']}. `states.h5` holds one row a"
-        " state, `minari/` the trajectories that lead from the start to each of them (train and"
-        " test are datasets of their own), `archive.h5`"
-        " what the search found (`--archive` goes on from it), `gallery.png` shows all states,"
-        " `manifest.json` lists checksums, configuration and counts. `knotgym dataset verify`"
-        " recomputes every label and replays every trajectory.",
+        f" (MuJoCo {report['mujoco']}) with seed {config['seed']}. {_holds(report)}"
+        " `gallery.png` shows all states, `manifest.json` lists checksums, configuration and"
+        " counts. `knotgym dataset verify` recomputes every label and replays every trajectory.",
         "",
         "## States",
         "",
@@ -85,8 +83,7 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         "",
         "## Rejected",
         "",
-        f"{report['attempts']} candidates were made, in {report['actions']} environment steps with"
-        " the search. One can be rejected for several reasons.",
+        _made(report),
         "",
         *table(
             ("nx", "reason", "candidates"),
@@ -106,6 +103,34 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         "",
     ]
     return "\n".join(lines)
+
+
+def _made(report: Mapping[str, Any]) -> str:
+    """What was tried."""
+    if report.get("source") == RANDOM_WALK:
+        return (
+            f"{report['attempts']} ropes walked, {report['actions']} environment steps in all. A"
+            " configuration can be rejected for several reasons."
+        )
+    return (
+        f"{report['attempts']} candidates were made, in {report['actions']} environment steps with"
+        " the search. One can be rejected for several reasons."
+    )
+
+
+def _holds(report: Mapping[str, Any]) -> str:
+    """Where the states come from, and what else is in the folder."""
+    if report.get("source") == RANDOM_WALK:
+        return (
+            "`states.h5` holds one row a state, as uniform random actions meet them: nothing was"
+            " opened up, only over-twisted ones were left out; a row's actions are drawn from its"
+            " stream. A state is laid at rest."
+        )
+    return (
+        "`states.h5` holds one row a state, `minari/` the trajectories that lead from the start to"
+        " each of them (train and test are datasets of their own), `archive.h5` what the search"
+        " found (`--archive` goes on from it)."
+    )
 
 
 _STATES_HEAD = (

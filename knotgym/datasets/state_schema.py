@@ -78,7 +78,8 @@ QUALITY = tuple(
     for name, unit in UNITS.items()
 )
 # Laid at rest at start_qpos, a rope that takes the first `steps` actions ends in the row's qpos bit
-# for bit.
+# for bit. A file whose `policy` is RANDOM_WALK in all rows has no column of actions: those of a row
+# are drawn from its stream (`knotgym.actions.drawn_actions`).
 SOURCE = (
     Column("source/start_qpos", "float64", ("nq",), "m, quaternions", "where the rope is laid"),
     Column("source/actions", "float32", (None, 6), "", "taken from there on; then zeros"),
@@ -86,10 +87,12 @@ SOURCE = (
     Column("source/seed", "int64", (None,), "", "key of the random stream it was drawn from"),
     Column("source/policy", "text", (), "", "who acted"),
     Column("source/dataset", "text", (), "", "Minari dataset that its demonstration is in"),
-    Column("source/trajectory", "int64", (), "", "its episode in that dataset"),
+    Column("source/trajectory", "int64", (), "", "its episode in that dataset; a rope"),
     Column("source/step", "int64", (), "actions", "state of that episode"),
 )
 COLUMNS = (*ROOT, *QUALITY, *SOURCE)
+
+RANDOM_WALK = "random-walk"  # in source/policy
 
 # without these a row can't be made again
 REPLAYED = ("source/start_qpos", "source/actions", "source/steps", "source/seed")

@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from knotgym.actions import drawn_actions
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import verify_episodes
 from knotgym.datasets.manifest_check import listed_faults, read_manifest
 from knotgym.datasets.near_duplicates import NEAR, distances, repeated
 from knotgym.datasets.splits import STATE_SPLITS
-from knotgym.datasets.state_schema import COLUMNS, REPLAYED
+from knotgym.datasets.state_schema import COLUMNS, RANDOM_WALK, REPLAYED
 from knotgym.datasets.states import InvalidStates, States, read_states
-from knotgym.errors import MissingFile
+from knotgym.errors import KnotgymError, MissingFile
 from knotgym.rendering.picture import draw
-from knotgym.rope import Rope
+from knotgym.rope import Array, Rope
 from knotgym.simulation import Simulation
+from knotgym.streams import InvalidSeed, Stream, key
 from knotgym.topology.crossings import label
 from knotgym.topology.knots import knot_type
 from knotgym.topology.reference_labeller import pyknotid_code
+
+AT_ONCE = 64  # rows replayed side by side
+_LONGEST = 100_000  # actions of a random walk; more are a slip, and would fill the memory
 
 
 def state_faults(states: States) -> Iterator[str]:
@@ -37,10 +43,12 @@ def state_faults(states: States) -> Iterator[str]:
     if misshapen:
         yield from misshapen
         return
-    simulation = Simulation(1, rope)
-    for row in range(len(states)):
-        for fault in _row_faults(states, row, simulation):
-            yield f"states.h5 row {row}: {fault}"
+    for first in range(0, len(states), AT_ONCE):
+        rows = range(first, min(first + AT_ONCE, len(states)))
+        ends = _replayed(states, rows, rope)
+        for row in rows:
+            for fault in _row_faults(states, row, rope, ends.get(row)):
+                yield f"states.h5 row {row}: {fault}"
     yield from _leaks(states)
     for first, row in repeated(states.points):
         yield f"states.h5 rows {first} and {row} are the same configuration"
@@ -92,13 +100,13 @@ def demonstration_faults(states: States, name: str, demonstrations: EpisodeReade
     demonstrations.close()
 
 
-def _row_faults(states: States, row: int, simulation: Simulation) -> Iterator[str]:
-    """Faults of one row; the simulation has one rope."""
+def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iterator[str]:
+    """Faults of one row, whose replay ended in `end`; None if the simulation failed."""
     points, qpos = states.points[row], states.qpos[row]
     if not (np.isfinite(points).all() and np.isfinite(qpos).all()):
         yield "coordinates are not finite"
         return
-    if not np.array_equal(simulation.rope.points(qpos), points):
+    if not np.array_equal(rope.points(qpos), points):
         yield "points are not those of qpos"
     code = label(points)
     for name, stored, right in (
@@ -116,23 +124,76 @@ def _row_faults(states: States, row: int, simulation: Simulation) -> Iterator[st
         yield "image is not the picture of points"
     if states.split[row] not in STATE_SPLITS:
         yield f"split is {str(states.split[row])!r}"
-    actions = states.source["actions"][row, : states.source["steps"][row]]
-    if not (np.abs(actions) <= 1).all():
-        yield "an action lies outside [-1, 1]"
-        return
-    simulation.lay(states.source["start_qpos"][row][None])
-    whole = all(simulation.act(action[None]).all() for action in actions)
-    if not whole or not np.array_equal(simulation.qpos()[0], qpos):
-        yield "replay of its start and actions does not end in qpos bit for bit"
+    try:
+        actions_of(states, row)
+    except InvalidSource as error:
+        yield str(error)
+    else:
+        if end is None or not np.array_equal(end, qpos):
+            yield "replay of its start and actions does not end in qpos bit for bit"
+
+
+class InvalidSource(KnotgymError, ValueError):
+    """A row that does not say how to make it again."""
+
+
+def actions_of(states: States, row: int) -> NDArray[np.float32]:
+    """The actions that lead from a row's start to its state, float32 (steps, 6).
+
+    Raises:
+        InvalidSource: they are no actions, or come from no random walk's stream.
+    """
+    steps = int(states.source["steps"][row])
+    if "actions" in states.source:
+        actions: NDArray[np.float32] = states.source["actions"][row, :steps]
+        if not (np.abs(actions) <= 1).all():
+            raise InvalidSource("an action lies outside [-1, 1]")
+        return actions
+    seed = tuple(states.source["seed"][row].tolist())
+    try:
+        known = seed == key(Stream(seed[0]), *seed[1:]) and seed[0] == Stream.RANDOM_WALK
+    except (InvalidSeed, ValueError, IndexError, TypeError):
+        known = False
+    if not known:
+        raise InvalidSource(f"seed {seed} is no stream of a random walk's actions")
+    if not 0 <= steps <= _LONGEST:
+        raise InvalidSource(f"a random walk takes 0 to {_LONGEST} actions, got {steps}")
+    return drawn_actions(seed, steps)
+
+
+def _replayed(states: States, rows: Sequence[int], rope: Rope) -> dict[int, Array]:
+    """Where the replay of rows ends, qpos (nq,); without those that can't be replayed, or whose
+    simulation failed.
+    """
+    actions = {}
+    for row in rows:
+        try:
+            actions[row] = actions_of(states, row)
+        except InvalidSource:
+            continue
+    left = sorted(actions)
+    if not left:
+        return {}
+    simulation = Simulation(len(left), rope, threads=0)
+    simulation.lay(states.source["start_qpos"][left])
+    whole = np.ones(len(left), dtype=bool)
+    for step in range(max(len(actions[row]) for row in left)):
+        ids = np.flatnonzero([whole[k] and step < len(actions[row]) for k, row in enumerate(left)])
+        if len(ids):
+            whole[ids] = simulation.act([actions[left[k]][step] for k in ids], ids)
+    qpos = simulation.qpos()
+    return {row: qpos[k] for k, row in enumerate(left) if whole[k]}
 
 
 def _misshapen(states: States, rope: Rope) -> Iterator[str]:
     """Columns of another type or shape than the schema's; missing ones that replay needs."""
     columns = states.columns()
     sizes = {"nq": rope.nq, "beads": rope.config.beads}
+    drawn = len(states) > 0 and set(states.source.get("policy", ())) == {RANDOM_WALK}
+    required = set(REPLAYED) - ({"source/actions"} if drawn else set())
     for column in COLUMNS:
         values = columns.get(column.name)
-        if values is None and column.name not in REPLAYED:
+        if values is None and column.name not in required:
             continue
         shape = column.full_shape(len(states), sizes)
         should_be = ", ".join("any" if size is None else str(size) for size in shape)

@@ -96,9 +96,27 @@ class States:
         return self.with_columns({name: values[rows] for name, values in self.columns().items()})
 
 
-def shipped() -> Path:
-    """The curated states that come with the package: 17 loops, and 40 states for each nx to 4."""
-    return Path(str(files("knotgym.datasets") / "curated" / "states.h5"))
+SHIPPED = {"readable": "states.h5", "random-walk": "random-walk.h5"}  # name -> file
+
+
+def shipped(name: str = "readable") -> Path:
+    """A set of states that comes with the package: 17 loops, and 40 states for each nx to 4.
+
+    Args:
+        name: "readable", curated to be read off the picture; or "random-walk", as random play meets
+            them, only over-twisted ones left out.
+
+    Raises:
+        InvalidStates: no set has that name.
+    """
+    if name not in SHIPPED:
+        raise InvalidStates(f"no set of states {name!r} ships; there is {', '.join(SHIPPED)}")
+    return Path(str(files("knotgym.datasets") / "curated" / SHIPPED[name]))
+
+
+def ships(named: str | None) -> bool:
+    """Whether these are states that come with the package; None is "readable"."""
+    return named is None or named in SHIPPED
 
 
 def minari_root() -> Path:
@@ -106,8 +124,12 @@ def minari_root() -> Path:
     return Path(os.environ.get("MINARI_DATASETS_PATH") or Path.home() / ".minari" / "datasets")
 
 
-def states_file(named: str) -> Path:
-    """The state file that a path means, or the id of a Minari dataset that carries one."""
+def states_file(named: str | None) -> Path:
+    """The state file that is meant: by the name of a set that ships (None is "readable"), by the id
+    of a Minari dataset that carries one, or by its path.
+    """
+    if named is None or named in SHIPPED:
+        return shipped(named or "readable")
     carried = minari_root() / named / "data" / "states.h5"
     return carried if carried.is_file() and not Path(named).is_file() else Path(named)
 

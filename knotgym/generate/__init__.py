@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from knotgym.generate.images.image_recipe import make_images
     from knotgym.generate.images.images_config import ImagesConfig, InvalidImagesConfig
     from knotgym.generate.states.generate_config import GenerateConfig, InvalidGenerateConfig
+    from knotgym.generate.states.random_walk import RandomWalkConfig
+    from knotgym.generate.states.random_walk_recipe import walk_states
     from knotgym.generate.states.state_recipe import generate as make_states
     from knotgym.runs.run_options import InvalidRun, NotEnough, RunOptions
     from knotgym.runs.staging import Occupied
@@ -33,11 +35,13 @@ else:
             "InvalidRun": "knotgym.runs.run_options",
             "NotEnough": "knotgym.runs.run_options",
             "Occupied": "knotgym.runs.staging",
+            "RandomWalkConfig": "knotgym.generate.states.random_walk",
             "RunOptions": "knotgym.runs.run_options",
             "collect": "knotgym.generate.episodes.collect",
             "evaluate": "knotgym.generate.episodes.evaluate:run",
             "make_images": "knotgym.generate.images.image_recipe",
             "make_states": "knotgym.generate.states.state_recipe:generate",
+            "walk_states": "knotgym.generate.states.random_walk_recipe",
         },
     )
 
@@ -53,9 +57,11 @@ __all__ = [
     "InvalidRun",
     "NotEnough",
     "Occupied",
+    "RandomWalkConfig",
     "RunOptions",
     "collect",
     "evaluate",
     "make_images",
     "make_states",
+    "walk_states",
 ]

@@ -213,3 +213,9 @@ def test_the_gpu_port_takes_the_rope_with_another_solver(tmp_path: Path) -> None
 def test_pixels_of_the_published_environment_are_timed_beside_ours(tmp_path: Path) -> None:
     words = ("--steps", 1, "--repeats", 1, "--modes", "pixels")
     assert figures("published", tmp_path, *words)["modes"]["pixels"]["published"]["ms"] > 0
+
+
+def test_walks_from_both_starts_are_measured(tmp_path: Path) -> None:
+    found = figures("stationary", tmp_path, "--ropes", 2, "--actions", 20, "--every", 20)
+    (row,) = found["rows"]
+    assert row["coil"]["radius"][0] < row["circle"]["radius"][0]

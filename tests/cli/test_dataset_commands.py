@@ -22,8 +22,8 @@ from knotgym.datasets.gallery import contact_sheet, write_gallery
 from knotgym.datasets.state_card import growth, summary
 from knotgym.datasets.state_verification import state_faults
 from knotgym.datasets.states import States, read_states, write_states
-from knotgym.datasets.video import FRAMES_PER_SECOND, UnknownFilm, captioned, write_film
 from knotgym.rendering.picture import draw
+from knotgym.rendering.video import FRAMES_PER_SECOND, UnknownFilm, captioned, write_film
 
 from ..small_job import knotgym
 

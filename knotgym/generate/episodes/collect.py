@@ -23,7 +23,7 @@ from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import rollout
 from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
-from knotgym.datasets.states import minari_root, states_file
+from knotgym.datasets.states import minari_root, ships, states_file
 from knotgym.errors import KnotgymError
 from knotgym.rope import RopeConfig
 from knotgym.runs.engine import Batch, run
@@ -82,7 +82,9 @@ class CollectConfig:
         """The environment as the dataset names it: states that don't ship are carried along, and
         found by the dataset's id.
         """
-        return self.task if self.task.states is None else replace(self.task, states=self.dataset_id)
+        if ships(self.task.states):
+            return self.task
+        return replace(self.task, states=self.dataset_id)
 
 
 class _EpisodeFile(NamedTuple):
@@ -170,7 +172,7 @@ class EpisodeRecipe:
 
     def request(self) -> dict[str, Any]:
         carried = self.config.task.states
-        source = {"states": sha256(states_file(carried)) if carried is not None else None}
+        source = {"states": None if ships(carried) else sha256(states_file(carried))}
         return {"config": as_json(self.config), "source": source}
 
     def begin(self) -> None:
@@ -245,7 +247,7 @@ def write_whole(
             f"none of {tally.played} episodes reached the goal, and failed ones are dropped:"
             " nothing is left to write"
         )
-    carried = None if config.task.states is None else states_file(config.task.states)
+    carried = None if ships(config.task.states) else states_file(config.task.states)
     made = publish(sources, _metadata(config, tally), root, concatenate=concatenate, states=carried)
     _report(made / "data" / REPORT, request, tally)
     return made

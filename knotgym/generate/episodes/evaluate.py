@@ -265,7 +265,7 @@ def run(
     if workers < 0:
         raise InvalidEvaluation(f"workers must be at least 0, got {workers}")
     if video is not None:
-        from knotgym.datasets.video import UnknownFilm, write_film
+        from knotgym.rendering.video import UnknownFilm, write_film
 
         if video.suffix.lower() not in (".mp4", ".gif"):
             raise UnknownFilm(f"a video ends in .gif or .mp4, got {str(video)!r}")
@@ -292,8 +292,8 @@ def film(episode: Episode, task: TaskConfig) -> list[NDArray[np.uint8]]:
     """The frames of an episode, its codes and the policy's reasons below: uint8 (height, width, 3)
     each.
     """
-    from knotgym.datasets.video import captioned
     from knotgym.rendering.observations import observe, picture_config
+    from knotgym.rendering.video import captioned
 
     frames = observe(episode.points, episode.goal_points, "pixels", picture_config(task))
     steps, moves = len(episode), episode.move

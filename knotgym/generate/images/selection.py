@@ -18,9 +18,9 @@ from typing import NamedTuple
 import numpy as np
 
 from knotgym.configuration import check_numbers
-from knotgym.datasets.label_limits import LabelLimits, at_base
 from knotgym.datasets.near_duplicates import NEAR
 from knotgym.difficulty import grade_of
+from knotgym.label_limits import LabelLimits, at_base
 from knotgym.rope import Array
 from knotgym.topology.crossings import Crossings, find_crossings
 from knotgym.topology.gauss import GaussCode

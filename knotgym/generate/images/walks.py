@@ -24,8 +24,8 @@ from knotgym.control.macro_actions import (
     move_aside,
     propose,
 )
-from knotgym.datasets.label_limits import LabelLimits, pressed_together, visits_too_close
 from knotgym.difficulty import ease
+from knotgym.label_limits import LabelLimits, pressed_together, visits_too_close
 from knotgym.quality import Limits, measure
 from knotgym.relaxation import RelaxationConfig, relaxed
 from knotgym.rope import Array, Rope, RopeConfig

@@ -1,0 +1,234 @@
+"""Random walks: states as random play meets them, the published regime.
+
+A rope begins as a coil, the shape in which the published model has its own, and takes uniform
+actions until nothing remembers the start (`benchmarks/stationary.py`: walks from the coil and from
+the plain loop meet); from then on a configuration is looked at every so many actions. Nothing is
+opened up. What is kept of a state is its generalized positions, laid at rest: an episode begins
+without the motion that the walk had there.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.actions import drawn_actions
+from knotgym.configuration import check_numbers
+from knotgym.datasets.splits import STATE_SPLITS
+from knotgym.generate.states.generate_config import InvalidGenerateConfig
+from knotgym.quality import Quality, measure, noise_survival
+from knotgym.rope import Array, Rope, RopeConfig
+from knotgym.simulation_pool import simulation_of
+from knotgym.streams import Stream, generator, key
+from knotgym.tasks import MAX_NX
+from knotgym.topology.crossings import find_crossings
+from knotgym.topology.gauss import GaussCode
+from knotgym.topology.knots import is_unknot
+from knotgym.topology.reference_labeller import pyknotid_code
+
+RESET_NOISE = 0.015  # of the environments
+
+
+@dataclass(frozen=True, kw_only=True)
+class TwistLimits:
+    """What a state of a random walk keeps to; legibility is not asked for.
+
+    Attributes:
+        excess_crossing_number: at most; see `quality_limits.Quality`. Turns of the rope about
+            itself that the picture doesn't show.
+        total_curvature: at most, turns.
+        noise_survival: at least; of the twenty draws that a reset makes at full scale one keeps
+            the code then, but for 3 resets in 1,000.
+    """
+
+    excess_crossing_number: float = 4.0
+    total_curvature: float = 5.0
+    noise_survival: float = 0.25
+
+    def __post_init__(self) -> None:
+        check_numbers(
+            self,
+            positive=("excess_crossing_number", "total_curvature"),
+            shares=("noise_survival",),
+        )
+
+    def faults(self, quality: Quality) -> list[str]:
+        """Names of the measures that miss their limit; an unmeasured noise_survival passes."""
+        missed = {
+            "excess_crossing_number": quality.excess_crossing_number > self.excess_crossing_number,
+            "total_curvature": quality.total_curvature > self.total_curvature,
+            "noise_survival": quality.noise_survival < self.noise_survival,
+        }
+        return [name for name, short in missed.items() if short]
+
+
+@dataclass(frozen=True, kw_only=True)
+class RandomWalkConfig:
+    """What states of random walks are wanted.
+
+    Attributes:
+        nx: crossing numbers.
+        count: states for each of them, one a rope at most.
+        loops: the same for plain loops, which are rare; 0 for as many as of the others.
+        train_share: of the ropes, and so of the states, that are for training; no two splits have
+            states of one rope.
+        seed: of everything; rope i takes the actions of stream RANDOM_WALK, seed, i.
+        start: what ropes begin as, "coil" or "circle".
+        burn_in: actions before the first configuration is looked at.
+        every: actions from one configuration that is looked at to the next.
+        longest: actions of a walk.
+        attempts: ropes walked, for each state wanted of a crossing number, before giving up.
+        batch: ropes stepped side by side, a unit of work.
+        wave: units after which the run is saved, and ended if all wanted is there.
+        limits: of accepted states.
+    """
+
+    nx: tuple[int, ...] = (3,)
+    count: int = 40
+    loops: int = 0
+    train_share: float = 0.5
+    seed: int = 0
+    start: str = "coil"
+    burn_in: int = 300
+    every: int = 25
+    longest: int = 900
+    attempts: int = 100
+    batch: int = 16
+    wave: int = 2
+    limits: TwistLimits = TwistLimits()
+
+    def __post_init__(self) -> None:
+        check_numbers(
+            self,
+            counts=("count", "every", "longest", "attempts", "batch", "wave"),
+            whole=("loops", "seed", "burn_in"),
+            shares=("train_share",),
+            error=InvalidGenerateConfig,
+        )
+        if (
+            not self.nx
+            or any(not 0 <= nx <= MAX_NX for nx in self.nx)
+            or len(set(self.nx)) != len(self.nx)
+        ):
+            raise InvalidGenerateConfig(
+                f"nx takes different numbers of crossings from 0 to {MAX_NX}, got"
+                f" {', '.join(map(str, self.nx)) or 'none'}"
+            )
+        if self.start not in STARTS:
+            raise InvalidGenerateConfig(f"no start {self.start!r}; there is {', '.join(STARTS)}")
+        if self.longest < self.burn_in + 1:
+            raise InvalidGenerateConfig(
+                f"longest must be above burn_in, {self.burn_in}, got {self.longest}"
+            )
+
+    def wanted(self, nx: int, split: str) -> int:
+        """States asked for with nx crossings in a split."""
+        count = self.loops or self.count if nx == 0 else self.count
+        train = int(np.floor(count * self.train_share + 0.5))
+        return train if split == STATE_SPLITS[0] else count - train
+
+    def split(self, rope: int) -> str:
+        """The split that a rope's states belong to; ropes are dealt out as evenly as can be."""
+        before, after = (int(np.floor(k * self.train_share + 0.5)) for k in (rope, rope + 1))
+        return STATE_SPLITS[0] if after > before else STATE_SPLITS[1]
+
+
+class WalkUnit(NamedTuple):
+    """Ropes `first` to `first + config.batch - 1`."""
+
+    config: RandomWalkConfig
+    first: int
+
+
+@dataclass(frozen=True, eq=False)
+class WalkState:
+    """A state that a rope came to.
+
+    Attributes:
+        rope: its number.
+        step: actions taken by then.
+        code: with chirality.
+        qpos: float64 (nq,).
+        points: float64 (beads, 3), metres.
+        quality: all measures.
+    """
+
+    rope: int
+    step: int
+    code: GaussCode
+    qpos: Array
+    points: Array
+    quality: Quality
+
+
+@dataclass(frozen=True, eq=False)
+class Walked:
+    """What came of a unit: of every rope its first good state of each crossing number, by rope and
+    step; and nx -> reason -> configurations rejected.
+    """
+
+    states: list[WalkState]
+    rejected: dict[int, Counter[str]] = field(default_factory=dict)
+
+
+def coil(rope: Rope) -> Array:
+    """A coil of two turns, one crossing, 0.11 m in radius of gyration: float64 (beads, 3)."""
+    at = np.linspace(0, 2 * np.pi, 400, endpoint=False)
+    radius = 1 + 0.25 * np.cos(at)
+    curve = [radius * np.cos(2 * at), radius * np.sin(2 * at), 0.25 * np.sin(at)]
+    return rope.from_curve(np.stack(curve, axis=1))
+
+
+STARTS = {"coil": coil, "circle": Rope.loop}
+
+
+def key_of(config: RandomWalkConfig, rope: int) -> tuple[int, ...]:
+    """The key of the stream that a rope's actions are drawn from."""
+    return key(Stream.RANDOM_WALK, config.seed, rope)
+
+
+def walk(unit: WalkUnit) -> Walked:
+    """Walk a unit's ropes; the same unit gives the same bytes."""
+    config, ropes = unit.config, range(unit.first, unit.first + unit.config.batch)
+    simulation = simulation_of(config.batch, RopeConfig())
+    start = simulation.rope.qpos(STARTS[config.start](simulation.rope))
+    simulation.lay(np.repeat(start[None], config.batch, axis=0))
+    actions = np.stack([drawn_actions(key_of(config, rope), config.longest) for rope in ropes])
+    whole = np.ones(config.batch, dtype=bool)  # no blow-up so far
+    found: dict[tuple[int, int], WalkState] = {}
+    rejected: dict[int, Counter[str]] = {nx: Counter() for nx in config.nx}
+    for step in range(1, config.longest + 1):
+        whole &= simulation.act(actions[:, step - 1])
+        if step < config.burn_in or (step - config.burn_in) % config.every:
+            continue
+        for row in np.flatnonzero(whole):
+            points, rope = simulation.points[row], ropes[row]
+            crossings = find_crossings(points)
+            nx = crossings.nx
+            if nx not in config.nx or (rope, nx) in found:
+                continue
+            quality = measure(points, crossings)
+            faults = config.limits.faults(quality)
+            if not faults:
+                rng = generator(Stream.RANDOM_WALK_NOISE, config.seed, rope, step)
+                survival = noise_survival(points, RESET_NOISE, rng)
+                quality = replace(quality, noise_survival=survival)
+                faults = [*config.limits.faults(quality), *_doubts(points, crossings.code)]
+            rejected[nx].update(faults)
+            if not faults:
+                qpos = simulation.qpos()[row]
+                found[rope, nx] = WalkState(
+                    rope, step, crossings.code, qpos, points.copy(), quality
+                )
+    return Walked(sorted(found.values(), key=lambda state: (state.rope, state.step)), rejected)
+
+
+def _doubts(points: NDArray[np.float64], code: GaussCode) -> list[str]:
+    """What speaks against a code, or against the rope's being an unknot."""
+    if pyknotid_code(points) != code:
+        return ["labellers disagree"]
+    return [] if is_unknot(code) else ["not certified an unknot"]

@@ -1,0 +1,258 @@
+"""The recipe of states as random play meets them: a run of `random_walk`, saved after every wave.
+
+In the staging folder stand, until it is finished,
+
+    walks.json     counters, and the checksum of the file below; written last
+    accepted.npz   the accepted states, column by column
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import mujoco
+import numpy as np
+from rich.console import Console
+
+import knotgym
+from knotgym.atomic_files import atomic_write, sha256
+from knotgym.configuration import as_json
+from knotgym.datasets.splits import STATE_SPLITS
+from knotgym.datasets.state_schema import RANDOM_WALK
+from knotgym.datasets.states import States, write_states
+from knotgym.generate.states import state_folder
+from knotgym.generate.states.curation import is_near_duplicate
+from knotgym.generate.states.random_walk import (
+    STARTS,
+    RandomWalkConfig,
+    Walked,
+    WalkState,
+    WalkUnit,
+    key_of,
+    walk,
+)
+from knotgym.generate.states.state_recipe import SpoiltCheckpoint
+from knotgym.quality import UNITS, Quality
+from knotgym.rendering.picture import draw_many
+from knotgym.rope import Rope
+from knotgym.runs.engine import CHECKPOINT, Batch, run
+from knotgym.runs.progress import Status
+from knotgym.runs.run_options import InvalidRun, NotEnough, RunOptions
+from knotgym.topology.gauss import GaussCode
+from knotgym.topology.knots import codes_of, knot_type
+
+_RUN, _ACCEPTED = "walks.json", "accepted.npz"
+
+
+def walk_states(
+    config: RandomWalkConfig, out: Path, options: RunOptions, *, console: Console | None = None
+) -> Path:
+    """Make states as random play meets them in the new folder `out`, and return it.
+
+    Args:
+        config: what is wanted.
+        out: the folder.
+        options: how it is done; there are no shards of it.
+        console: to show progress on.
+
+    Raises:
+        Occupied, InvalidRun: as of `runs.engine.run`.
+        NotEnough: the attempts allowed were spent.
+    """
+    if not options.shard.is_whole:
+        raise InvalidRun("random walks are made in one run: leave out --shard")
+    return run(RandomWalkRecipe(config), out, options, console)
+
+
+class RandomWalkRecipe:
+    """States of random walks, see `runs.engine.Recipe`."""
+
+    flexible: tuple[str, ...] = ("attempts",)
+
+    def __init__(self, config: RandomWalkConfig) -> None:
+        self.config = config
+        self.walked = 0  # ropes
+        self.accepted: list[WalkState] = []
+        self.rejected: dict[int, Counter[str]] = {nx: Counter() for nx in config.nx}
+
+    def request(self) -> dict[str, Any]:
+        return {"config": as_json(self.config), "source": RANDOM_WALK}
+
+    def begin(self) -> None:
+        pass  # nothing to prepare
+
+    def batches(self, folder: Path) -> Iterator[Batch]:
+        config = self.config
+        most = config.attempts * max(config.count, config.loops)
+        while not self.done():
+            if self.walked >= most:
+                raise NotEnough(
+                    f"{self.walked} ropes walked, and of {self._lacking()} there are too few; allow"
+                    " more --attempts"
+                )
+            yield Batch(
+                work=walk,
+                units=[
+                    WalkUnit(config, self.walked + k * config.batch) for k in range(config.wave)
+                ],
+                absorb=self._absorb,
+            )
+            yield CHECKPOINT
+
+    def done(self) -> bool:
+        """Whether everything asked for is there."""
+        return not self._lacking()
+
+    def save(self, folder: Path) -> None:
+        with atomic_write(folder / _ACCEPTED) as temporary, open(temporary, "wb") as file:
+            np.savez(
+                file,
+                rope=np.array([one.rope for one in self.accepted], dtype=np.int64),
+                step=np.array([one.step for one in self.accepted], dtype=np.int64),
+                code=np.array([one.code.chiral for one in self.accepted], dtype=np.str_),
+                qpos=np.array([one.qpos for one in self.accepted]),
+                points=np.array([one.points for one in self.accepted]),
+                quality=np.array([json.dumps(asdict(one.quality)) for one in self.accepted]),
+            )
+        counters = {
+            "walked": self.walked,
+            "rejected": {str(nx): dict(reasons) for nx, reasons in self.rejected.items()},
+            "sha256": sha256(folder / _ACCEPTED),
+        }
+        with atomic_write(folder / _RUN) as temporary:
+            temporary.write_text(json.dumps(counters), encoding="utf-8")
+
+    def load(self, folder: Path) -> bool:
+        if not (folder / _RUN).is_file():
+            return False
+        try:
+            said = json.loads((folder / _RUN).read_text(encoding="utf-8"))
+            if sha256(folder / _ACCEPTED) != said["sha256"]:
+                raise ValueError(f"SHA-256 of {_ACCEPTED} differs")
+            with np.load(folder / _ACCEPTED, allow_pickle=False) as file:
+                columns = [file[field.name] for field in fields(WalkState)]
+            self.accepted = [
+                WalkState(
+                    rope=int(rope),
+                    step=int(step),
+                    code=GaussCode.parse(str(code)),
+                    qpos=qpos,
+                    points=points,
+                    quality=Quality(**json.loads(str(quality))),
+                )
+                for rope, step, code, qpos, points, quality in zip(*columns, strict=True)
+            ]
+            self.walked = int(said["walked"])
+            self.rejected = {nx: Counter(said["rejected"][str(nx)]) for nx in self.config.nx}
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, BadZipFile) as error:
+            raise SpoiltCheckpoint(folder, error) from error
+        return True
+
+    def status(self) -> Status:
+        wanted = [self.config.wanted(nx, split) for nx in self.config.nx for split in STATE_SPLITS]
+        have = self._have()
+        facts = {
+            "ropes walked": f"{self.walked}",
+            "states by nx": ", ".join(
+                f"{nx}: {sum(have[nx, split] for split in STATE_SPLITS)}" for nx in self.config.nx
+            ),
+        }
+        return Status(len(self.accepted), sum(wanted), "states accepted", facts)
+
+    def finish(self, folder: Path, request: dict[str, Any]) -> Path:
+        folder.mkdir(parents=True)
+        states = states_of(self.config, self.accepted)
+        write_states(folder / "states.h5", states)
+        state_folder.finish(folder, states, self.report(), request)
+        return folder
+
+    def summary(self) -> str:
+        codes = len({one.code.plain for one in self.accepted})
+        return f"{len(self.accepted)} states of {codes} codes"
+
+    def report(self) -> dict[str, Any]:
+        """What the run did, JSON-able and the same for the same configuration."""
+        rejected = {str(nx): dict(sorted(each.items())) for nx, each in self.rejected.items()}
+        return {
+            "version": knotgym.__version__,
+            "mujoco": mujoco.__version__,
+            "source": RANDOM_WALK,
+            "knot": "0_1",
+            "existing_codes": {str(nx): len(codes_of("0_1", nx)) for nx in self.config.nx},
+            "attempts": self.walked,
+            "actions": self.walked * self.config.longest,
+            "rejected": rejected,
+        }
+
+    def _absorb(self, unit: WalkUnit, walked: Walked) -> None:
+        """Take what is still wanted, in the order of the ropes."""
+        self.walked = unit.first + self.config.batch
+        for nx, reasons in walked.rejected.items():
+            self.rejected[nx].update(reasons)
+        have = self._have()
+        for state in walked.states:
+            kind = state.code.nx, self.config.split(state.rope)
+            if have[kind] >= self.config.wanted(*kind):
+                continue
+            if is_near_duplicate(state.points, [one.points for one in self.accepted]):
+                self.rejected[state.code.nx]["near-duplicate"] += 1
+                continue
+            have[kind] += 1
+            self.accepted.append(state)
+
+    def _have(self) -> Counter[tuple[int, str]]:
+        return Counter((one.code.nx, self.config.split(one.rope)) for one in self.accepted)
+
+    def _lacking(self) -> str:
+        """The crossing numbers and splits of which states are still wanted; "" if none are."""
+        have = self._have()
+        return ", ".join(
+            f"nx {nx} {split}"
+            for nx in self.config.nx
+            for split in STATE_SPLITS
+            if have[nx, split] < self.config.wanted(nx, split)
+        )
+
+
+def states_of(config: RandomWalkConfig, accepted: list[WalkState]) -> States:
+    """The accepted states as rows, by nx and then by rope."""
+    order = {nx: place for place, nx in enumerate(config.nx)}
+    rows = sorted(accepted, key=lambda one: (order[one.code.nx], one.rope))
+    points, rope = np.stack([one.points for one in rows]), Rope()
+    start = rope.qpos(STARTS[config.start](rope))
+    steps = np.array([one.step for one in rows], dtype=np.int64)
+    return States(
+        qpos=np.stack([one.qpos for one in rows]),
+        points=points,
+        image=draw_many(points),
+        gauss_code=np.array([str(one.code) for one in rows]),
+        gauss_code_chiral=np.array([one.code.chiral for one in rows]),
+        knot=np.array([knot_type(one.code) for one in rows]),
+        nx=np.array([one.code.nx for one in rows], dtype=np.int64),
+        split=np.array([config.split(one.rope) for one in rows]),
+        quality={
+            field.name: np.array([getattr(one.quality, field.name) for one in rows])
+            for field in fields(Quality)
+        },
+        units=dict(UNITS),
+        source={
+            "start_qpos": np.repeat(start[None], len(rows), axis=0),
+            "steps": steps,
+            "seed": np.array([key_of(config, one.rope) for one in rows], dtype=np.int64),
+            "policy": np.array([RANDOM_WALK] * len(rows)),
+            "trajectory": np.array([one.rope for one in rows], dtype=np.int64),
+            "step": steps,
+        },
+        attributes={
+            "knotgym": knotgym.__version__,
+            "mujoco": mujoco.__version__,
+            "rope": rope.config.fingerprint,
+            "config": json.dumps(asdict(config), sort_keys=True),
+        },
+    )
