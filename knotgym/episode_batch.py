@@ -200,7 +200,7 @@ class EpisodeBatch:
         return int(row), side
 
 
-class _Side(NamedTuple):
+class _TaskSide(NamedTuple):
     """The states that a side of a task draws from, and whose they are: OWN or SHIPPED."""
 
     states: States
@@ -219,7 +219,7 @@ def state_origins(config: TaskConfig) -> dict[str, str]:
     }
 
 
-def _side(config: TaskConfig, nx: int) -> _Side:
+def _side(config: TaskConfig, nx: int) -> _TaskSide:
     """The states that a side of the task draws from.
 
     They come from the file asked for. Plain loops alone come from the one that ships, where that
@@ -236,7 +236,7 @@ def _side(config: TaskConfig, nx: int) -> _Side:
             f" {config.task!r} with nx = {config.nx}; it has {_contents(states)}. Make some:"
             f" knotgym-generate --nx {nx}"
         )
-    return _Side(states, origin)
+    return _TaskSide(states, origin)
 
 
 def _of_our_rope(path: Path) -> States:
