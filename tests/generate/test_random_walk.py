@@ -17,6 +17,7 @@ from knotgym.generate.states.generate_config import InvalidGenerateConfig
 from knotgym.generate.states.random_walk import (
     RandomWalkConfig,
     TwistLimits,
+    Walked,
     WalkUnit,
     coil,
     walk,
@@ -49,6 +50,12 @@ def walked(settings: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def unit() -> Walked:
+    """What comes of the first ropes."""
+    return walk(WalkUnit(SMALL, 0))
+
+
 def test_a_folder_of_random_walks_has_no_fault_and_no_demonstrations(walked: Path) -> None:
     assert list(folder_faults(walked)) == []
     names = {path.name for path in walked.iterdir()}
@@ -65,9 +72,9 @@ def test_no_rope_is_in_both_splits_and_half_is_train(walked: Path) -> None:
     assert not ropes[0] & ropes[1]
 
 
-def test_a_unit_gives_the_same_states_again(walked: Path) -> None:
+def test_a_unit_gives_the_same_states_again(walked: Path, unit: Walked) -> None:
     states = read_states(walked / "states.h5", images=False)
-    found = {(one.rope, one.code.nx): one for one in walk(WalkUnit(SMALL, 0)).states}
+    found = {(one.rope, one.code.nx): one for one in unit.states}
     first = int(np.argmin(states.source["trajectory"]))
     again = found[int(states.source["trajectory"][first]), int(states.nx[first])]
     assert np.array_equal(again.qpos, states.qpos[first]) and again.step <= SMALL.longest
@@ -94,10 +101,10 @@ def test_a_provenance_that_does_not_lead_there_is_named(
     assert found and found[0].startswith(fault)
 
 
-def test_a_run_is_taken_up_where_it_was_saved(tmp_path: Path) -> None:
+def test_a_run_is_taken_up_where_it_was_saved(tmp_path: Path, unit: Walked) -> None:
     recipe, again = RandomWalkRecipe(SMALL), RandomWalkRecipe(SMALL)
     assert not again.load(tmp_path)
-    next(iter(recipe.batches(tmp_path))).absorb(WalkUnit(SMALL, 0), walk(WalkUnit(SMALL, 0)))
+    next(iter(recipe.batches(tmp_path))).absorb(WalkUnit(SMALL, 0), unit)
     recipe.save(tmp_path)
     assert again.load(tmp_path) and again.walked == recipe.walked == SMALL.batch
     assert again.report() == recipe.report() and again.status() == recipe.status()
