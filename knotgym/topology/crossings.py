@@ -166,6 +166,8 @@ def visit_spacing(crossings: Crossings, beads: int) -> VisitSpacing:
 
 def _closed(points: ArrayLike, ndim: int) -> NDArray[np.float64]:
     rope = np.ascontiguousarray(points, dtype=np.float64)
+    if not rope.flags.writeable:  # to numba another type, for which all would be compiled anew
+        rope = rope.copy()
     if rope.ndim != ndim or rope.shape[-1] != 3 or rope.shape[-2] < 3:
         right = "(beads, 3)" if ndim == 2 else "(ropes, beads, 3)"
         raise InvalidPoints(
