@@ -359,6 +359,7 @@ def test_split_by_code_leaves_no_code_in_both(coded: Path) -> None:
 # The same bytes, whatever happens.
 
 
+@pytest.mark.slow  # a killed run of two workers, resumed, is compared below
 def test_two_workers_leave_the_same_bytes_as_one(curated: Path, tmp_path: Path) -> None:
     assert knotgym("generate", *WANTED, "--workers", 2, "--out", tmp_path / "a", "--quiet") == 0
     assert bytes_of(tmp_path / "a") == bytes_of(curated)

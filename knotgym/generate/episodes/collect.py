@@ -273,19 +273,19 @@ def play(file: _EpisodeFile) -> Tally:
     """
     config = file.config
     rollouts = rollout(config.task, make_policy(config.policy), file.numbers, config.seed)
-    kept = [one for one in rollouts if one.success or config.keep_failed]
+    kept = [played for played in rollouts if played.success or config.keep_failed]
     with EpisodeWriter(file.path, config.stored_task) as writer:
-        for one in kept:
-            writer.add(one.episode, one.number)
+        for played in kept:
+            writer.add(played.episode, played.number)
     tally = Tally(
         played=len(rollouts),
-        succeeded=sum(one.success for one in rollouts),
+        succeeded=sum(played.success for played in rollouts),
         kept=len(kept),
-        steps=sum(len(one.episode) for one in kept),
-        successful_steps=sum(len(one.episode) for one in rollouts if one.success),
-        planned_actions=sum(one.effort.actions for one in rollouts),
-        planning_seconds=sum(one.effort.seconds for one in rollouts),
-        simulation_failures=sum(bool(one.episode.simulation_failed[-1]) for one in rollouts),
+        steps=sum(len(played.episode) for played in kept),
+        successful_steps=sum(len(played.episode) for played in rollouts if played.success),
+        planned_actions=sum(played.effort.actions for played in rollouts),
+        planning_seconds=sum(played.effort.seconds for played in rollouts),
+        simulation_failures=sum(bool(played.episode.simulation_failed[-1]) for played in rollouts),
     )
     with atomic_write(file.path.with_suffix(".json")) as temporary:
         temporary.write_text(

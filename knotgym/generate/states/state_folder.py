@@ -45,38 +45,47 @@ POLICY = "demonstrations"
 def states_of(run: CurationRun) -> States:
     """The accepted candidates as rows, by nx and then in the order of acceptance."""
     config = run.config
-    candidates = [(nx, one) for nx in config.nx for one in run.accepted[nx]]
-    longest = max(len(one.actions) for _, one in candidates)
+    candidates = [(nx, candidate) for nx in config.nx for candidate in run.accepted[nx]]
+    longest = max(len(candidate.actions) for _, candidate in candidates)
     splits: list[str] = []
     for nx in config.nx:
         rng = generator(Stream.SPLIT, config.seed, nx)
         splits += split(
-            [one.code for one in run.accepted[nx]], config.split_by, config.train_share, rng
+            [candidate.code for candidate in run.accepted[nx]],
+            config.split_by,
+            config.train_share,
+            rng,
         ).tolist()
-    points = np.stack([one.points[-1] for _, one in candidates])
+    points = np.stack([candidate.points[-1] for _, candidate in candidates])
     crossings = np.array([nx for nx, _ in candidates], dtype=np.int64)
     return States(
-        qpos=np.stack([one.qpos for _, one in candidates]),
+        qpos=np.stack([candidate.qpos for _, candidate in candidates]),
         points=points,
         image=draw_many(points),
-        gauss_code=np.array([str(one.code) for _, one in candidates]),
-        gauss_code_chiral=np.array([one.code.chiral for _, one in candidates]),
-        knot=np.array([knot_type(one.code) for _, one in candidates]),
+        gauss_code=np.array([str(candidate.code) for _, candidate in candidates]),
+        gauss_code_chiral=np.array([candidate.code.chiral for _, candidate in candidates]),
+        knot=np.array([knot_type(candidate.code) for _, candidate in candidates]),
         nx=crossings,
         split=np.array(splits),
         quality={
-            field.name: np.array([getattr(one.quality, field.name) for _, one in candidates])
+            field.name: np.array(
+                [getattr(candidate.quality, field.name) for _, candidate in candidates]
+            )
             for field in fields(Quality)
         },
         units=dict(UNITS),
         source={
-            "start_qpos": np.stack([one.start_qpos for _, one in candidates]),
-            "actions": np.stack([_padded(one, longest) for _, one in candidates]),
-            "steps": np.array([len(one.actions) for _, one in candidates], dtype=np.int64),
-            "seed": np.array([one.seed for _, one in candidates], dtype=np.int64),
+            "start_qpos": np.stack([candidate.start_qpos for _, candidate in candidates]),
+            "actions": np.stack([_padded(candidate, longest) for _, candidate in candidates]),
+            "steps": np.array(
+                [len(candidate.actions) for _, candidate in candidates], dtype=np.int64
+            ),
+            "seed": np.array([candidate.seed for _, candidate in candidates], dtype=np.int64),
             "policy": np.array([POLICY] * len(candidates)),
             **demonstrations_of(crossings, np.array(splits)),
-            "step": np.array([len(one.actions) for _, one in candidates], dtype=np.int64),
+            "step": np.array(
+                [len(candidate.actions) for _, candidate in candidates], dtype=np.int64
+            ),
         },
         attributes={
             "knotgym": knotgym.__version__,
