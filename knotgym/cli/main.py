@@ -13,6 +13,7 @@ from typing import Any
 import typer
 
 from knotgym.cli.dataset_commands import dataset_app
+from knotgym.cli.learning_commands import train
 from knotgym.cli.policy_commands import collect, evaluate
 from knotgym.cli.run_commands import generate, images
 from knotgym.errors import KnotgymError
@@ -26,7 +27,7 @@ app = typer.Typer(
     help="Data for spatial reasoning on knots.",
 )
 app.add_typer(dataset_app, name="dataset")
-for _command in (generate, collect, evaluate, images):
+for _command in (generate, collect, train, evaluate, images):
     app.command()(_command)
 
 # ClickException, be it Click's own or the copy inside typer

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from knotgym.control.policies import PolicyConfig
 
 _POLICIES = (
-    "random, constant, scripted, expert, noisy-expert, mixed, module:function, or a .zip (SB3),"
-    " .onnx or .pt file."
+    "random, constant, scripted, expert, noisy-expert, mixed, pretrained, the folder of a"
+    " learner (knotgym train), module:function, or a .zip (SB3), .onnx or .pt file."
 )
 
 Policy = Annotated[str, typer.Option("--policy", help=_POLICIES)]

@@ -7,6 +7,7 @@ here and only then.
 from __future__ import annotations
 
 import importlib
+import importlib.util
 import os
 import sys
 from collections.abc import Callable
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.control.policy import Choice, InvalidPolicy, UnplannedPolicy
+from knotgym.control.policy import Choice, InvalidPolicy, Policy, UnplannedPolicy
 from knotgym.episode_batch import EpisodeBatch
 
 UserFunction = Callable[[Any, dict[str, Any], np.random.Generator], Any]
@@ -110,6 +111,28 @@ def load_model(path: Path, algorithm: str = "") -> Model:
             f"{path} holds no {path.suffix} model that can be read:"
             f" {' '.join(str(error).split())[:200]}"
         ) from error
+
+
+def is_learner(place: str) -> bool:
+    """Whether a policy's name is that of a learner's folder, or of the one that ships."""
+    return place == "pretrained" or Path(place).is_dir()
+
+
+def load_learner(place: str) -> Policy:
+    """The policy of a learner that `knotgym train` wrote, or of the one that ships.
+
+    Raises:
+        InvalidPolicy: torch or safetensors isn't installed.
+        InvalidCheckpoint: the folder holds no learner that this version can read.
+    """
+    for library in ("torch", "safetensors"):
+        if importlib.util.find_spec(library) is None:
+            raise InvalidPolicy(
+                f"the learner {place} needs {library}, which isn't installed: pip install"
+                " 'knotgym[learn]'"
+            )
+    policy: Policy = importlib.import_module("knotgym.learn.picture_policy").learned_policy(place)
+    return policy
 
 
 def _stable_baselines3(path: Path, algorithm: str) -> Model:

@@ -9,6 +9,7 @@ noisy-expert    an expert; each step is a random one instead with probability `n
 mixed           each episode is one of the four
 module:function a function (observation, info, generator) -> action (6,), of the user's own; its
                 module may lie in the current folder
+FOLDER          a learner that `knotgym train` wrote; `pretrained` for the one that ships
 FILE            a model that takes observations: .zip (Stable-Baselines3; FILE.zip:SAC for another
                 algorithm than PPO), .onnx, or .pt (TorchScript)
 
@@ -34,7 +35,9 @@ from knotgym.control.learned_policies import (
     MODEL_FILES,
     FunctionPolicy,
     ModelPolicy,
+    is_learner,
     load_function,
+    load_learner,
     load_model,
 )
 from knotgym.control.planner import PlannerConfig
@@ -80,10 +83,11 @@ class PolicyConfig:
                 f" {', '.join(MIXED)}; got {self.shares}"
             )
         place = ":" in self.policy or Path(self.policy).suffix in MODEL_FILES
+        place = place or is_learner(self.policy)
         if self.policy not in _constructors and not place:
             raise InvalidPolicy(
                 f"no policy {self.policy!r}; there is {', '.join(_constructors)}, module:function,"
-                " or a .zip, .onnx or .pt file"
+                " pretrained, a learner's folder, or a .zip, .onnx or .pt file"
             )
 
     @property
@@ -126,6 +130,8 @@ def make_policy(config: PolicyConfig) -> Policy:
     """
     if config.policy in _constructors:
         return _constructors[config.policy](config)
+    if is_learner(config.policy):
+        return load_learner(config.policy)
     place, _, word = config.policy.partition(":")
     if Path(place).suffix in MODEL_FILES:
         return ModelPolicy(load_model(Path(place), word), config.short)

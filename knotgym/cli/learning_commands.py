@@ -1,0 +1,45 @@
+"""The command `knotgym train`."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from knotgym.cli.options import QuietOption, ResumeOption, SettingsOption, with_settings
+from knotgym.errors import KnotgymError
+
+
+class MissingLearn(KnotgymError, ImportError):
+    """What learning needs isn't installed."""
+
+
+def train(
+    out: Annotated[Path, typer.Option(help="Folder to make: weights, card, curves.")],
+    data: Annotated[
+        list[str],
+        typer.Option(help="Minari id or folder of episodes of the train split; may be repeated."),
+    ],
+    steps: Annotated[int, typer.Option(help="Of training the reader.")] = 3000,
+    settings: SettingsOption = None,
+    seed: Annotated[
+        int, typer.Option(help="Of everything; the same seed and data give the same weights.")
+    ] = 0,
+    resume: ResumeOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Train a learner that sees pictures alone; `knotgym evaluate --policy FOLDER` measures it."""
+    for library in ("torch", "safetensors"):
+        if importlib.util.find_spec(library) is None:
+            raise MissingLearn(
+                f"knotgym train needs {library}, which isn't installed: pip install"
+                " 'knotgym[learn]'"
+            )
+    from knotgym.learn.training import TrainConfig
+    from knotgym.learn.training import train as run
+
+    config = with_settings(TrainConfig(steps=steps, seed=seed), settings)
+    run(data, out, config, resume=resume, quiet=quiet, console=Console(stderr=True))

@@ -1,0 +1,86 @@
+"""Ropes imagined by the learned dynamics, in the form that the planner steps: no simulator moves
+them.
+
+It takes the place of `simulation.Simulation` in `control.planner`. An imagined action is (bead, 0,
+0, fx, fy, fz), the force in units of the largest.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.learn.rope_model import BEADS, Dynamics
+from knotgym.topology.crossings import label_many
+from knotgym.topology.gauss import GaussCode
+
+Array = NDArray[np.float64]
+
+
+class _Config(NamedTuple):
+    max_force: float = 1.0
+
+
+class _Rope(NamedTuple):
+    config: _Config = _Config()
+
+
+class Imagination:
+    """`count` imagined ropes; the part of `Simulation` that the planner needs.
+
+    Attributes:
+        points: float64 (count, BEADS, 3), metres.
+        velocities: the same, m/s.
+    """
+
+    rope = _Rope()
+
+    def __init__(self, dynamics: Dynamics, count: int) -> None:
+        self.dynamics, self.count = dynamics, count
+        self.points: Array = np.zeros((count, BEADS, 3))
+        self.velocities: Array = np.zeros((count, BEADS, 3))
+
+    def states(self, ids: Any) -> Array:
+        """Copies of points and velocities, float64 (len(ids), 6 BEADS)."""
+        both = np.stack([self.points[ids], self.velocities[ids]], axis=1)
+        return both.reshape(len(both), -1)
+
+    def restore(self, states: Array, ids: Any) -> None:
+        """Put ropes back into states."""
+        both = states.reshape(-1, 2, BEADS, 3)
+        self.points[ids], self.velocities[ids] = both[:, 0], both[:, 1]
+
+    def actions(self, beads: Any, forces: Any, ids: Any) -> NDArray[np.float32]:
+        """Imagined actions, float32 (n, 6)."""
+        actions = np.zeros((len(np.asarray(beads)), 6), dtype=np.float32)
+        actions[:, 0], actions[:, 3:] = beads, np.clip(forces, -1, 1)
+        return actions
+
+    def act(self, actions: NDArray[np.float32], ids: Any) -> NDArray[np.bool_]:
+        """Take imagined actions; False where strands went through each other, so it can't be."""
+        ids = np.asarray(ids)
+        beads = actions[:, 0].astype(np.int64)
+        before = label_many(self.points[ids])
+        self.points[ids], self.velocities[ids] = self.dynamics.step(
+            self.points[ids], self.velocities[ids], beads, actions[:, 3:].astype(np.float64)
+        )
+        after = label_many(self.points[ids])
+        return np.array([not passed_through(*pair) for pair in zip(before, after, strict=True)])
+
+
+def state(points: Array, velocities: Array) -> Array:
+    """One rope's state, as `Imagination.states` gives it, float64 (6 BEADS,)."""
+    return np.stack([points, velocities]).reshape(-1)
+
+
+def passed_through(before: GaussCode, after: GaussCode) -> bool:
+    """Whether a crossing changed over to under and all else stayed.
+
+    >>> passed_through(GaussCode((1, -1), "c"), GaussCode((-1, 1), "a"))
+    True
+    """
+    if before.visits == after.visits or len(before.visits) != len(after.visits):
+        return False
+    return [abs(visit) for visit in before.visits] == [abs(visit) for visit in after.visits]

@@ -1,0 +1,69 @@
+"""A learner as a policy: the only thing that it is handed of an episode is its picture."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.control.policy import Choice, Effort, InvalidPolicy
+from knotgym.control.transition_graph import TransitionGraphConfig, shipped_transition_graph
+from knotgym.episode_batch import EpisodeBatch
+from knotgym.learn.agent import Agent, AgentConfig
+from knotgym.learn.checkpoint import PRETRAINED, load_policy
+from knotgym.learn.colour_reading import SIZE
+from knotgym.learn.rope_model import Dynamics
+
+
+class PicturePolicy:
+    """Shows an agent the pictures of its episodes; a `policy.Policy`.
+
+    Of the batch of episodes nothing is asked but the task's settings, when an episode begins, and
+    pictures.
+    """
+
+    def __init__(self, agent: Agent, name: str) -> None:
+        self._agent, self._name = agent, name
+        self._seconds: dict[int, float] = {}
+
+    def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
+        task = episodes.config
+        if task.image_size != SIZE or task.camera != "orthographic" or task.hold != 1:
+            raise InvalidPolicy(
+                f"policy {self._name} learned from orthographic pictures of {SIZE} pixels, to show"
+                f" the goal once; the task has camera {task.camera}, image_size {task.image_size},"
+                f" hold {task.hold}"
+            )
+        self._agent.begin(index, rng, task.horizon)
+        self._seconds[index] = 0.0
+
+    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
+        actions, moves = [], []
+        for index in ids.tolist():
+            began = time.perf_counter()
+            action, move = self._agent.act(index, episodes.picture(index))
+            self._seconds[index] += time.perf_counter() - began
+            actions.append(action)
+            moves.append(move)
+        return Choice(np.stack(actions), moves)
+
+    def name(self, index: int) -> str:
+        return self._name
+
+    def effort(self, index: int) -> Effort:
+        return Effort(self._agent.imagined(index), self._seconds[index])
+
+
+def learned_policy(folder: str, config: AgentConfig | None = None) -> PicturePolicy:
+    """The policy of a learner's folder, or of the one that ships ("pretrained").
+
+    Raises:
+        InvalidCheckpoint: there is none that this version can read.
+    """
+    learned = load_policy(folder)
+    graph = shipped_transition_graph(TransitionGraphConfig())
+    agent = Agent(
+        learned.reader, Dynamics(learned.rope), graph, learned.places.astype(np.float64), config
+    )
+    return PicturePolicy(agent, PRETRAINED if folder == PRETRAINED else "learned")

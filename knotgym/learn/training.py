@@ -1,0 +1,203 @@
+"""Training a learner: the reader, then the rope's model; resumable, the same bytes every time."""
+
+from __future__ import annotations
+
+import csv
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+from safetensors import SafetensorError
+from safetensors.torch import load, save
+
+import knotgym
+from knotgym.atomic_files import atomic_write
+from knotgym.configuration import as_json, check_numbers
+from knotgym.errors import KnotgymError
+from knotgym.learn.checkpoint import Learned, save_policy
+from knotgym.learn.fitting import Stretches, fitted
+from knotgym.learn.reader_training import ReaderTraining
+from knotgym.learn.training_data import TrainingData, read_training_data
+from knotgym.runs.progress import Progress, Status
+from knotgym.streams import Stream, generator
+
+UNDER_WAY, REQUEST = "training.safetensors", "training.json"
+_AT_ONCE = 50  # steps that a row of the curve is the mean of
+
+
+class InvalidTraining(KnotgymError, ValueError):
+    """A training that can't be done as asked."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainConfig:
+    """How a learner is trained.
+
+    Attributes:
+        steps: of the reader.
+        batch: pictures of a step.
+        stretches: beginnings of episodes that the rope's model is fitted to, at most.
+        tries: of its numbers, twice.
+        places: starts of episodes that are kept, at most.
+        save_every: steps between two checkpoints.
+        seed: of everything.
+    """
+
+    steps: int = 3000
+    batch: int = 48
+    stretches: int = 100
+    tries: int = 150
+    places: int = 512
+    save_every: int = 200
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_numbers(
+            self,
+            counts=("steps", "batch", "stretches", "tries", "places", "save_every"),
+            whole=("seed",),
+            error=InvalidTraining,
+        )
+
+
+def train(
+    datasets: Sequence[Any],
+    out: Path,
+    config: TrainConfig,
+    *,
+    resume: bool = False,
+    quiet: bool = False,
+    console: Console | None = None,
+) -> Learned:
+    """Train a learner on datasets and write its folder.
+
+    Raises:
+        InvalidTraining: the folder holds another training, or none to resume.
+        InvalidTrainingData, InvalidEpisodeFile, MissingFile: the data won't do.
+    """
+    console = console or Console(stderr=True)
+    began = time.perf_counter()
+    data = read_training_data(datasets)
+    request = {"config": as_json(config), "data_sha256": data.digest}
+    training = ReaderTraining(data.frames, config.steps, config.batch, config.seed)
+    _begin(out, request, training, resume)
+    with Progress(console, quiet) as progress:
+
+        def status() -> Status:
+            facts = {"loss": f"{training.losses[-1][1]:.3f}"} if training.losses else {}
+            return Status(training.step, config.steps, "steps of the reader", facts)
+
+        while training.step < config.steps:
+            progress.show(status)
+            training.advance()
+            if training.step % config.save_every == 0 and training.step < config.steps:
+                _keep(out, training)
+        _keep(out, training)
+        progress.show(status, last=True)
+    some = generator(Stream.LEARN_ROPE, config.seed)
+    fit: list[dict[str, Any]] = []
+
+    def told(stage: str, error: float) -> None:
+        fit.append({"searched": stage, "error_mm": round(1000 * error, 3)})
+        if not quiet:
+            console.print(f"rope's model, {stage}: {1000 * error:.2f} mm", highlight=False)
+
+    rope = fitted(_some(data.stretches, config.stretches, some), some, config.tries, told)
+    learned = Learned(training.reader.eval(), rope, _places(data, config))
+    _draw_curve(out, training.losses)
+    made = {
+        "knotgym": knotgym.__version__,
+        **request,
+        "data": [str(one) for one in datasets],
+        "episodes": len(data.starts),
+        "frames": len(data.frames),
+        "fit": fit,
+        "seconds": round(time.perf_counter() - began),
+    }
+    save_policy(out, learned, made)
+    for name in (UNDER_WAY, REQUEST):
+        (out / name).unlink()
+    return learned
+
+
+def _begin(out: Path, request: dict[str, Any], training: ReaderTraining, resume: bool) -> None:
+    """Make the folder, or go on with the training in it."""
+    if resume:
+        try:
+            before = json.loads((out / REQUEST).read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise InvalidTraining(
+                f"no training under way in {out}; leave --resume out to begin one"
+            ) from error
+        if before != request:
+            differing = [name for name in request if before.get(name) != request[name]]
+            raise InvalidTraining(
+                f"the training in {out} was begun with other {' and '.join(differing)}; go on with"
+                " the same, or begin in another folder"
+            )
+        if (out / UNDER_WAY).is_file():
+            try:
+                training.restore(load((out / UNDER_WAY).read_bytes()))
+            except (SafetensorError, KeyError, ValueError, RuntimeError) as error:
+                raise InvalidTraining(f"{out / UNDER_WAY} can't be read: {error}") from error
+        return
+    if out.is_file() or (out.is_dir() and any(out.iterdir())):
+        raise InvalidTraining(
+            f"{out} holds something already; name a new folder, or --resume a training in it"
+        )
+    out.mkdir(parents=True, exist_ok=True)
+    with atomic_write(out / REQUEST) as part:
+        part.write_text(json.dumps(request, indent=1) + "\n", encoding="utf-8")
+
+
+def _keep(out: Path, training: ReaderTraining) -> None:
+    with atomic_write(out / UNDER_WAY) as part:
+        part.write_bytes(save({name: own.contiguous() for name, own in training.state().items()}))
+
+
+def _some(stretches: Stretches, most: int, rng: np.random.Generator) -> Stretches:
+    """`most` of the stretches."""
+    count = stretches.points.shape[1]
+    rows = np.sort(rng.permutation(count)[:most])
+    return Stretches(stretches.points[:, rows], stretches.beads[:, rows], stretches.forces[:, rows])
+
+
+def _places(data: TrainingData, config: TrainConfig) -> NDArray[np.float32]:
+    """Where ropes began, float32 (n, 3)."""
+    rng = generator(Stream.LEARN_PLACES, config.seed)
+    rows = data.starts[np.sort(rng.permutation(len(data.starts))[: config.places])]
+    middles: NDArray[np.float32] = data.frames[rows].mean(axis=1).astype(np.float32)
+    return middles
+
+
+def _draw_curve(out: Path, losses: Sequence[tuple[float, float]]) -> None:
+    """`curve.csv` and `curve.png`: the losses of the reader's two networks, blue and orange."""
+    rows = [
+        (start + _AT_ONCE, *np.mean(losses[start : start + _AT_ONCE], axis=0).round(5).tolist())
+        for start in range(0, len(losses), _AT_ONCE)
+    ]
+    with atomic_write(out / "curve.csv") as part, part.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(("step", "join", "correct"))
+        writer.writerows(rows)
+    width, height, edge = 640, 360, 40
+    image = np.full((height, width, 3), 255, dtype=np.uint8)
+    top = max(max(row[1:]) for row in rows)
+    for column, colour in ((1, (31, 119, 180)), (2, (255, 127, 14))):
+        x = edge + np.array([row[0] for row in rows]) / rows[-1][0] * (width - 2 * edge)
+        y = height - edge - np.array([row[column] for row in rows]) / top * (height - 2 * edge)
+        line = np.rint(np.stack([x, y], axis=1)).astype(np.int32)
+        cv2.polylines(image, [line], False, colour, 2, cv2.LINE_AA)
+    font = cv2.FONT_HERSHEY_SIMPLEX
+    cv2.putText(image, f"loss, 0 to {top:.2f}", (edge, 24), font, 0.5, (0, 0, 0), 1, cv2.LINE_AA)
+    cv2.putText(image, f"{rows[-1][0]} steps", (width - 140, height - 12), font, 0.5, (0, 0, 0), 1)
+    with atomic_write(out / "curve.png") as part:
+        _, encoded = cv2.imencode(".png", image[..., ::-1])
+        part.write_bytes(encoded.tobytes())

@@ -1,0 +1,58 @@
+"""Learners' folders: read whole or refused in a line, and nothing in them is run."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.clients
+pytest.importorskip("torch")
+pytest.importorskip("safetensors")
+
+
+def changed(learner: Path, tmp_path: Path, **card: object) -> Path:
+    """A copy of a learner's folder whose card says otherwise."""
+    copy = tmp_path / "copy"
+    shutil.copytree(learner, copy)
+    told = json.loads((copy / "policy.json").read_text())
+    (copy / "policy.json").write_text(json.dumps({**told, **card}))
+    return copy
+
+
+def refusal(folder: Path) -> str:
+    from knotgym.learn.checkpoint import InvalidCheckpoint, load_policy
+
+    with pytest.raises(InvalidCheckpoint) as raised:
+        load_policy(str(folder))
+    return str(raised.value)
+
+
+def test_a_learner_comes_back_as_it_was_kept(learner: Path) -> None:
+    from knotgym.learn.checkpoint import load_policy
+
+    one, other = load_policy(str(learner)), load_policy(str(learner))
+    assert np.array_equal(one.rope, other.rope) and one.rope.dtype == np.float64
+    assert one.places.shape == (3, 3)
+
+
+def test_another_format_version_is_refused(learner: Path, tmp_path: Path) -> None:
+    assert "format version 99" in refusal(changed(learner, tmp_path, format_version=99))
+
+
+def test_another_format_is_refused(learner: Path, tmp_path: Path) -> None:
+    assert "is no knotgym-policy" in refusal(changed(learner, tmp_path, format="other"))
+
+
+def test_weights_cut_short_are_refused(learner: Path, tmp_path: Path) -> None:
+    copy = changed(learner, tmp_path)
+    path = copy / "weights.safetensors"
+    path.write_bytes(path.read_bytes()[:-100])
+    assert "changed or cut short" in refusal(copy)
+
+
+def test_an_empty_folder_is_refused(tmp_path: Path) -> None:
+    assert "no learner at" in refusal(tmp_path)

@@ -1,0 +1,66 @@
+"""The learner as a policy: pictures are all that it is handed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from knotgym.control.policies import InvalidPolicy, PolicyConfig, make_policy
+from knotgym.episode_batch import EpisodeBatch
+from knotgym.tasks import TaskConfig
+
+pytestmark = pytest.mark.clients
+pytest.importorskip("torch")
+pytest.importorskip("safetensors")
+
+
+class PicturesAlone:
+    """What a batch of episodes shows to whoever asks for its settings and pictures; asked for
+    anything else, it fails.
+    """
+
+    def __init__(self, config: TaskConfig, pictures: list[NDArray[np.uint8]]) -> None:
+        self.config, self._pictures = config, pictures
+
+    def picture(self, index: int) -> NDArray[np.uint8]:
+        return self._pictures[index]
+
+    def __getattr__(self, name: str) -> Any:
+        raise AssertionError(f"the learner asked for {name}")
+
+
+@pytest.fixture(scope="module")
+def shown(states_path: str) -> PicturesAlone:
+    task = TaskConfig(task="unknot", nx=1, states=states_path, observation="pixels")
+    batch = EpisodeBatch(task, 2)
+    for index in range(2):
+        batch.begin(index, np.random.default_rng(index))
+    return PicturesAlone(task, [batch.picture(index).copy() for index in range(2)])
+
+
+def actions(learner: Path, shown: Any, seed: int = 0) -> NDArray[np.float32]:
+    policy = make_policy(PolicyConfig(policy=str(learner)))
+    for index in range(2):
+        policy.begin(shown, index, np.random.default_rng(seed))
+    return np.stack([policy.act(shown, np.arange(2)).actions for _ in range(2)])
+
+
+def test_it_acts_on_pictures_alone(learner: Path, shown: Any) -> None:
+    acted = actions(learner, shown)
+    assert acted.shape == (2, 2, 6) and acted.dtype == np.float32
+    assert (np.abs(acted) <= 1).all()
+
+
+def test_the_same_pictures_and_seed_give_the_same_actions(learner: Path, shown: Any) -> None:
+    assert np.array_equal(actions(learner, shown), actions(learner, shown))
+
+
+def test_pictures_that_it_did_not_learn_from_are_refused(learner: Path) -> None:
+    policy = make_policy(PolicyConfig(policy=str(learner)))
+    other: Any = PicturesAlone(TaskConfig(task="tie", camera="perspective"), [])
+    with pytest.raises(InvalidPolicy, match="learned from orthographic pictures of 128 pixels"):
+        policy.begin(other, 0, np.random.default_rng(0))

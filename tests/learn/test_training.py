@@ -1,0 +1,140 @@
+"""Training: the same bytes every time, broken off or not, and on nothing but train episodes."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+import h5py
+import pytest
+
+from ..small_job import knotgym
+from .conftest import train_tiny
+
+pytestmark = pytest.mark.clients
+pytest.importorskip("torch")
+pytest.importorskip("safetensors")
+
+
+def weights(folder: Path) -> bytes:
+    return (folder / "weights.safetensors").read_bytes()
+
+
+def test_the_same_seed_and_data_give_the_same_weights(
+    episodes: Path, learner: Path, tmp_path: Path
+) -> None:
+    train_tiny(episodes, tmp_path / "again")
+    assert weights(tmp_path / "again") == weights(learner)
+
+
+def test_another_seed_gives_others(episodes: Path, learner: Path, tmp_path: Path) -> None:
+    train_tiny(episodes, tmp_path / "other", seed=1)
+    assert weights(tmp_path / "other") != weights(learner)
+
+
+def test_a_training_broken_off_and_resumed_ends_with_the_same_weights(
+    episodes: Path, learner: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from knotgym.learn.reader_training import ReaderTraining
+
+    advance = ReaderTraining.advance
+
+    def break_off(training: ReaderTraining) -> None:
+        if training.step == 3:  # one step after the last that was kept
+            raise KeyboardInterrupt
+        advance(training)
+
+    monkeypatch.setattr(ReaderTraining, "advance", break_off)
+    with pytest.raises(KeyboardInterrupt):
+        train_tiny(episodes, tmp_path / "broken")
+    monkeypatch.undo()
+    assert not (tmp_path / "broken" / "weights.safetensors").exists()
+    train_tiny(episodes, tmp_path / "broken", resume=True)
+    assert weights(tmp_path / "broken") == weights(learner)
+
+
+def test_the_curve_has_a_row_for_the_last_steps(learner: Path) -> None:
+    with (learner / "curve.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert rows and {"step", "join", "correct"} == set(rows[0])
+    assert (learner / "curve.png").stat().st_size > 0
+
+
+def test_the_card_says_what_was_trained_on(learner: Path) -> None:
+    card = json.loads((learner / "policy.json").read_text())
+    assert card["episodes"] == 3 and card["config"]["steps"] == 6
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """Type `knotgym train`, which must say one line and end with status 2."""
+    assert knotgym("train", *arguments, "--quiet") == 2
+    said = capsys.readouterr().err.strip()
+    assert said.count("\n") == 0
+    return said
+
+
+def test_a_folder_in_use_is_refused(
+    episodes: Path, learner: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "holds something already" in refused(capsys, "--data", episodes, "--out", learner)
+
+
+def test_resuming_nothing_is_refused(
+    episodes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = refused(capsys, "--data", episodes, "--out", tmp_path / "new", "--resume")
+    assert "no training under way" in said
+
+
+def test_a_missing_set_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "no episodes at" in refused(capsys, "--data", tmp_path / "no", "--out", tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+
+
+def copied(episodes: Path, tmp_path: Path) -> tuple[Path, Path]:
+    """A copy of the set, and its file."""
+    copy = tmp_path / "copy"
+    shutil.copytree(episodes, copy)
+    return copy, copy / "data" / "main_data.hdf5"
+
+
+def test_a_set_of_the_test_split_is_refused(
+    episodes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy, path = copied(episodes, tmp_path)
+    with h5py.File(path, "a") as file:
+        file.attrs["task"] = json.dumps({**json.loads(file.attrs["task"]), "split": "test"})
+    assert "test split" in refused(capsys, "--data", copy, "--out", tmp_path / "new")
+
+
+def test_an_empty_set_is_refused(
+    episodes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy, path = copied(episodes, tmp_path)
+    with h5py.File(path, "a") as file:
+        del file.attrs["index"]
+        for name in list(file):
+            del file[name]
+    assert "has no episodes" in refused(capsys, "--data", copy, "--out", tmp_path / "new")
+
+
+def test_a_truncated_set_is_refused(
+    episodes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy, path = copied(episodes, tmp_path)
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    assert "isn't a whole episode file" in refused(
+        capsys, "--data", copy, "--out", tmp_path / "new"
+    )
+
+
+def test_a_set_of_another_rope_is_refused(
+    episodes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy, path = copied(episodes, tmp_path)
+    with h5py.File(path, "a") as file:
+        file.attrs["rope"] = "another"
+    assert "made with rope another" in refused(capsys, "--data", copy, "--out", tmp_path / "new")
