@@ -89,11 +89,11 @@ def _cell(row: dict[str, Any]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("evaluations", type=Path, nargs="+")
-    parser.add_argument("--json", type=Path, default=ROOT / "benchmarks" / "results.json")
+    parser.add_argument("--out", type=Path, default=ROOT / "benchmarks" / "results.json")
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "benchmark.md")
     given = parser.parse_args()
     found = rows(given.evaluations)
-    given.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    given.out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     given.page.write_text(page(found), encoding="utf-8")
 
 

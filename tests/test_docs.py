@@ -407,7 +407,7 @@ def test_formats_and_versions_are_those_of_the_overview() -> None:
     assert said == {
         module.FORMAT: module.FORMAT_VERSION
         for module in (states, episode_reader, image_table, archive, transition_counts)
-    } | {"knotgym-walks": 1}
+    } | {"knotgym-walks": 1, "knotgym-policy": 1}
 
 
 @pytest.mark.parametrize(

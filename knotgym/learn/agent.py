@@ -43,6 +43,7 @@ class AgentConfig:
         sure: share of them that a plan must lead to the goal to be gone on with.
         named: how well a bead must be named before it is pulled.
         probes: pulls at most that are spent on finding where the rope is.
+        tow: step from which a rope that shall be plain is towed straight, plan or none.
         planner: of imagination.
     """
 
@@ -56,6 +57,7 @@ class AgentConfig:
     sure: float = 0.2
     named: float = 0.45
     probes: int = 3
+    tow: int = 20
     planner: PlannerConfig = PlannerConfig(batch_size=32, surrogate_rollouts=2)
 
 
@@ -160,6 +162,9 @@ class Agent:
     def _decide(self, episode: _Episode) -> str:
         """Choose bead and force."""
         assert episode.goal is not None
+        if not episode.goal.visits and episode.step >= self.config.tow:
+            episode.named, episode.force = np.full(3, REACH), np.ones(3)
+            return "tow"
         due = episode.step - episode.planned >= self.config.patience or not episode.plan
         if due and self._surety(episode, episode.plan) < self.config.sure:
             self._plan(episode)

@@ -99,6 +99,28 @@ def test_a_random_policy_leaves_the_rope_an_unknot(tmp_path: Path) -> None:
     assert counts["steps"] == 8 and counts["nan"] == counts["changed_knot_type"] == 0
 
 
+def test_evaluations_make_the_table_of_learners(tmp_path: Path) -> None:
+    told = {
+        "version": "0.1.0",
+        "settings": {"task": {"states": None}, "seed": 0},
+        "results": [
+            {
+                **{"policy": "learned", "task": "tie", "nx": 3, "split": "test", "episodes": 4},
+                **{"successes": 3, "success_rate": 0.75, "low": 0.3, "high": 0.95, "steps": 9.5},
+                **{"planned_actions": 10.0, "planning_seconds": 0.5},
+            }
+        ],
+    }
+    (tmp_path / "one.json").write_text(json.dumps(told))
+    page, out = tmp_path / "page.md", tmp_path / "out.json"
+    words = (tmp_path / "one.json", "--page", page, "--out", out)
+    run_script(FOLDER / "results.py", *words)
+    assert json.loads(out.read_text())[0]["states"] == "readable"
+    assert "**75.0** (30 to 95, of 4)" in page.read_text()
+    with pytest.raises(SystemExit, match="tells once more of learned, readable, test, tie, 3"):
+        run_script(FOLDER / "results.py", tmp_path / "one.json", *words)
+
+
 def test_a_collection_is_timed(tmp_path: Path) -> None:
     words = ("--jobs", "state", "--workers", 1, "--repeats", 1, "--episodes", 1)
     assert figures("scaling", tmp_path, *words)["seconds"]["state"]["1"] > 0
