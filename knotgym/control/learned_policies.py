@@ -115,7 +115,7 @@ def load_model(path: Path, algorithm: str = "") -> Model:
 
 def is_learner(place: str) -> bool:
     """Whether a policy's name is that of a learner's folder, or of the one that ships."""
-    return place == "pretrained" or Path(place).is_dir()
+    return place == "pretrained" or (place != "" and Path(place).is_dir())
 
 
 def load_learner(place: str) -> Policy:
