@@ -3,27 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from gymnasium.error import ResetNeeded
-from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from knotgym.episode_batch import EpisodeBatch
 from knotgym.rendering.observations import SYMBOLS
 from knotgym.simulation import InvalidAction
-from knotgym.tasks import InvalidSetting, TaskConfig
+from knotgym.tasks import InvalidSetting, TaskConfig, UnknownKeyword
+
+if TYPE_CHECKING:
+    from gymnasium.vector import AutoresetMode
 
 _FPS = 5  # an action lasts 0.192 s
+_NEXT_STEP, _SAME_STEP, _DISABLED = "NextStep", "SameStep", "Disabled"  # Gymnasium's values
+_MODE: Any = getattr(gym.vector, "AutoresetMode", str)  # before 1.1 Gymnasium had no class for it
 
 
 def observation_space(config: TaskConfig, beads: int = 100) -> spaces.Space[Any]:
     """What one agent sees."""
-    pixels = spaces.Box(0, 255, (config.image_size, 2 * config.image_size, 3), np.uint8)
+    size = config.image_size
+    shape = (size, 2 * size, 3) if config.layout == "beside" else (size, size, 6)
+    pixels = spaces.Box(0, 255, shape, np.uint8)
     state = spaces.Box(-np.inf, np.inf, (6 * beads,), np.float32)
     choices: dict[str, spaces.Space[Any]] = {
         "pixels": pixels,
@@ -90,14 +96,14 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         task: as KnotEnv.
         num_envs: ropes.
         threads: of the simulation, 0 for every core.
-        autoreset_mode: Gymnasium's; "next_step" by default.
+        autoreset_mode: Gymnasium's, or "next_step", "same_step", "disabled".
         settings: as KnotEnv.
     """
 
     metadata = {
         "render_modes": ["rgb_array"],
         "render_fps": _FPS,
-        "autoreset_mode": AutoresetMode.NEXT_STEP,
+        "autoreset_mode": _MODE(_NEXT_STEP),
     }
 
     def __init__(
@@ -105,7 +111,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         task: str,
         num_envs: int = 1,
         threads: int = 0,
-        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        autoreset_mode: str | AutoresetMode = "next_step",
         render_mode: str | None = "rgb_array",
         **settings: Any,
     ) -> None:
@@ -114,7 +120,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         if num_envs < 1:
             raise InvalidSetting(f"num_envs must be at least 1, got {num_envs}")
         self.num_envs = num_envs
-        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self._autoreset, self.autoreset_mode = _autoreset(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
         self.episodes = EpisodeBatch(self.config, num_envs, threads)
         self.single_observation_space = observation_space(
@@ -125,6 +131,10 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._rngs = [np.random.default_rng() for _ in range(num_envs)]
         self._done = np.zeros(num_envs, dtype=bool)
+
+    def __len__(self) -> int:
+        """The ropes."""
+        return self.num_envs
 
     def reset(
         self,
@@ -167,7 +177,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
             raise InvalidAction(
                 f"actions must have shape {self.action_space.shape}, got {actions.shape}"
             )
-        if done.any() and self.autoreset_mode == AutoresetMode.DISABLED:
+        if done.any() and self._autoreset == _DISABLED:
             raise InvalidSetting(
                 f"episodes {np.flatnonzero(done).tolist()} have ended: reset them (options"
                 " reset_mask) before the next step"
@@ -184,7 +194,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
             self.episodes.begin(int(i), self._rngs[i])
         self._done = terminated | truncated
         final: dict[int, dict[str, Any]] = {}
-        if self.autoreset_mode == AutoresetMode.SAME_STEP:
+        if self._autoreset == _SAME_STEP:
             for i in np.flatnonzero(self._done):
                 final[int(i)] = {
                     "final_obs": self.episodes.observation(int(i)),
@@ -220,11 +230,21 @@ def _config(task: str, settings: dict[str, Any]) -> TaskConfig:
     known = TaskConfig.__dataclass_fields__
     unknown = [name for name in settings if name not in known]
     if unknown:
-        raise InvalidSetting(
-            f"no keyword {', '.join(map(repr, unknown))}; there is"
+        raise UnknownKeyword(
+            f"got an unexpected keyword argument {', '.join(map(repr, unknown))}; there is"
             f" {', '.join(name for name in known if name != 'task')}"
         )
     return TaskConfig(task=task, **settings)
+
+
+def _autoreset(mode: str | AutoresetMode) -> tuple[str, str | AutoresetMode]:
+    """What a mode is called, and as what Gymnasium knows it."""
+    known = {"next_step": _NEXT_STEP, "same_step": _SAME_STEP, "disabled": _DISABLED}
+    given = str(getattr(mode, "value", mode))
+    name = known.get(given, given)
+    if name not in known.values():
+        raise InvalidSetting(f"no autoreset_mode {given!r}; there is {', '.join(known)}")
+    return name, _MODE(name)
 
 
 def _require_reset(episodes: EpisodeBatch) -> None:

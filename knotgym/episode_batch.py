@@ -15,7 +15,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.datasets.states import States, read_states, shipped, ships, states_file
-from knotgym.rendering.observations import picture_config, pixels, state, symbols
+from knotgym.rendering.observations import (
+    SYMBOLS,
+    numbers,
+    picture_config,
+    pixels,
+    stacked,
+    state,
+    symbols,
+)
 from knotgym.rendering.picture import draw
 from knotgym.reset_noise import start_qpos
 from knotgym.reward import Outcome
@@ -159,29 +167,39 @@ class EpisodeBatch:
     def observation(self, index: int) -> Any:
         """What the agent of episode `index` sees, as `config.observation` says."""
         if self.config.observation == "pixels":
-            return self.picture(index)
+            return self._pixels(index)
         if self.config.observation == "state":
             return self.state(index)
         if self.config.observation == "symbolic":
             return self.symbols(index)
-        return {"pixels": self.picture(index), "state": self.state(index)}
+        return {"pixels": self._pixels(index), "state": self.state(index)}
 
     def info(self, index: int) -> dict[str, Any]:
-        """Labels and counts of episode `index`, the same keys at every step; arrays are copies."""
+        """Labels and counts of episode `index`, the same keys at every step; arrays are copies.
+
+        With `numeric_infos` codes are int16 (SYMBOLS,), see `observations.numbers`; the chiral one
+        is int16 (SYMBOLS // 2,), a sign a crossing; and whose states they are is 1 for SHIPPED, 0
+        for OWN.
+        """
         code, goal = self.codes[index], self.goals[index]
+        numeric = self.config.numeric_infos
         return {
-            "gauss_code": str(code),
-            "gauss_code_chiral": code.chiral,
-            "goal_gauss_code": str(goal),
+            "gauss_code": numbers(code.visits) if numeric else str(code),
+            "gauss_code_chiral": numbers(code.signs, SYMBOLS // 2) if numeric else code.chiral,
+            "goal_gauss_code": numbers(goal.visits) if numeric else str(goal),
             "crossings": code.nx,
             "is_success": bool(self.held[index] >= self.config.hold and not self.failed[index]),
             "simulation_failed": bool(self.failed[index]),
             "start": int(self.start_row[index]),
             "goal": int(self.goal_row[index]),
-            **self._came_from,
+            **{k: int(v == SHIPPED) if numeric else v for k, v in self._came_from.items()},
             "bead": int(self.beads[index]),
             "force": self.forces[index].copy(),
         }
+
+    def _pixels(self, index: int) -> NDArray[np.uint8]:
+        seen = self.picture(index)
+        return stacked(seen) if self.config.layout == "stacked" else seen
 
     def _choose(
         self, row: object, side: States, name: str, rng: np.random.Generator

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 SPLITS = ("train", "test")  # of a state file
 OBSERVATIONS = ("pixels", "state", "both", "symbolic")
+LAYOUTS = ("beside", "stacked")  # of the two halves of a picture
 MAX_NX = 6  # codes above are not enumerated, nor ever met in numbers
 
 # task -> (crossings of the start, crossings of the goal) for a difficulty nx
@@ -26,6 +27,13 @@ TASKS: dict[str, Callable[[int], tuple[int, int]]] = {
 
 class InvalidSetting(KnotgymError, ValueError):
     """A keyword of an environment that cannot be had."""
+
+
+class UnknownKeyword(InvalidSetting, TypeError):
+    """There is no such keyword.
+
+    A TypeError in Python's own words, for TorchRL tries again without `frameskip` on no other.
+    """
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +58,8 @@ class TaskConfig:
             an action that is only repeated hardly ever unties a rope (`benchmarks/towing.py`).
         reset_noise: scale of the noise at reset, radians per joint and metres.
         image_size: pixels, each half of the picture.
+        layout: "beside", rope left and goal right, (size, 2 size, 3); or "stacked", the goal's
+            channels behind the rope's, (size, size, 6).
         camera: "orthographic" or "perspective".
         renderer: "auto", "opencv" or "mujoco".
         integrator_steps: MuJoCo steps that the 0.192 s of an action are cut into; 24 as published.
@@ -57,6 +67,7 @@ class TaskConfig:
             from where 24 put it, 2 mm after ten actions (`benchmarks/physics.py`). With fewer,
             ropes under large forces blow up; with 20, two in 100,000 random steps did.
         success_reward, failure_reward: paid at success, and at the horizon without it.
+        numeric_infos: `info` holds integers where it else holds text, see `EpisodeBatch.info`.
     """
 
     task: str
@@ -69,17 +80,20 @@ class TaskConfig:
     tow_limit: float | None = None
     reset_noise: float = 0.015
     image_size: int = 128
+    layout: str = "beside"
     camera: str = "orthographic"
     renderer: str = "auto"
     integrator_steps: int = 24
     success_reward: float = SUCCESS_REWARD
     failure_reward: float = FAILURE_REWARD
+    numeric_infos: bool = False
 
     def __post_init__(self) -> None:
         for name, known in {
             "task": tuple(TASKS),
             "split": SPLITS,
             "observation": OBSERVATIONS,
+            "layout": LAYOUTS,
             "camera": ("orthographic", "perspective"),
             "renderer": ("auto", "opencv", "mujoco"),
         }.items():
@@ -99,6 +113,8 @@ class TaskConfig:
             if not whole or value < least or (most is not None and value > most):
                 right = f"from {least} to {most}" if most else f"of at least {least}"
                 raise InvalidSetting(f"{name} must be a whole number {right}, got {value!r}")
+        if not isinstance(self.numeric_infos, bool):
+            raise InvalidSetting(f"numeric_infos must be True or False, got {self.numeric_infos!r}")
         if self.states is not None and not isinstance(self.states, str):
             raise InvalidSetting(
                 f"states must be the path of a state file as a string, got {self.states!r}"

@@ -24,7 +24,6 @@ import h5py
 import numpy as np
 import pytest
 import typer.main
-from gymnasium.vector import AutoresetMode
 from typer.testing import CliRunner
 
 import knotgym
@@ -294,7 +293,6 @@ def test_the_page_of_the_environment_names_the_keywords_of_many_at_once() -> Non
         code_words(row[0])[0]: ast.literal_eval(code_words(row[1])[0])
         for row in tables(DOCS / "environment.md")["Many at once"]
     }
-    said["autoreset_mode"] = AutoresetMode[said["autoreset_mode"].upper()]
     assert said == {name: parameters.pop(name).default for name in said}
     assert parameters.keys() == {"task", "render_mode", "settings"}
 

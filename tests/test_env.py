@@ -454,6 +454,8 @@ def test_a_row_of_the_other_split_is_refused(make: Make, states: States) -> None
             {"observation": "depth"},
             "no observation 'depth'; there is pixels, state, both, symbolic",
         ),
+        ({"layout": "above"}, "no layout 'above'; there is beside, stacked"),
+        ({"numeric_infos": 1}, "numeric_infos must be True or False, got 1"),
         ({"camera": "fisheye"}, "no camera 'fisheye'"),
         ({"renderer": "filament"}, "no renderer 'filament'"),
         ({"render_mode": "human"}, "no render_mode 'human'"),
@@ -463,7 +465,10 @@ def test_a_row_of_the_other_split_is_refused(make: Make, states: States) -> None
         ({"integrator_steps": 12}, "integrator_steps must be a whole number from 20 to 96, got 12"),
         ({"reset_noise": -0.1}, r"reset_noise must be in \[0, 1\), got -0.1"),
         ({"reset_noise": float("nan")}, r"reset_noise must be in \[0, 1\), got nan"),
-        ({"noise": 0.1}, "no keyword 'noise'; there is nx, split, states, observation"),
+        (
+            {"noise": 0.1},
+            "got an unexpected keyword argument 'noise'; there is nx, split, states, observation",
+        ),
     ],
     ids=str,
 )
@@ -588,6 +593,39 @@ def test_bad_actions_are_refused_and_nothing_moves(make: Make, action: NDArray[A
     assert same(
         before, (env.episodes.simulation.states(), env.episodes.info(0), int(env.episodes.steps[0]))
     )
+
+
+def test_an_unknown_keyword_is_a_type_error_in_pythons_words(
+    registered: Callable[..., gym.Env[Any, Any]],
+) -> None:
+    with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'"):
+        registered(frameskip=4)
+
+
+def test_numeric_infos_say_the_same_in_integers(make: Make) -> None:
+    words, numbers = make("unknot", nx=3), make("unknot", nx=3, numeric_infos=True)
+    text, told = words.reset(seed=1)[1], numbers.reset(seed=1)[1]
+    code = GaussCode.parse(text["gauss_code_chiral"])
+    assert text.keys() == told.keys()
+    assert not any(isinstance(value, str) for value in told.values())
+    assert told["gauss_code"].dtype == np.int16 and told["gauss_code"].shape == (64,)
+    assert tuple(told["gauss_code"][:6]) == code.visits and not told["gauss_code"][6:].any()
+    assert tuple(told["gauss_code_chiral"][:3]) == code.signs
+    assert not told["goal_gauss_code"].any() and told["start_states"] == 0
+
+
+@pytest.mark.parametrize("observation", ["pixels", "both"])
+def test_stacked_pictures_have_the_goals_channels_last(make: Make, observation: str) -> None:
+    settings: dict[str, Any] = {"observation": observation, "image_size": 16}
+    env = make("tie", layout="stacked", **settings)
+    seen, beside = env.reset(seed=0)[0], make("tie", **settings).reset(seed=0)[0]
+    assert seen in env.observation_space
+    if observation == "both":
+        seen, beside = seen["pixels"], beside["pixels"]
+    assert np.array_equal(seen[..., :3], beside[:, :16])
+    assert np.array_equal(seen[..., 3:], beside[:, 16:])
+    rendered = env.render()
+    assert rendered is not None and np.array_equal(rendered, beside)
 
 
 @pytest.mark.parametrize("observation", MODES)

@@ -36,6 +36,8 @@ from knotgym.datasets.trajectory import (
     relabelled,
 )
 from knotgym.loaders import arrays
+from knotgym.rendering.observations import stacked
+from knotgym.rendering.picture import PictureConfig
 from knotgym.tasks import TaskConfig
 
 ID = "knotgym/tie-nx2/random-v0"
@@ -308,6 +310,51 @@ def test_merging_gives_the_same_bytes_whatever_the_shards(
     again = publish(sources[::-1], METADATA, tmp_path / "root")
     for name in ("main_data.hdf5", "metadata.json"):
         assert sha(again / "data" / name) == sha(root / ID / "data" / name)
+
+
+def as_version_2(path: Path) -> Path:
+    """The same file as it was written before, `rope/*` in every episode."""
+    with h5py.File(path, "r+") as file:
+        file.attrs["format_version"] = 2
+        for name in [name for name in file if name.startswith("episode_")]:
+            group = file[name]
+            for once in ("start_qpos", "goal_points"):
+                group[f"rope/{once}"] = group.attrs[once]
+                del group.attrs[once]
+            group.move("infos/points", "rope/points")
+    return path
+
+
+def test_a_file_of_format_version_2_is_read_and_merged_into_the_same_bytes(
+    tmp_path: Path, task: TaskConfig, episodes: list[Episode]
+) -> None:
+    few = dict(enumerate(episodes[:2]))
+    new = write(tmp_path / "new.h5", task, few)
+    old = as_version_2(write(tmp_path / "old.h5", task, few))
+    reader = EpisodeReader(old)
+    assert [one.digest() for one in reader] == [one.digest() for one in episodes[:2]]
+    drawn = reader.observations(0, slice(0, 2), picture=PictureConfig(size=16))
+    assert drawn["pixels"].shape == (2, 16, 32, 3)
+    merged = [tmp_path / "from-new.h5", tmp_path / "from-old.h5"]
+    merge_episodes([new], merged[0])
+    merge_episodes([old], merged[1])
+    assert sha(merged[0]) == sha(merged[1])
+
+
+@pytest.mark.parametrize("stored", ["pixels", "both"])
+def test_stacked_pictures_are_stored_read_and_drawn_alike(
+    tmp_path: Path, task: TaskConfig, episodes: list[Episode], stored: str
+) -> None:
+    stack = replace(task, observation=stored, layout="stacked", image_size=16)
+    path = write(tmp_path / "a.h5", stack, {0: episodes[-1]})
+    beside = write(tmp_path / "b.h5", replace(stack, layout="beside"), {0: episodes[-1]})
+    for goal_step in (None, 1):
+        seen = [
+            EpisodeReader(one).observations(0, observation="pixels", goal_step=goal_step)
+            for one in (path, beside)
+        ]
+        assert seen[0].shape[1:] == (16, 16, 6) and np.array_equal(seen[0], stacked(seen[1]))
+    assert verify_episodes(path, frames=None) == []
 
 
 def test_merging_closes_gaps_in_the_numbers(
@@ -587,11 +634,11 @@ def set_last(name: str, value: Any) -> Callable[[h5py.Group], None]:
         (set_last("infos/bead", -7), "step 20: bead is -7"),
         (set_last("rewards", 1.0), "step 19: rewards is 1.0, should be -5.0"),
         (set_last("truncations", False), "step 19: truncations is False"),
-        (set_last("rope/points", np.nan), "points holds a number that isn't finite"),
+        (set_last("infos/points", np.nan), "points holds a number that isn't finite"),
         (set_last("observations/pixels", 7), "step 20: the stored pixels"),
         (set_last("observations/state", 7.0), "step 20: the stored state"),
         (
-            lambda group: group["rope/start_qpos"].write_direct(np.ones(421)),
+            lambda group: group.attrs.modify("start_qpos", np.ones(421)),
             "step 0: the rope doesn't lie",
         ),
         (lambda group: group.attrs.modify("policy", "expert"), "digest"),
