@@ -51,7 +51,7 @@ class KnotEnv(gym.Env[Any, NDArray[np.float32]]):
     metadata = {"render_modes": ["rgb_array"], "render_fps": _FPS}
 
     def __init__(self, task: str, render_mode: str | None = "rgb_array", **settings: Any) -> None:
-        self.config = _config(task, settings)
+        self.config = task_config(task, settings)
         self.render_mode = _checked(render_mode)
         self.episodes = EpisodeBatch(self.config)
         self.observation_space = observation_space(
@@ -115,7 +115,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         render_mode: str | None = "rgb_array",
         **settings: Any,
     ) -> None:
-        self.config = _config(task, settings)
+        self.config = task_config(task, settings)
         self.render_mode = _checked(render_mode)
         if num_envs < 1:
             raise InvalidSetting(f"num_envs must be at least 1, got {num_envs}")
@@ -226,7 +226,13 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         return infos
 
 
-def _config(task: str, settings: dict[str, Any]) -> TaskConfig:
+def task_config(task: str, settings: dict[str, Any]) -> TaskConfig:
+    """What keywords ask for.
+
+    Raises:
+        UnknownKeyword: there is no such keyword.
+        InvalidSetting: it can't be had.
+    """
     known = TaskConfig.__dataclass_fields__
     unknown = [name for name in settings if name not in known]
     if unknown:

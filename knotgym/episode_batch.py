@@ -71,6 +71,12 @@ class EpisodeBatch:
         self.beads = np.full(count, -1, dtype=np.int64)
         self.forces = np.zeros((count, 3))
 
+    def rows(self, side: str) -> NDArray[np.int64]:
+        """The rows of the state file that the "start" or the "goal" is drawn from."""
+        if side == "start":
+            return self._starts.rows(self.config.start_nx, self.config.split)
+        return self._goals.rows(self.config.goal_nx, self.config.split)
+
     def begin(
         self, index: int, rng: np.random.Generator, options: dict[str, Any] | None = None
     ) -> None:
@@ -205,7 +211,7 @@ class EpisodeBatch:
         self, row: object, side: States, name: str, rng: np.random.Generator
     ) -> tuple[int, States]:
         nx = self.config.start_nx if name == "start" else self.config.goal_nx
-        rows = side.rows(nx, self.config.split)
+        rows = self.rows(name)
         # drawn even if unused: the noise that follows doesn't depend on options
         drawn = int(rows[rng.integers(len(rows))])
         if row is None:

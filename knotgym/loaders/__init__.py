@@ -17,12 +17,8 @@ when they are first used.
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from knotgym.loaders.converters import (
-        MissingExtra,
-        to_d3rlpy,
-        to_tensordict,
-        torch_dataset,
-    )
+    from knotgym.errors import MissingExtra
+    from knotgym.loaders.converters import to_d3rlpy, to_tensordict, torch_dataset
     from knotgym.loaders.perception import images
     from knotgym.loaders.rows import arrays
     from knotgym.loaders.transitions import Transitions
@@ -32,7 +28,7 @@ else:
     __getattr__, __dir__ = lazy_exports(
         __name__,
         {
-            "MissingExtra": "knotgym.loaders.converters",
+            "MissingExtra": "knotgym.errors",
             "Transitions": "knotgym.loaders.transitions",
             "arrays": "knotgym.loaders.rows",
             "images": "knotgym.loaders.perception",

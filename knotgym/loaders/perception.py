@@ -6,7 +6,8 @@ import importlib
 import os
 from typing import Any
 
-from knotgym.loaders.converters import MissingExtra, UnknownKind
+from knotgym.errors import MissingExtra
+from knotgym.loaders.converters import UnknownKind
 
 KINDS = ("torch", "huggingface")
 
