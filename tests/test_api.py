@@ -18,7 +18,13 @@ import knotgym
 from knotgym.datasets.states import States, write_states
 
 ROOT = Path(__file__).parents[1]
-PACKAGES = ("knotgym", "knotgym.datasets", "knotgym.generate", "knotgym.loaders")
+PACKAGES = (
+    "knotgym",
+    "knotgym.adapters",
+    "knotgym.datasets",
+    "knotgym.generate",
+    "knotgym.loaders",
+)
 EAGER = {"__version__"}  # all others are imported when they are first used
 
 

@@ -56,7 +56,8 @@ def test_beyond_the_bound_on_towing_nothing_is_achieved(states_path: str) -> Non
 
 @pytest.mark.parametrize("observation", ["pixels", "state", "symbolic"])
 def test_the_rope_is_seen_alone(states_path: str, observation: str) -> None:
-    settings = {"nx": 2, "states": states_path, "observation": observation, "image_size": 16}
+    settings: dict[str, Any] = {"nx": 2, "states": states_path, "observation": observation}
+    settings["image_size"] = 16
     env, whole = goal_env("tie", **settings), KnotEnv("tie", **settings)
     seen, both = env.reset(seed=5)[0], whole.reset(seed=5)[0]
     assert seen in env.observation_space
