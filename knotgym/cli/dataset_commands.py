@@ -111,12 +111,17 @@ def export(
     path: PathOrId,
     out: Annotated[
         Path,
-        typer.Option(help="File to write: .h5 for the compact form (states and actions only)."),
+        typer.Option(help="What to write: a file, .h5, for the compact form; else a folder."),
     ],
+    to: Annotated[
+        str,
+        typer.Option(help="compact (states and actions; pictures are drawn), lerobot or ogbench."),
+    ] = "compact",
 ) -> None:
-    """Convert trajectories to the compact form; pictures are drawn when it is read."""
+    """Convert trajectories to another form: the compact one, LeRobot's, OGBench's."""
     from knotgym.cli.inspection import refuse_existing
-    from knotgym.datasets.minari_dataset import compact
+    from knotgym.datasets.exports.forms import export as convert
 
-    refuse_existing(out)
-    compact(path, out)
+    if to == "compact":
+        refuse_existing(out)
+    convert(path, out, to)
