@@ -75,20 +75,30 @@ def merge(
         ),
     ],
     out: Annotated[
-        Path,
+        Path | None,
         typer.Option(
             help=(
                 "For shards the folder to make, for those of collect the root of the dataset's id;"
-                " else the file: states.h5, or "
-                "episodes.h5 for trajectories."
+                " with --id the root of the id, Minari's own by default; else the file: states.h5,"
+                " or episodes.h5 for trajectories."
             )
         ),
-    ],
+    ] = None,
+    dataset_id: Annotated[
+        str,
+        typer.Option("--id", help="Make a Minari dataset of this id, such as knotgym/all-v0."),
+    ] = "",
 ) -> None:
     """Put shards of one run, or datasets of one kind, together, nothing encoded again."""
     from knotgym.cli.inspection import merge as put_together
+    from knotgym.cli.inspection import merge_to_minari
 
-    put_together(sources, out)
+    if dataset_id:
+        merge_to_minari(sources, dataset_id, out)
+    elif out is None:
+        raise typer.BadParameter("say where to: --out FILE, or --id for a Minari dataset")
+    else:
+        put_together(sources, out)
 
 
 @dataset_app.command()
@@ -119,9 +129,10 @@ def export(
     ] = "compact",
 ) -> None:
     """Convert trajectories to another form: the compact one, LeRobot's, OGBench's."""
-    from knotgym.cli.inspection import refuse_existing
+    from knotgym.cli.inspection import refuse_existing, refuse_minaris_folder
     from knotgym.datasets.exports.forms import export as convert
 
     if to == "compact":
         refuse_existing(out)
+        refuse_minaris_folder(out)
     convert(path, out, to)

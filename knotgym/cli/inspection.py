@@ -15,7 +15,8 @@ from knotgym.datasets import verification
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_writer import merge_episodes
 from knotgym.datasets.image_table import is_images
-from knotgym.datasets.states import merge_states, read_states, write_states
+from knotgym.datasets.minari_dataset import merge_datasets
+from knotgym.datasets.states import merge_states, minari_root, read_states, write_states
 from knotgym.errors import KnotgymError
 from knotgym.generate.merge_shards import merge_shards, shard_folder_of
 from knotgym.hdf5_files import hdf5_format
@@ -79,6 +80,23 @@ def faults(path: str, console: Console | None) -> Iterator[str]:
         yield from verification.faults(path, pool.map)
 
 
+def refuse_minaris_folder(out: Path) -> None:
+    """Raise UnknownDataset where a plain file would lie among Minari's datasets."""
+    if out.resolve().is_relative_to(minari_root().resolve()):
+        raise UnknownDataset(
+            f"{out} is in Minari's folder, where a plain file is no dataset: give --id"
+            " knotgym/name-v0 to merge, or another --out"
+        )
+
+
+def merge_to_minari(sources: Sequence[str], dataset_id: str, root: Path | None) -> Path:
+    """Make a Minari dataset of several; its folder."""
+    foreign = [source for source in sources if is_states(source) or is_images(source)]
+    if foreign:
+        raise UnknownDataset(f"--id is for trajectories; {', '.join(foreign)} holds none")
+    return merge_datasets(sources, dataset_id, root)
+
+
 def merge(sources: Sequence[str], out: Path) -> None:
     """Put datasets of one kind together, or the shards of one run."""
     run_shards = [shard for source in sources if (shard := shard_folder_of(source))]
@@ -92,6 +110,7 @@ def merge(sources: Sequence[str], out: Path) -> None:
         merge_shards(run_shards, out)
         return
     refuse_existing(out)
+    refuse_minaris_folder(out)
     if any(is_images(source) for source in sources):
         raise UnknownDataset(
             "perception tables are merged only if they are shards of one run (knotgym images"

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import minari
 import numpy as np
 import pytest
 from PIL import Image
@@ -19,6 +20,7 @@ from knotgym.datasets.episode_verification import replay
 from knotgym.datasets.episode_writer import EpisodeWriter
 from knotgym.datasets.exports.forms import NothingToExport, UnknownForm, export
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
+from knotgym.datasets.states import read_states, shipped, write_states
 from knotgym.datasets.trajectory import Episode
 from knotgym.env import KnotEnv
 from knotgym.tasks import TaskConfig
@@ -128,6 +130,62 @@ def test_what_has_no_place_in_a_form_is_refused(
         knotgym("dataset", "export", tmp_path / "a.h5", "--to", "x", "--out", tmp_path / "o") == 2
     )
     assert not (tmp_path / "out").exists()
+
+
+@pytest.fixture
+def two(
+    tmp_path: Path, task: TaskConfig, episodes: list[Episode], monkeypatch: pytest.MonkeyPatch
+) -> list[str]:
+    """Two datasets in Minari's folder, either with the states that both were reset from."""
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    ids = [f"knotgym/tie-nx2/{name}-v0" for name in ("a", "b")]
+    for k, own in enumerate(ids):
+        with EpisodeWriter(tmp_path / f"{k}.h5", replace(task, states=own)) as writer:
+            for episode in episodes[2 * k : 2 * k + 2]:
+                writer.add(episode)
+        told = MinariMetadata(
+            dataset_id=own, algorithm_name=f"policy {k}", description=f"Dataset {k}.", author=("A",)
+        )
+        publish([tmp_path / f"{k}.h5"], told, states=task.states)
+    return ids
+
+
+def test_two_datasets_merge_into_one_that_minari_loads(
+    two: list[str], episodes: list[Episode]
+) -> None:
+    assert knotgym("dataset", "merge", *two, "--id", "knotgym/both-v0") == 0
+    held = minari.load_dataset("knotgym/both-v0")
+    assert held.total_episodes == 4 and held.spec.env_spec.kwargs["states"] == "knotgym/both-v0"
+    assert held.storage.metadata["algorithm_name"] == "policy 0, policy 1"
+    pixels = [one.observations["pixels"] for one in held.iterate_episodes()]
+    for source, part in zip(two, (pixels[:2], pixels[2:]), strict=True):
+        reader = EpisodeReader(source)
+        for k, seen in enumerate(part):
+            assert np.array_equal(seen, reader.observations(k)["pixels"])
+    environment = held.recover_environment(eval_env=True)
+    assert environment.unwrapped.config.split == "test"
+    assert knotgym("dataset", "merge", *two, "--id", "knotgym/both-v0") == 2  # it is there
+
+
+def test_datasets_of_two_state_files_are_not_merged(
+    two: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / "minari" / two[1] / "data" / "states.h5"
+    write_states(other, read_states(shipped()))
+    assert knotgym("dataset", "merge", *two, "--id", "knotgym/both-v0") == 2
+    assert "these differ in states" in "".join(capsys.readouterr())
+
+
+def test_a_plain_file_never_lands_in_minaris_folder(
+    two: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "minari" / "knotgym" / "both-v0"
+    assert knotgym("dataset", "merge", *two, "--out", out) == 2
+    assert knotgym("dataset", "export", two[0], "--out", out.with_suffix(".h5")) == 2
+    assert knotgym("dataset", "merge", *two) == 2
+    told = " ".join("".join(capsys.readouterr()).split())
+    assert "give --id knotgym/name-v0" in told and "say where to" in told
+    assert [*out.parent.glob("both*")] == []
 
 
 @pytest.mark.clients
