@@ -183,25 +183,33 @@ class EpisodeBatch:
     def info(self, index: int) -> dict[str, Any]:
         """Labels and counts of episode `index`, the same keys at every step; arrays are copies.
 
-        With `numeric_infos` codes are int16 (SYMBOLS,), see `observations.numbers`; the chiral one
-        is int16 (SYMBOLS // 2,), a sign a crossing; and whose states they are is 1 for SHIPPED, 0
-        for OWN.
+        With `numeric_infos` every value is a NumPy array. Codes are int16 (SYMBOLS,), see
+        `observations.numbers`; the chiral one is int16 (SYMBOLS // 2,), a sign a crossing; whose
+        states they are is True for SHIPPED.
         """
         code, goal = self.codes[index], self.goals[index]
-        numeric = self.config.numeric_infos
-        return {
-            "gauss_code": numbers(code.visits) if numeric else str(code),
-            "gauss_code_chiral": numbers(code.signs, SYMBOLS // 2) if numeric else code.chiral,
-            "goal_gauss_code": numbers(goal.visits) if numeric else str(goal),
+        told = {
+            "gauss_code": str(code),
+            "gauss_code_chiral": code.chiral,
+            "goal_gauss_code": str(goal),
             "crossings": code.nx,
             "is_success": bool(self.held[index] >= self.config.hold and not self.failed[index]),
             "simulation_failed": bool(self.failed[index]),
             "start": int(self.start_row[index]),
             "goal": int(self.goal_row[index]),
-            **{k: int(v == SHIPPED) if numeric else v for k, v in self._came_from.items()},
+            **self._came_from,
             "bead": int(self.beads[index]),
             "force": self.forces[index].copy(),
         }
+        if not self.config.numeric_infos:
+            return told
+        numeric = {
+            "gauss_code": numbers(code.visits),
+            "gauss_code_chiral": numbers(code.signs, SYMBOLS // 2),
+            "goal_gauss_code": numbers(goal.visits),
+            **{name: origin == SHIPPED for name, origin in self._came_from.items()},
+        }
+        return {name: np.asarray(numeric.get(name, value)) for name, value in told.items()}
 
     def _pixels(self, index: int) -> NDArray[np.uint8]:
         seen = self.picture(index)
@@ -216,6 +224,8 @@ class EpisodeBatch:
         drawn = int(rows[rng.integers(len(rows))])
         if row is None:
             return drawn, side
+        if isinstance(row, np.ndarray) and not row.ndim:  # as numeric infos say it
+            row = row.item()
         if isinstance(row, bool) or not isinstance(row, (int, np.integer)) or row not in rows:
             raise InvalidSetting(
                 f"{name} must be a row with nx = {nx} of the {self.config.split} split:"
