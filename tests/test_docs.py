@@ -409,7 +409,8 @@ def test_formats_and_versions_are_those_of_the_overview() -> None:
 
 
 @pytest.mark.parametrize(
-    "package", ["knotgym", "knotgym.datasets", "knotgym.generate", "knotgym.loaders"]
+    "package",
+    ["knotgym", "knotgym.adapters", "knotgym.datasets", "knotgym.generate", "knotgym.loaders"],
 )
 def test_the_reference_has_every_public_name(package: str) -> None:
     page = DOCS / "reference" / f"{package.rpartition('.')[2]}.md"
