@@ -117,12 +117,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         for episode in ALL[:9]:
             writer.add(episode)
     merge_episodes([room / "both.h5"], room / "symbolic.h5", store="symbolic")
-    with EpisodeWriter(
-        room / "views.h5",
-        replace(TASK, observation="pixels", image_size=16, views=VIEWS.views, depth=True),
-    ) as writer:
+    seen = replace(TASK, observation="pixels", image_size=16, views=VIEWS.views, depth=True)
+    with EpisodeWriter(room / "views.h5", seen) as writer:
         for episode in ALL[:9]:
-            writer.add(episode)
+            # from the side, beads a kilometre apart take minutes to draw
+            writer.add(replace(episode, points=np.clip(episode.points, -0.3, 0.3)))
+    merge_episodes([room / "views.h5"], room / "unseen.h5", store="none")
     return room
 
 
@@ -224,7 +224,7 @@ def test_symbols_load_stored_or_made_from_vertices(folder: Path, relabel: str | 
 @pytest.mark.parametrize("relabel", [None, "last"])
 def test_views_and_depth_load_stored_or_drawn(folder: Path, relabel: str | None) -> None:
     stored = arrays(folder / "views.h5", relabel=relabel)
-    drawn = arrays(folder / "both.h5", observation="pixels", picture=VIEWS, relabel=relabel)
+    drawn = arrays(folder / "unseen.h5", picture=VIEWS, relabel=relabel)
     for name in ("observations", "next_observations"):
         assert stored[name].dtype == np.uint8 and stored[name].shape[1:] == (48, 32, 4)
         assert np.array_equal(stored[name], drawn[name])
