@@ -587,6 +587,15 @@ def test_mujoco_shows_the_over_strand_too() -> None:
 
 
 @gl
+def test_both_renderers_draw_the_same_views() -> None:
+    config = PictureConfig(views=("top", "left", "front"))
+    opencv = draw_many(curves()[:8], config)
+    mujoco = draw_many(curves()[:8], dataclasses.replace(config, renderer="mujoco"))
+    mean, far, wrong, overlap = differences(opencv, mujoco)
+    assert mean < 4.0 and far < 0.01 and wrong < 0.002 and overlap > 0.95
+
+
+@gl
 def test_mujoco_draws_long_ropes() -> None:
     config = PictureConfig(renderer="mujoco")
     assert np.abs(draw(ring(600), config).astype(int) - draw(ring(600))).mean() < 1.0

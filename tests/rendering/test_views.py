@@ -20,7 +20,7 @@ from knotgym.rendering.picture import (
 from knotgym.rendering.picture_check import shown_strands
 from knotgym.topology.crossings import find_crossings
 
-from .test_picture import curves, gl
+from .test_picture import curves
 
 ALL = ("top", "left", "front")
 # view -> the world's directions that go right and up in the picture, and towards the camera
@@ -155,13 +155,3 @@ def test_views_that_cannot_be_had_are_refused_in_one_line(
     with pytest.raises(PictureError, match=message) as caught:
         PictureConfig(**wrong)
     assert "\n" not in str(caught.value)
-
-
-@gl
-def test_both_renderers_draw_the_same_views() -> None:
-    config = PictureConfig(views=ALL)
-    for points in curves()[:4]:
-        apart = np.abs(
-            draw(points, config).astype(int) - draw(points, replace(config, renderer="mujoco"))
-        )
-        assert apart.mean() < 4.0 and (apart.max(axis=-1) > 128).mean() < 0.01
