@@ -77,7 +77,7 @@ class BatchedVecEnv(VecEnv):
 
     def get_images(self) -> Sequence[NDArray[np.uint8]]:
         """One picture a rope, uint8 (size, 2 size, 3)."""
-        return [self.episodes.picture(i) for i in range(self.num_envs)]
+        return [self.episodes.rgb(i) for i in range(self.num_envs)]
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
         """An attribute of the ropes, the same for all."""

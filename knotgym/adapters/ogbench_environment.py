@@ -58,7 +58,7 @@ class OGBenchEnv(KnotEnv):
             wanted = {"start": chosen["start"], "goal": chosen["goal"], **wanted}
         seen, info = super().reset(seed=seed, options=wanted)
         if render_goal:
-            info["goal_rendered"] = halves(self.episodes.picture(0))[1]
+            info["goal_rendered"] = halves(self.episodes.rgb(0))[1]
         return _told(seen, info)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:

@@ -33,6 +33,10 @@ States = Annotated[
     typer.Option(help="readable (default) or random-walk, which ship, or a state file."),
 ]
 Observation = Annotated[str, typer.Option(help="pixels, state, both or symbolic.")]
+Views = Annotated[
+    str, typer.Option(help="Views in the picture, with commas: of top, left and front.")
+]
+Depth = Annotated[bool, typer.Option("--depth", help="Depth as a fourth channel of the picture.")]
 Horizon = Annotated[int, typer.Option(help="Steps until truncation.")]
 Hold = Annotated[int, typer.Option(help="Consecutive steps the goal code must show.")]
 TowLimit = Annotated[
@@ -65,6 +69,8 @@ def collect(
     states: States = None,
     observation: Observation = "both",
     image_size: Annotated[int, typer.Option(help="Pixels, each half of the picture.")] = 128,
+    views: Views = "top",
+    depth: Depth = False,
     horizon: Horizon = 50,
     hold: Hold = 1,
     tow_limit: TowLimit = None,
@@ -116,6 +122,8 @@ def collect(
             states=None if states is None else str(states),
             observation=observation,
             image_size=image_size,
+            views=_listed(views),
+            depth=depth,
             horizon=horizon,
             hold=hold,
             tow_limit=tow_limit,
@@ -150,6 +158,8 @@ def evaluate(
     observation: Annotated[
         str, typer.Option(help="What models and functions see: pixels, state, both or symbolic.")
     ] = "state",
+    views: Views = "top",
+    depth: Depth = False,
     horizon: Horizon = 50,
     hold: Hold = 1,
     tow_limit: TowLimit = None,
@@ -178,6 +188,8 @@ def evaluate(
         task="tie",
         states=None if states is None else str(states),
         observation=observation,
+        views=_listed(views),
+        depth=depth,
         horizon=horizon,
         hold=hold,
         tow_limit=tow_limit,
@@ -214,4 +226,8 @@ def policy_config(policy: str, noise: float, budget: int, shares: str) -> Policy
 
 
 def _words(text: str) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(word.strip() for word in text.split(",")))
+    return tuple(dict.fromkeys(_listed(text)))
+
+
+def _listed(text: str) -> tuple[str, ...]:
+    return tuple(word.strip() for word in text.split(","))

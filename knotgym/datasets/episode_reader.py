@@ -11,7 +11,7 @@
                         or none                                     `infos/points`, the same bytes
 
 Everything else can be made again from `start_qpos`, `goal_points` and `infos/points`, float64. Up
-to format version 2 the three stood in a group `rope`, which readers of Minari files stumble over.
+to format version 3 the three stood in a group `rope`, which readers of Minari files stumble over.
 
 `stored` is "pixels", "state", "both", "symbolic" or, in the compact form, "none".
 """
@@ -36,9 +36,10 @@ from knotgym.tasks import OBSERVATIONS, TaskConfig
 
 FORMAT = "knotgym-episodes"
 # 2: every episode's start and goal are of the task's split, and infos hold the goal's code
-# 3: nothing in an episode but what Minari knows; before, `rope/*` stood there
-FORMAT_VERSION = 3
-READ_VERSIONS = (1, 2, FORMAT_VERSION)
+# 3: pictures have the task's views and depth
+# 4: nothing in an episode but what Minari knows; before, `rope/*` stood there
+FORMAT_VERSION = 4
+READ_VERSIONS = (1, 2, 3, FORMAT_VERSION)
 STORED = (*OBSERVATIONS, "none")
 
 ONCE = ("start_qpos", "goal_points")  # arrays of a whole episode: attributes
@@ -178,8 +179,8 @@ class EpisodeReader:
                 file holds.
 
         Returns:
-            uint8 (n, size, 2 size, 3), float32 (n, 6 beads), a dict of both, or int16 (n, 2,
-            SYMBOLS); made from the vertices where the file holds none.
+            uint8 (n, views * size, 2 size, 3 or 4), float32 (n, 6 beads), a dict of both, or int16
+            (n, 2, SYMBOLS); made from the vertices where the file holds none.
         """
         wanted = observation or self.task.observation
         if wanted not in OBSERVATIONS:
@@ -265,7 +266,7 @@ def place(name: str) -> str:
 
 def _array(group: h5py.Group, name: str) -> NDArray[Any]:
     """An array of an episode, by `Episode`'s name for it."""
-    if f"rope/{name}" in group:  # up to format version 2
+    if f"rope/{name}" in group:  # up to format version 3
         return _read(group[f"rope/{name}"])
     return np.asarray(group.attrs[name]) if name in ONCE else _read(group[place(name)])
 

@@ -46,10 +46,11 @@ def to_lerobot(source: Any, out: str | os.PathLike[str]) -> None:
     task = reader.task
     if folder.exists():
         raise NothingToExport(f"{folder} is there already; choose another --out")
-    if not len(reader) or task.observation == "symbolic" or task.layout != "beside":
+    plain = task.layout == "beside" and not task.depth
+    if not len(reader) or task.observation == "symbolic" or not plain:
         raise NothingToExport(
-            "LeRobot's form takes episodes of pixels, state or both, in layout beside;"
-            f" {reader.path} has {len(reader)} of {task.observation} in layout {task.layout}"
+            "LeRobot's form takes episodes of pixels, state or both, in layout beside and without"
+            f" depth; {reader.path} has {len(reader)} of {task.observation} in layout {task.layout}"
         )
     looks = [name for name in _NAMES if task.observation in (name, "both")]
     with atomic_write(folder) as temporary:
@@ -67,7 +68,8 @@ class _Writer:
         self.sums: dict[str, _Sums] = {}
         self.files = 0
         beads, size = 100 * 6, reader.task.image_size
-        image = {"dtype": "image", "shape": [size, 2 * size, 3]}
+        height = len(reader.task.views) * size
+        image = {"dtype": "image", "shape": [height, 2 * size, 3]}
         shown = {
             "pixels": {**image, "names": ["height", "width", "channels"]},
             "state": _feature("float32", beads),

@@ -289,13 +289,14 @@ def run(
 
 
 def film(episode: Episode, task: TaskConfig) -> list[NDArray[np.uint8]]:
-    """The frames of an episode, its codes and the policy's reasons below: uint8 (height, width, 3)
-    each.
+    """The frames of an episode in all its views, its codes and the policy's reasons below: uint8
+    (height, width, 3) each.
     """
     from knotgym.rendering.observations import observe, picture_config
     from knotgym.rendering.video import captioned
 
-    frames = observe(episode.points, episode.goal_points, "pixels", picture_config(task))
+    picture = picture_config(replace(task, depth=False))
+    frames = observe(episode.points, episode.goal_points, "pixels", picture)
     steps, moves = len(episode), episode.move
     out = []
     for k, frame in enumerate(frames):
