@@ -493,7 +493,7 @@ def test_minari_iterates_what_was_written(
     for read, episode in zip(dataset.iterate_episodes(), episodes, strict=True):
         for name in ("actions", "rewards", "terminations", "truncations"):
             assert np.array_equal(getattr(read, name), getattr(episode, name))
-        assert sorted(read.infos) == sorted([*INFOS, "goal_gauss_code"])
+        assert sorted(read.infos) == sorted([*INFOS, "goal_gauss_code", "points"])
         goals = [text.decode() for text in read.infos["goal_gauss_code"]]
         assert goals == [episode.goal_gauss_code] * (len(episode) + 1)
         for name in INFOS:
