@@ -253,7 +253,7 @@ def test_the_environment_resets_from_the_states(curated: Path, states: States, s
 @pytest.mark.parametrize(
     ("name", "nx", "split"),
     [
-        ("knotgym/unknot-nx1/demonstrations-v0", 0, "train"),
+        ("knotgym/unknot-nx0/demonstrations-v0", 0, "train"),
         ("knotgym/tie-nx1/demonstrations-v0", 1, "train"),
         ("knotgym/tie-nx1/demonstrations-test-v0", 1, "test"),
     ],
@@ -280,7 +280,7 @@ def test_minari_loads_the_trajectories_of_one_split(
 
 
 @pytest.mark.parametrize(
-    "name", ["knotgym/unknot-nx1/demonstrations-test-v0", "knotgym/tie-nx1/demonstrations-v0"]
+    "name", ["knotgym/unknot-nx0/demonstrations-test-v0", "knotgym/tie-nx1/demonstrations-v0"]
 )
 def test_minari_does_with_the_trajectories_all_that_it_does(
     curated: Path, monkeypatch: pytest.MonkeyPatch, name: str

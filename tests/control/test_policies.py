@@ -176,7 +176,7 @@ def test_a_registered_policy_is_made_by_its_name(
     assert config.short == "restless" and policy_names()[-1] == "restless"
     expected = act_once(PolicyConfig(policy="random"), states_path, 0)
     assert np.array_equal(act_once(config, states_path, 0), expected)
-    with pytest.raises(InvalidPolicy, match="mixed, restless, module:function"):
+    with pytest.raises(InvalidPolicy, match="mixed, restless, module:name"):
         PolicyConfig(policy="genius")
 
 

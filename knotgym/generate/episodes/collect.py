@@ -15,8 +15,6 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rich.console import Console
-
 from knotgym.atomic_files import atomic_write, sha256
 from knotgym.configuration import as_json
 from knotgym.control.policies import PolicyConfig, make_policy
@@ -27,11 +25,12 @@ from knotgym.datasets.states import minari_root, ships, states_file
 from knotgym.errors import KnotgymError
 from knotgym.rope import RopeConfig
 from knotgym.runs.engine import Batch, run
-from knotgym.runs.progress import Status
+from knotgym.runs.progress import Progress, Status, tell_if_long
 from knotgym.runs.run_options import RunOptions
 from knotgym.tasks import TaskConfig
 
 REPORT = "collection.json"
+SECONDS_TO_PLAN, SECONDS_TO_PLAY = 3.0, 0.5  # of a core, an episode of nx 2 and 50 steps
 _REFERENCES = Path(__file__).parent / "data" / "references.json"
 
 
@@ -131,7 +130,7 @@ def collect(
     out: Path | None,
     options: RunOptions,
     *,
-    console: Console | None = None,
+    progress: Progress | None = None,
 ) -> Path:
     """Make the dataset and return its folder.
 
@@ -140,7 +139,7 @@ def collect(
         out: the root under which Minari would find the id; None for Minari's own.
         options: how it is done. The episodes of a shard go to a folder NAME-shard-2-of-8 with
             main_data.hdf5 and collection.json; Minari doesn't list it.
-        console: to show progress on.
+        progress: to show it on.
 
     Raises:
         Occupied, InvalidRun: as of `runs.engine.run`.
@@ -148,7 +147,11 @@ def collect(
     """
     root = Path(out) if out is not None else minari_root()
     folder = options.shard.folder(root / config.dataset_id)
-    return run(EpisodeRecipe(config, options), folder, options, console)
+    recipe = EpisodeRecipe(config, options)
+    if progress is not None:
+        each = SECONDS_TO_PLAN if "expert" in config.policy.policy else SECONDS_TO_PLAY
+        tell_if_long(progress, each * len(recipe.numbers), options.workers)
+    return run(recipe, folder, options, progress)
 
 
 class EpisodeRecipe:
@@ -200,11 +203,12 @@ class EpisodeRecipe:
         def absorb(file: _EpisodeFile, tally: Tally) -> None:
             self.tally += tally
 
-        yield Batch(play, [file for file in self.files if finished[file.path] is None], absorb)
+        left = [file for file in self.files if finished[file.path] is None]
+        yield Batch(play, left, absorb, "playing files of a few episodes")
 
     def status(self) -> Status:
         facts = {"reached the goal": f"{self.tally.succeeded}"}
-        return Status(self.tally.played, len(self.numbers), "episodes", facts)
+        return Status(self.tally.played, len(self.numbers), "episodes", facts, even=True)
 
     def finish(self, folder: Path, request: dict[str, Any]) -> Path:
         paths = [file.path for file in self.files]
