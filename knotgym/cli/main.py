@@ -97,19 +97,19 @@ _OURS = (
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run `knotgym`; exits with 0 only when everything asked for was done."""
-    _run(app, arguments)
+    _run(app, "knotgym", arguments)
 
 
 def main_generate(arguments: Sequence[str] | None = None) -> None:
     """Run `knotgym-generate`, the same as `knotgym generate`."""
-    _run(generate_app, arguments)
+    _run(generate_app, "knotgym-generate", arguments)
 
 
-def _run(command: typer.Typer, arguments: Sequence[str] | None) -> None:
+def _run(command: typer.Typer, name: str, arguments: Sequence[str] | None) -> None:
     for number in _SIGNALS:
         signal.signal(number, _interrupt)
     try:
-        result = command(args=arguments, standalone_mode=False)
+        result = command(args=arguments, prog_name=name, standalone_mode=False)
         status = result if isinstance(result, int) else 0
         if status == _INTERRUPTED:  # what typer makes of a KeyboardInterrupt
             _say(_STOPPED, status)

@@ -110,7 +110,7 @@ def collect(
         knotgym collect --task unknot --nx 2-4 --policy mine:act --observation state
     """
     with Progress(quiet) as progress:
-        from knotgym.generate.episodes.collect import CollectConfig
+        from knotgym.generate.episodes.collect import CollectConfig, distinct_id
         from knotgym.generate.episodes.collect import collect as run
         from knotgym.tasks import TaskConfig
 
@@ -120,31 +120,36 @@ def collect(
                 f"--id names one dataset, and --nx {nx} makes {len(numbers(crossings))}: leave out"
                 " --id, or give one nx"
             )
+        acting = policy_config(policy, noise, budget, shares)
+        tasks = [
+            TaskConfig(
+                task=task,
+                nx=one,
+                split=split,
+                states=None if states is None else str(states),
+                observation=observation,
+                image_size=image_size,
+                horizon=horizon,
+                hold=hold,
+                tow_limit=tow_limit,
+                reset_noise=reset_noise,
+                integrator_steps=integrator_steps,
+            )
+            for one in numbers(crossings)
+        ]
         configs = [
             CollectConfig(
-                task=TaskConfig(
-                    task=task,
-                    nx=one,
-                    split=split,
-                    states=None if states is None else str(states),
-                    observation=observation,
-                    image_size=image_size,
-                    horizon=horizon,
-                    hold=hold,
-                    tow_limit=tow_limit,
-                    reset_noise=reset_noise,
-                    integrator_steps=integrator_steps,
-                ),
-                policy=policy_config(policy, noise, budget, shares),
+                task=one,
+                policy=acting,
                 episodes=episodes,
                 seed=seed,
                 keep_failed=keep_failed,
-                dataset_id=dataset_id,
+                dataset_id=dataset_id or distinct_id(one, acting, seed),
                 author=tuple(author or ()),
                 author_email=tuple(author_email or ()),
                 code_permalink=code_permalink,
             )
-            for one in numbers(crossings)
+            for one in tasks
         ]
         for config in configs:
             run(with_settings(config, settings), out, options, progress=progress)

@@ -36,17 +36,19 @@ def checked(
     Raises:
         InvalidPolicy: not six finite numbers in [-1, 1] for each of the episodes `ids`.
     """
+    wanted = f"policy {name} must give 6 finite numbers in [-1, 1] for an episode"
     try:
-        array = np.array([np.asarray(action, dtype=np.float32).reshape(-1) for action in actions])
+        rows = [np.asarray(action, dtype=np.float32).reshape(-1) for action in actions]
+    except (TypeError, ValueError) as error:
+        raise InvalidPolicy(f"{wanted}: {one_line(error)}") from error
+    for row in rows:
+        if len(row) != 6:
+            raise InvalidPolicy(f"{wanted}, got {row.tolist()[:8]}")
+    array = np.stack(rows)
+    try:
         episodes.simulation.read_actions(array, ids)
-    except (InvalidAction, TypeError, ValueError) as error:
-        given = " ".join(str(actions[0]).split())[:80] if actions else "none"
-        raise InvalidPolicy(
-            f"policy {name} must give 6 finite numbers in [-1, 1] for an episode, got {given}"
-            if not isinstance(error, InvalidAction)
-            else f"policy {name} must give 6 finite numbers in [-1, 1] for an episode:"
-            f" {one_line(error)}"
-        ) from error
+    except InvalidAction as error:
+        raise InvalidPolicy(f"{wanted}: {one_line(error)}") from error
     return Choice(np.clip(array, -1, 1), [""] * len(actions))
 
 

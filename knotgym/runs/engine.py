@@ -135,9 +135,7 @@ def run(recipe: Recipe, out: Path, options: RunOptions, progress: Progress | Non
                     " gone on from it"
                 )
     elif options.resume:
-        progress.say(
-            f"{out}: no run was interrupted here, so there is nothing to resume; it begins"
-        )
+        progress.say(f"{out}: there is nothing to resume here, so the run begins")
     compile_first(progress)
     if not (options.resume and recipe.load(staging_folder(out))):
         recipe.begin()

@@ -54,6 +54,11 @@ class Progress:
         console: Console | None = None,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
+        self._clock, self._began = clock, clock()
+        self._told: float | None = None
+        self._first: Status | None = None
+        self._status: Status | None = None
+        self._stage, self._count = "starting", ""
         self.console = console or Console()
         shown = self.console
         if not shown.is_terminal and console is None and sys.stderr.isatty():
@@ -69,12 +74,7 @@ class Progress:
             if live
             else None
         )
-        self._lines, self._quiet, self._clock = lines and not quiet and not live, quiet, clock
-        self._began = clock()
-        self._told: float | None = None
-        self._first: Status | None = None
-        self._status: Status | None = None
-        self._stage, self._count = "starting", ""
+        self._lines, self._quiet = lines and not quiet and not live, quiet
 
     def __enter__(self) -> Progress:
         if self._live:

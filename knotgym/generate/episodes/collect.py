@@ -9,6 +9,7 @@ outlive a kill.
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from knotgym.atomic_files import atomic_write, sha256
-from knotgym.configuration import as_json
+from knotgym.configuration import as_json, differences
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import rollout
 from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
@@ -72,9 +73,7 @@ class CollectConfig:
         if self.seed < 0:
             raise InvalidCollection(f"seed must be at least 0, got {self.seed}")
         if not self.dataset_id:
-            name = self.policy.short + ("" if self.task.split == "train" else f"-{self.task.split}")
-            made = f"knotgym/{self.task.task}-nx{self.task.nx}/{name}-v0"
-            object.__setattr__(self, "dataset_id", made)
+            object.__setattr__(self, "dataset_id", plain_id(self.task, self.policy))
 
     @property
     def stored_task(self) -> TaskConfig:
@@ -84,6 +83,34 @@ class CollectConfig:
         if ships(self.task.states):
             return self.task
         return replace(self.task, states=self.dataset_id)
+
+
+def plain_id(task: TaskConfig, policy: PolicyConfig, *marks: str) -> str:
+    """The id of a dataset by its task and policy, and by marks of what else is its own."""
+    split = "" if task.split == "train" else task.split
+    name = "-".join([policy.short, *filter(None, (split, *marks))])
+    return f"knotgym/{task.task}-nx{task.nx}/{name}-v0"
+
+
+def distinct_id(task: TaskConfig, policy: PolicyConfig, seed: int) -> str:
+    """As `plain_id`, with marks for whatever isn't as in a plain collection: a set of states by its
+    name or, of a file, by its content; the seed; the rules by a digest.
+    """
+    states = ""
+    if task.states not in (None, "readable"):
+        file = states_file(task.states)
+        states = str(task.states) if ships(task.states) else ""
+        if file.is_file() and not states:
+            states = f"states{sha256(file)[:8]}"
+    plain = TaskConfig(task=task.task, nx=task.nx, split=task.split, states=task.states)
+    plain = replace(plain, observation=task.observation, image_size=task.image_size)
+    rules = list(differences(as_json(plain), as_json(task)))
+    if policy.policy in ("noisy-expert", "mixed", "expert"):
+        usual = PolicyConfig(policy=policy.policy)
+        rules += differences(as_json(usual), as_json(policy))
+    told = "; ".join(rules).encode()
+    digest = f"rules{hashlib.sha256(told).hexdigest()[:8]}" if rules else ""
+    return plain_id(task, policy, states, f"seed{seed}" if seed else "", digest)
 
 
 class _EpisodeFile(NamedTuple):

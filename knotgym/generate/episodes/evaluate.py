@@ -220,8 +220,8 @@ def show(results: Sequence[Result], console: Console) -> None:
     for one in results:
         if one.planned_actions:
             console.print(
-                f"{one.policy}, {one.task} nx {one.nx}, {one.split}: {one.planned_actions:.0f}"
-                f" actions simulated to plan an episode, in {one.planning_seconds:.2f} s",
+                f"{one.policy}, {one.task} nx {one.nx}, {one.split}: planned with"
+                f" {one.planned_actions:.0f} actions, {one.planning_seconds:.2f} s an episode",
                 highlight=False,
             )
     for task, nx in dict.fromkeys(
