@@ -26,7 +26,7 @@ FRAMES_PER_SECOND = 5  # an action lasts 0.192 s
 _TEXT = 18  # pixels a line of caption
 _FONT, _LETTERS, _WHITE = cv2.FONT_HERSHEY_SIMPLEX, 0.45, (225, 225, 225)
 _WIDTH = 384  # pixels of each half
-_PULL, _ARROW = (255, 60, 60), 70.0  # RGB, and pixels that stand for the largest force
+_PULL, _ARROW = (255, 255, 255), 70.0  # RGB, and pixels that stand for the largest force
 # ending -> encoder and its options
 _CODECS: dict[str, tuple[str, dict[str, str]]] = {
     ".mp4": ("libx264", {"crf": "18"}),

@@ -13,6 +13,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
+from rich.text import Text
 
 _LIVE_EVERY, _LINE_EVERY = 0.5, 10.0  # seconds between two looks
 _LONG = 3600.0  # seconds: a run that would take longer says so before it begins
@@ -121,11 +122,9 @@ class Progress:
 
     def _table(self) -> Table:
         table = Table.grid(padding=(0, 2))
-        table.add_row(
-            f"[bold]{self._stage}", f"{self._count} {self._clock() - self._began:.0f} s".strip()
-        )
-        for name, value in self._facts().items():
-            table.add_row(f"[bold]{name}", value)
+        since = f"{self._count} {self._clock() - self._began:.0f} s".strip()
+        for name, value in {self._stage: since, **self._facts()}.items():
+            table.add_row(Text(name, "bold"), Text(value))
         return table
 
 
