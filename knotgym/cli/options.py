@@ -191,6 +191,15 @@ def default_folder(name: str, *marks: str) -> Path:
     return Path("knotgym-data") / "-".join([name.replace(" ", ""), *filter(None, marks)])
 
 
+def made_from(source: Path | None) -> str:
+    """A mark for a run that sets out from a file of another run's folder.
+
+    >>> made_from(Path("knotgym-data/nx3/archive.h5"))
+    'from-nx3'
+    """
+    return "" if source is None else f"from-{source.absolute().parent.name}"
+
+
 def with_settings(config: Config, path: Path | None) -> Config:
     """A configuration changed by a --settings file.
 

@@ -18,6 +18,7 @@ from knotgym.cli.options import (
     ShardOption,
     WorkersOption,
     default_folder,
+    made_from,
     numbers,
     option,
     run_options,
@@ -149,6 +150,7 @@ def generate(
             f"every{every_code}" if every_code else "",
             "" if balance == "even" else balance,
             "" if split_by == "state" else f"by-{split_by}",
+            made_from(archive),
             f"seed{seed}" if seed else "",
         )
         if source == "random-walk":
@@ -266,6 +268,7 @@ def images(
         )
         folder = out or default_folder(
             f"images-nx{nx}",
+            made_from(archive or states),
             "varied" if varied else "",
             "" if size == "128" else f"{size}px",
             f"seed{seed}" if seed else "",

@@ -83,6 +83,13 @@ class PolicyConfig:
             )
 
     @property
+    def core_seconds(self) -> float:
+        """What an episode of 50 steps costs, roughly, on one core of the machine of README's table:
+        those that plan take longer.
+        """
+        return 3.0 if "expert" in self.policy or self.policy == "mixed" else 0.5
+
+    @property
     def short(self) -> str:
         """A name for datasets, letters, digits and dashes."""
         if self.policy in _constructors:

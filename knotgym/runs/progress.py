@@ -155,7 +155,7 @@ def tell_if_long(progress: Progress, core_seconds: float, workers: int) -> None:
     if core_seconds / count > _LONG:
         progress.say(
             f"this would take about {duration(core_seconds / count)} with {count} workers; Ctrl-C"
-            " stops it, --resume goes on, --shard shares it out"
+            " stops it"
         )
 
 

@@ -9,12 +9,12 @@ import json
 import os
 import pty
 import re
-import shutil
 import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +28,10 @@ from knotgym.cli.summaries import _in_words
 from knotgym.control.policies import PolicyConfig
 from knotgym.generate.episodes.collect import distinct_id
 from knotgym.generate.episodes.evaluate import Result, show
-from knotgym.runs.engine import Batch
+from knotgym.runs.engine import CHECKPOINT, Batch, run
 from knotgym.runs.executors import InProcess
 from knotgym.runs.progress import Progress, Status, duration, tell_if_long
+from knotgym.runs.run_options import RunOptions
 from knotgym.runs.staging import staging_folder
 from knotgym.tasks import TaskConfig
 
@@ -213,20 +214,48 @@ def test_a_place_that_cannot_be_written_is_refused_at_once(
     assert "can't be written" in line and [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
+class Empty:
+    """A recipe of nothing."""
+
+    flexible: tuple[str, ...] = ()
+
+    def request(self) -> dict[str, Any]:
+        return {"config": {}, "source": None}
+
+    def begin(self) -> None: ...
+
+    def save(self, folder: Path) -> None: ...
+
+    def load(self, folder: Path) -> bool:
+        return False
+
+    def batches(self, folder: Path) -> Iterator[Batch]:
+        yield CHECKPOINT
+
+    def status(self) -> Status:
+        return Status(0, 0, "things")
+
+    def finish(self, folder: Path, request: dict[str, Any]) -> Path:
+        folder.mkdir()
+        (folder / "manifest.json").write_text(json.dumps(request))
+        return folder
+
+    def summary(self) -> str:
+        return "nothing"
+
+
 def test_resume_on_nothing_and_a_run_over_what_is_left_say_so(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    words = ("--nx", 0, "--count", 1, "--workers", 1, "--out", tmp_path / "a")
-    assert knotgym("generate", *words, "--resume") == 0
+    out, options = tmp_path / "a", RunOptions(workers=1)
+    run(Empty(), out, replace(options, resume=True))
     assert "there is nothing to resume here, so the run begins" in capfd.readouterr().out
-    left = staging_folder(tmp_path / "a")
-    left.mkdir()
-    manifest = json.loads((tmp_path / "a" / "manifest.json").read_text())
-    (left / "request.json").write_text(json.dumps(manifest))
-    shutil.rmtree(tmp_path / "a")
-    assert knotgym("generate", *words) == 0
+    staging_folder(out).mkdir()
+    out.joinpath("manifest.json").rename(staging_folder(out) / "request.json")
+    out.rmdir()
+    run(Empty(), out, options)
     assert "what an interrupted run left goes" in capfd.readouterr().out
-    assert [path.name for path in tmp_path.iterdir()] == ["a"]  # and nothing hidden
+    assert list(tmp_path.iterdir()) == [out]  # and nothing hidden
 
 
 # Names.
@@ -375,7 +404,6 @@ def test_numbers_and_dicts_are_told_in_words() -> None:
     ("name", "told"),
     [
         ("", "8 labels, 8 demonstrations, "),
-        ("minari", "8 episodes, "),
         (WAYS, "2 episodes, "),
         ("states.h5", "8 labels: no faults"),
     ],

@@ -299,13 +299,6 @@ def test_the_recovered_environment_resets_from_the_states_of_the_job(
         assert np.array_equal(env.unwrapped.episodes.goal_points(0), states.points[row])
 
 
-def test_verify_finds_no_fault(curated: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert (
-        knotgym("dataset", "verify", curated) == 0
-        and capfd.readouterr().out.splitlines()[-1] == "no faults"
-    )
-
-
 @pytest.fixture(scope="module")
 def coded(curated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder made from another's archive, its splits without a code in common."""

@@ -31,7 +31,6 @@ from knotgym.runs.run_options import RunOptions
 from knotgym.tasks import TaskConfig
 
 REPORT = "collection.json"
-SECONDS_TO_PLAN, SECONDS_TO_PLAY = 3.0, 0.5  # of a core, an episode of nx 2 and 50 steps
 _REFERENCES = Path(__file__).parent / "data" / "references.json"
 
 
@@ -176,8 +175,8 @@ def collect(
     folder = options.shard.folder(root / config.dataset_id)
     recipe = EpisodeRecipe(config, options)
     if progress is not None:
-        each = SECONDS_TO_PLAN if "expert" in config.policy.policy else SECONDS_TO_PLAY
-        tell_if_long(progress, each * len(recipe.numbers), options.workers)
+        spent = config.policy.core_seconds * len(recipe.numbers)
+        tell_if_long(progress, spent, options.workers)
     return run(recipe, folder, options, progress)
 
 

@@ -27,7 +27,7 @@ from knotgym.episode_batch import OWN, SHIPPED, state_origins
 from knotgym.errors import KnotgymError
 from knotgym.runs.executors import executor
 from knotgym.runs.pools import Pool
-from knotgym.runs.progress import Progress, compile_first
+from knotgym.runs.progress import Progress, compile_first, tell_if_long
 from knotgym.runs.tables import narrow_table
 from knotgym.tasks import TaskConfig
 
@@ -281,6 +281,8 @@ def run(
     for _, task in config.setups():
         state_origins(task)  # so does this
     if progress is not None:
+        spent = sum(policy.core_seconds for policy, _ in config.setups()) * config.episodes
+        tell_if_long(progress, spent, workers)
         compile_first(progress)
     with executor(workers) as pool:
         results, films = evaluate(config, pool, progress)
