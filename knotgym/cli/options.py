@@ -43,6 +43,17 @@ ObservationOption = Annotated[
 ImageSizeOption = Annotated[
     int, option("--image-size", help="Pixels, each half of the picture.", group=ENVIRONMENT)
 ]
+ViewsOption = Annotated[
+    str,
+    option(
+        "--views",
+        help="Views in the picture, with commas: of top, left and front.",
+        group=ENVIRONMENT,
+    ),
+]
+DepthOption = Annotated[
+    bool, option("--depth", help="Depth as a fourth channel of the picture.", group=ENVIRONMENT)
+]
 HorizonOption = Annotated[
     int, option("--horizon", help="Steps until truncation.", group=ENVIRONMENT)
 ]
@@ -164,9 +175,14 @@ def numbers(text: str) -> tuple[int, ...]:
     return tuple(dict.fromkeys(out))
 
 
+def listed(text: str) -> tuple[str, ...]:
+    """Read "top,left"."""
+    return tuple(word.strip() for word in text.split(","))
+
+
 def words(text: str) -> tuple[str, ...]:
-    """Read "tie,unknot"."""
-    return tuple(dict.fromkeys(word.strip() for word in text.split(",")))
+    """Read "tie,unknot", each once."""
+    return tuple(dict.fromkeys(listed(text)))
 
 
 def run_options(

@@ -6,7 +6,7 @@ Every loader takes a dataset as a Minari id, a folder, an episode file (compact 
     observation     "pixels", "state", "both" or "symbolic"; None for what the dataset's environment
                     shows
     picture         a `knotgym.rendering.picture.PictureConfig`, to draw pictures of another size,
-                    camera or colours
+                    camera or colours, from other views, with depth or without
     relabel         "last" or "all": hindsight, the code reached becomes the goal (see
                     `Transitions`)
 

@@ -65,7 +65,8 @@ def film_frame(
     Args:
         points, goal: float64 (beads, 3), metres.
         heading: the first line below.
-        pull: a bead, and the force on it in units of the largest there is, (3,).
+        pull: a bead, and the force on it in units of the largest there is, (3,); drawn where the
+            first view is from the top.
         picture: how both are drawn.
 
     Returns:
@@ -77,7 +78,7 @@ def film_frame(
     frame = captioned(halves, [heading, f"now   {codes[0]}", f"goal  {codes[1]}"], scale)
     for column, name in ((0, "now"), (picture.size * scale, "goal")):
         cv2.putText(frame, name, (column + 6, _TEXT), _FONT, _LETTERS, _WHITE, 1, cv2.LINE_AA)
-    if pull is not None:
+    if pull is not None and picture.views[0] == "top":
         bead, force = pull
         start = scale * project(points[bead : bead + 1], picture, center=points.mean(axis=0))[0]
         end = start + _ARROW * np.array([force[0], -force[1]])  # image up is world +y

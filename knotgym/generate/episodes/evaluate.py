@@ -305,13 +305,13 @@ def run(
 
 
 def film(episode: Episode, task: TaskConfig) -> list[NDArray[np.uint8]]:
-    """The frames of an episode, with each pull, why it was chosen, and both codes: uint8 (height,
-    width, 3) each.
+    """The frames of an episode in all its views, with each pull, why it was chosen, and both codes:
+    uint8 (height, width, 3) each.
     """
     from knotgym.rendering.observations import picture_config
     from knotgym.rendering.video import film_frame
 
-    steps, moves, picture = len(episode), episode.move, picture_config(task)
+    steps, moves, picture = len(episode), episode.move, picture_config(replace(task, depth=False))
     frames = []
     for k, points in enumerate(episode.points):
         move = "" if moves is None else str(moves[k])
