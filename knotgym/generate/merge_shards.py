@@ -187,7 +187,13 @@ def _states(ordered: Sequence[ShardFolder], folder: Path) -> Path:
             for dataset, rows in groupby(mine, datasets.__getitem__)
         ]
         state_folder.publish_demonstrations(
-            nx, name, sources, len(mine), folder / "minari", folder / "states.h5"
+            nx,
+            name,
+            str(merged.knot[0]),
+            sources,
+            len(mine),
+            folder / "minari",
+            folder / "states.h5",
         )
     archives = [Archive.load(shard.folder / "archive.h5") for shard in ordered]
     search = from_json(SearchSettings, config["search"])
@@ -209,7 +215,10 @@ def _renumbered(states: States, config: dict[str, Any]) -> States:
     return replace(
         states,
         split=splits,
-        source={**states.source, **state_folder.demonstrations_of(states.nx, splits)},
+        source={
+            **states.source,
+            **state_folder.demonstrations_of(states.nx, splits, str(states.knot[0])),
+        },
         attributes={**states.attributes, "config": json.dumps(config, sort_keys=True)},
     )
 

@@ -16,6 +16,11 @@ when they are first used.
 
 from typing import TYPE_CHECKING
 
+if __name__ == "loaders":
+    raise ImportError(
+        "this is the link `loaders` at the top of a checkout of knotgym: import knotgym.loaders"
+    )
+
 if TYPE_CHECKING:
     from knotgym.errors import MissingExtra
     from knotgym.loaders.converters import to_d3rlpy, to_tensordict, torch_dataset

@@ -42,6 +42,8 @@ COLLECT = (
     10,
     "--episodes",
     16,
+    "--id",
+    "knotgym/unknot-nx1/random-v0",
 )
 IMAGES = ("images", "--nx", "0,1", "--count", 12)
 COMMANDS = [

@@ -97,6 +97,8 @@ COLLECT = (
     4,
     "--episodes",
     7,
+    "--id",
+    "knotgym/unknot-nx1/random-v0",
 )
 
 
