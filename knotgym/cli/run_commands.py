@@ -39,7 +39,8 @@ def generate(
         typer.Option(
             help=(
                 '"play": searched and opened up, with the trajectories; "random-walk": saved from'
-                " uniform random actions, only over-twisted states left out."
+                " uniform random actions, only over-twisted states left out;"
+                ' "drawing": drawn from the codes themselves, quick at any nx, no trajectories.'
             )
         ),
     ] = "play",
@@ -91,6 +92,8 @@ def generate(
     """Make states, split into train and test: curated, with the trajectories that reach them, or as
     random play meets them.
     """
+    from knotgym.generate.states.drawn_states import DrawnStatesConfig
+    from knotgym.generate.states.drawn_states_recipe import draw_state_set
     from knotgym.generate.states.generate_config import GenerateConfig
     from knotgym.generate.states.random_walk import RandomWalkConfig
     from knotgym.generate.states.random_walk_recipe import walk_states
@@ -98,8 +101,27 @@ def generate(
 
     options = run_options(engine, scheduler, workers, shard, resume, quiet)
     folder = out or Path("knotgym-data") / f"nx{nx.replace(' ', '')}"
-    if source not in ("play", "random-walk"):
-        raise typer.BadParameter(f"--source takes play or random-walk, got {source!r}")
+    if source not in ("play", "random-walk", "drawing"):
+        raise typer.BadParameter(f"--source takes play, random-walk or drawing, got {source!r}")
+    if source == "drawing":
+        for option, given in {
+            "--balance": balance != "even",
+            "--archive": archive is not None,
+        }.items():
+            if given:
+                raise typer.BadParameter(f"{option} goes with --source play, not with drawing")
+        drawings = DrawnStatesConfig(
+            nx=numbers(nx),
+            count=count,
+            every_code=every_code,
+            split_by=split_by,
+            knot=knot,
+            seed=seed,
+            attempts=attempts,
+            cycles=cycles,
+        )
+        draw_state_set(with_settings(drawings, settings), folder, options)
+        return
     if source == "random-walk":
         for option, given in {
             "--every-code": every_code != 0,
