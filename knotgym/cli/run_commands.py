@@ -17,6 +17,7 @@ from knotgym.cli.options import (
     SettingsOption,
     ShardOption,
     WorkersOption,
+    code_list,
     numbers,
     run_options,
     with_settings,
@@ -62,6 +63,15 @@ def generate(
             help="0_1, 3_1, 4_1, 5_1, or a file with a closed curve, three numbers a line or .npy."
         ),
     ] = "0_1",
+    codes: Annotated[
+        Path | None,
+        typer.Option(
+            help=(
+                "With --source drawing: a file of Gauss codes, one a line, that are drawn instead"
+                " of those of --nx; --every-code says how often, 1 if not given."
+            )
+        ),
+    ] = None,
     archive: Annotated[
         Path | None, typer.Option(help="Go on from the archive of another run (its archive.h5).")
     ] = None,
@@ -110,10 +120,12 @@ def generate(
         }.items():
             if given:
                 raise typer.BadParameter(f"{option} goes with --source play, not with drawing")
+        listed = code_list(codes)
         drawings = DrawnStatesConfig(
-            nx=numbers(nx),
+            nx=tuple(dict.fromkeys(code.nx for code in listed)) or numbers(nx),
+            codes=tuple(str(code) if code.chirality is None else code.chiral for code in listed),
             count=count,
-            every_code=every_code,
+            every_code=every_code or int(bool(listed)),
             split_by=split_by,
             knot=knot,
             seed=seed,
@@ -122,6 +134,8 @@ def generate(
         )
         draw_state_set(with_settings(drawings, settings), folder, options)
         return
+    if codes is not None:
+        raise typer.BadParameter(f"--codes goes with --source drawing, not with {source}")
     if source == "random-walk":
         for option, given in {
             "--every-code": every_code != 0,

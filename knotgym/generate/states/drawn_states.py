@@ -25,8 +25,9 @@ from knotgym.simulation_pool import simulation_of
 from knotgym.streams import Stream, generator_of, key
 from knotgym.tasks import MAX_NX
 from knotgym.topology.crossings import find_crossings, label
-from knotgym.topology.diagrams import chiralities
+from knotgym.topology.diagrams import NotPlanar, chiralities, is_planar
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.knots import UNKNOT, is_unknot, knot_type
 from knotgym.topology.reference_labeller import pyknotid_code
 
 ONE = np.array([0])
@@ -38,6 +39,8 @@ class DrawnStatesConfig:
 
     Attributes:
         nx: crossing numbers.
+        codes: instead of all there are, as text, with chirality or without; all of `knot`, and
+            `nx` is what they have.
         count: states for each of them, as many distinct codes among them as there are.
         every_code: instead of count, so many states of every code; 0 for count.
         split_by: "state", or "code" for splits that share no code.
@@ -57,6 +60,7 @@ class DrawnStatesConfig:
     """
 
     nx: tuple[int, ...] = (3,)
+    codes: tuple[str, ...] = ()
     count: int = 40
     every_code: int = 0
     split_by: str = "state"
@@ -92,10 +96,26 @@ class DrawnStatesConfig:
                 f"nx takes different numbers of crossings from 0 to {MAX_NX}, got"
                 f" {', '.join(map(str, self.nx)) or 'none'}"
             )
+        for code in self.parsed:
+            if not is_planar(code):
+                raise NotPlanar(code)
+            if code.nx not in self.nx:
+                raise InvalidGenerateConfig(
+                    f"nx must name the crossings of all codes, got {self.nx} and {str(code)!r}"
+                )
+            if not (is_unknot(code) if self.knot == UNKNOT else knot_type(code) == self.knot):
+                raise InvalidGenerateConfig(
+                    f"the code {str(code)!r} shows the knot {knot_type(code)}, not {self.knot}"
+                )
         if self.split_by not in ("state", "code"):
             raise InvalidGenerateConfig(
                 f'split_by must be "state" or "code", got {self.split_by!r}'
             )
+
+    @property
+    def parsed(self) -> list[GaussCode]:
+        """The codes asked for by name."""
+        return [GaussCode.parse(text) for text in self.codes]
 
 
 class DrawnUnit(NamedTuple):
@@ -103,7 +123,7 @@ class DrawnUnit(NamedTuple):
 
     Attributes:
         config: how.
-        code: without chirality.
+        code: with chirality, or without for any.
         which: of the code among those of its nx.
         first: number of the first drawing.
         drawings: to be made at most.
@@ -160,7 +180,8 @@ def key_of(config: DrawnStatesConfig, nx: int, index: int, number: int) -> tuple
 def draw_states(unit: DrawnUnit) -> DrawnOnes:
     """Draw a unit's code until it is wanted no more; the same unit gives the same bytes."""
     simulation = simulation_of(1, RopeConfig())
-    letters, made = chiralities(unit.code), DrawnOnes()
+    own, made = unit.code.chirality, DrawnOnes()
+    letters = chiralities(unit.code) if own is None else (own,)
     for number in range(unit.first, unit.first + unit.drawings):
         made.drawings += 1
         # every chirality in turn, not all codes beginning with the same

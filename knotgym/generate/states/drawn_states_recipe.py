@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
@@ -47,10 +47,9 @@ from knotgym.runs.run_options import NotEnough, RunOptions
 from knotgym.runs.shards import Shard
 from knotgym.streams import Stream, generator
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import UNKNOT, codes_of, is_unknot, knot_type
+from knotgym.topology.knots import LISTED_NX, UNKNOT, codes_of, is_unknot, knot_type
 from knotgym.topology.uniform_codes import uniform_code
 
-LISTED_NX = 6  # to which all codes are listed; with more crossings they are drawn at random
 _RARE = 20_000  # codes drawn at random, one of which should be of the knot
 _RUN = "drawn.json"
 
@@ -183,8 +182,8 @@ class DrawnStatesRecipe:
             "source": DRAWING,
             "knot": self.config.knot,
             "existing_codes": {
-                str(nx): len(codes_of(self.config.knot, nx)) if nx <= LISTED_NX else None
-                for nx in self.config.nx
+                str(nx): None if codes.listed is None else len(codes.listed)
+                for nx, codes in self.codes.items()
             },
             "attempts": self.tried.total(),
             "actions": 0,
@@ -294,7 +293,11 @@ class CodeOrder:
 
     def __init__(self, config: DrawnStatesConfig, shard: Shard, nx: int) -> None:
         self._config, self._shard, self._nx = config, shard, nx
-        self.listed = codes_of(config.knot, nx) if nx <= LISTED_NX else None
+        self.listed: Sequence[GaussCode] | None = None
+        if config.codes:
+            self.listed = [code for code in config.parsed if code.nx == nx]
+        elif nx <= LISTED_NX:
+            self.listed = codes_of(config.knot, nx)
         if self.listed is None:
             if config.every_code:
                 raise InvalidGenerateConfig(
