@@ -53,7 +53,7 @@ class DrawingConfig:
     """
 
     uneven: float = 0.25
-    outer: float = 2.0
+    outer: float = 3.0
     height: float = 0.014
     base: float = 0.03
     easing: EasingConfig = EasingConfig()

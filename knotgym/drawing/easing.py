@@ -35,7 +35,7 @@ class EasingConfig:
         power: of a face's area; 0 for a pressure of its share over its area, more for faces more
             alike in size.
         bending: stiffness, per face.
-        reach: within which strands push each other away; 0.035 are 9 pixels.
+        reach: within which strands push each other away; 0.025 are 6 pixels.
         push: of strands on top of each other, per face.
         crossing: stiffness of right angles between strands that cross.
         most: that a node moves at once.
@@ -48,8 +48,8 @@ class EasingConfig:
     tension: float = 1.0
     power: float = 1.0
     bending: float = 0.0007
-    reach: float = 0.035
-    push: float = 20000.0
+    reach: float = 0.025
+    push: float = 80000.0
     crossing: float = 2.0
     most: float = 0.01
     step: float = 0.4
