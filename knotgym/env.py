@@ -23,7 +23,8 @@ _FPS = 5  # an action lasts 0.192 s
 
 def observation_space(config: TaskConfig, beads: int = 100) -> spaces.Space[Any]:
     """What one agent sees."""
-    pixels = spaces.Box(0, 255, (config.image_size, 2 * config.image_size, 3), np.uint8)
+    height, width = len(config.views) * config.image_size, 2 * config.image_size
+    pixels = spaces.Box(0, 255, (height, width, 3 + config.depth), np.uint8)
     state = spaces.Box(-np.inf, np.inf, (6 * beads,), np.float32)
     choices: dict[str, spaces.Space[Any]] = {
         "pixels": pixels,
@@ -79,8 +80,8 @@ class KnotEnv(gym.Env[Any, NDArray[np.float32]]):
         )
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The rope and its goal, uint8 (size, 2 size, 3)."""
-        return self.episodes.picture(0) if self.render_mode == "rgb_array" else None
+        """The rope and its goal, uint8 (views * size, 2 size, 3)."""
+        return self.episodes.rgb(0) if self.render_mode == "rgb_array" else None
 
 
 class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]):
@@ -198,10 +199,10 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         return self._observations(), rewards, terminated, truncated, infos
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """One picture a rope, uint8 (size, 2 size, 3) each."""
+        """One picture a rope, uint8 (views * size, 2 size, 3) each."""
         if self.render_mode != "rgb_array":
             return None
-        return tuple(self.episodes.picture(i) for i in range(self.num_envs))
+        return tuple(self.episodes.rgb(i) for i in range(self.num_envs))
 
     def _observations(self) -> Any:
         each = [self.episodes.observation(i) for i in range(self.num_envs)]

@@ -131,7 +131,7 @@ class EpisodeBatch:
         return TowBound(self.origins[index].copy(), self.config.tow_limit)
 
     def picture(self, index: int) -> NDArray[np.uint8]:
-        """The rope now, left, and its goal, right: uint8 (size, 2 size, 3)."""
+        """The rope now, left, and its goal, right: uint8 (views * size, 2 size, 3 or 4)."""
         goal = int(self.goal_row[index])
         if goal not in self._goal_images:
             self._goal_images[goal] = draw(self._goals.points[goal], self._picture)
@@ -139,6 +139,10 @@ class EpisodeBatch:
             self.simulation.points[index][None], self._goal_images[goal], self._picture
         )[0]
         return seen
+
+    def rgb(self, index: int) -> NDArray[np.uint8]:
+        """The picture without its depth: uint8 (views * size, 2 size, 3)."""
+        return np.ascontiguousarray(self.picture(index)[..., :3])
 
     def state(self, index: int) -> NDArray[np.float32]:
         """Vertices of the rope now, then of its goal, metres: float32 (6 beads,)."""

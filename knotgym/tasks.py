@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 SPLITS = ("train", "test")  # of a state file
 OBSERVATIONS = ("pixels", "state", "both", "symbolic")
+VIEWS = ("top", "left", "front")  # of the rope, see `rendering.camera`
 MAX_NX = 11  # the largest of the hard unknots; a rope has hardly room for more
 
 # task -> (crossings of the start, crossings of the goal) for a difficulty nx
@@ -26,6 +27,25 @@ TASKS: dict[str, Callable[[int], tuple[int, int]]] = {
 
 class InvalidSetting(KnotgymError, ValueError):
     """A keyword of an environment that cannot be had."""
+
+
+def checked_views(views: Sequence[str], error: type[KnotgymError]) -> tuple[str, ...]:
+    """Views as a tuple (JSON has lists); raise error unless each is of VIEWS and named once."""
+    named = tuple(views) if isinstance(views, (tuple, list)) else ()
+    if not named or any(view not in VIEWS for view in named) or len({*named}) < len(named):
+        raise error(
+            f"views must be a list of {', '.join(VIEWS)}, each at most once, one at least; got"
+            f" {views!r}"
+        )
+    return named
+
+
+def check_depth(depth: object, renderer: str, error: type[KnotgymError]) -> None:
+    """Raise error unless depth is a bool, and drawn by a renderer that draws it."""
+    if not isinstance(depth, bool):
+        raise error(f"depth must be true or false, got {depth!r}")
+    if depth and renderer == "mujoco":
+        raise error("depth is drawn by renderer 'opencv' (or 'auto', the same), not by 'mujoco'")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,8 +70,11 @@ class TaskConfig:
             an action that is only repeated hardly ever unties a rope (`benchmarks/towing.py`).
         reset_noise: scale of the noise at reset, radians per joint and metres.
         image_size: pixels, each half of the picture.
+        views: where the rope is seen from: "top", "left", "front", each at most once, one picture
+            below another.
+        depth: a fourth channel, how near to the camera the rope is, see `rendering.picture`.
         camera: "orthographic" or "perspective".
-        renderer: "auto", "opencv" or "mujoco".
+        renderer: "auto", "opencv" or "mujoco"; depth is drawn by OpenCV alone.
         integrator_steps: MuJoCo steps that the 0.192 s of an action are cut into; 24 as published.
             With 20 an action takes five sixths of the time, and the bead furthest off ends 0.2 mm
             from where 24 put it, 2 mm after ten actions (`benchmarks/physics.py`). With fewer,
@@ -69,6 +92,8 @@ class TaskConfig:
     tow_limit: float | None = None
     reset_noise: float = 0.015
     image_size: int = 128
+    views: tuple[str, ...] = ("top",)
+    depth: bool = False
     camera: str = "orthographic"
     renderer: str = "auto"
     integrator_steps: int = 24
@@ -87,6 +112,8 @@ class TaskConfig:
                 raise InvalidSetting(
                     f"no {name} {getattr(self, name)!r}; there is {', '.join(known)}"
                 )
+        object.__setattr__(self, "views", checked_views(self.views, InvalidSetting))
+        check_depth(self.depth, self.renderer, InvalidSetting)
         for name, least, most in (
             ("nx", 1, MAX_NX),
             ("horizon", 1, None),

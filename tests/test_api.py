@@ -32,8 +32,8 @@ def tree_of(name: str) -> ast.Module:
 
 def checked_imports(name: str) -> dict[str, str]:
     """What a package imports for type checkers: public name -> "module:name"."""
-    (guard,) = (node for node in tree_of(name).body if isinstance(node, ast.If))
-    assert ast.unparse(guard.test) == "TYPE_CHECKING"
+    guards = [node for node in tree_of(name).body if isinstance(node, ast.If)]
+    (guard,) = (node for node in guards if ast.unparse(node.test) == "TYPE_CHECKING")
     return {
         alias.asname or alias.name: f"{node.module}:{alias.name}"
         for node in guard.body

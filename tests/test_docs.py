@@ -145,6 +145,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
         *("collect", "--task", "tie", "--nx", 1, "--policy", "scripted", "--episodes", 1),
         *("--horizon", 2, "--image-size", 16, "--author", "Ada", "--author-email", "ada@example"),
         *("--code-permalink", "https://example.org", "--workers", 1, "--quiet", "--out", root),
+        *("--id", "knotgym/tie-nx1/scripted-v0"),
     )
     return root / "knotgym/tie-nx1/scripted-v0/data"
 
@@ -258,7 +259,7 @@ def test_every_command_and_option_is_on_the_page_of_commands() -> None:
     for name, command in commands.items():
         start = text.index(f"## `{name}`")
         part = text[start : text.find("\n## ", start)] if text.find("\n## ", start) > 0 else text
-        assert command.help and " ".join(command.help.split()) in part
+        assert command.help and " ".join(command.help.split()) in " ".join(part.split())
         for parameter in command.params:
             assert parameter.help, f"{name}: {parameter.name} says nothing"
             assert all(word in part for word in parameter.opts if word.startswith("-"))

@@ -119,6 +119,23 @@ def test_gymnasium_finds_no_fault_in_a_bare_environment(make: Make, observation:
     check_env(make(observation=observation), skip_render_check=True)
 
 
+@pytest.mark.parametrize("observation", ["pixels", "both"])
+def test_gymnasium_finds_no_fault_in_three_views_with_depth(
+    registered: Callable[..., gym.Env[Any, Any]], observation: str
+) -> None:
+    env = registered(
+        "tie", observation=observation, views=["top", "left", "front"], depth=True, image_size=32
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", message=".*(infinity|-infinity).*")
+        check_env(env.unwrapped)
+    seen = env.reset(seed=0)[0]
+    picture = seen["pixels"] if observation == "both" else seen
+    assert picture.shape == (96, 64, 4) and picture.dtype == np.uint8
+    assert same(env.render(), picture[..., :3])
+
+
 def test_the_contracts_first_line_works() -> None:
     env = gym.make("knotgym/Tie-v0", nx=3, split="train")
     observation, info = env.reset(seed=0)
@@ -155,6 +172,15 @@ def test_pictures_show_the_rope_left_and_the_goal_right(make: Make, states: Stat
     picture, info = env.reset(seed=0)
     config = PictureConfig(size=64)
     assert picture.shape == (64, 128, 3) and picture.dtype == np.uint8
+    assert np.array_equal(picture[:, :64], draw(env.episodes.simulation.points[0], config))
+    assert np.array_equal(picture[:, 64:], draw(states.points[info["goal"]], config))
+
+
+def test_views_show_the_rope_left_and_the_goal_right(make: Make, states: States) -> None:
+    views = ("front", "top")
+    env = make("convert", nx=3, observation="pixels", image_size=64, views=views, depth=True)
+    picture, info = env.reset(seed=0)
+    config = PictureConfig(size=64, views=views, depth=True)
     assert np.array_equal(picture[:, :64], draw(env.episodes.simulation.points[0], config))
     assert np.array_equal(picture[:, 64:], draw(states.points[info["goal"]], config))
 
@@ -463,6 +489,13 @@ def test_a_row_of_the_other_split_is_refused(make: Make, states: States) -> None
         ({"integrator_steps": 12}, "integrator_steps must be a whole number from 20 to 96, got 12"),
         ({"reset_noise": -0.1}, r"reset_noise must be in \[0, 1\), got -0.1"),
         ({"reset_noise": float("nan")}, r"reset_noise must be in \[0, 1\), got nan"),
+        (
+            {"views": ["top", "below"]},
+            "views must be a list of top, left, front, each at most once",
+        ),
+        ({"views": "left"}, "one at least; got 'left'"),
+        ({"depth": "yes"}, "depth must be true or false, got 'yes'"),
+        ({"depth": True, "renderer": "mujoco"}, "depth is drawn by renderer 'opencv'"),
         ({"noise": 0.1}, "no keyword 'noise'; there is nx, split, states, observation"),
     ],
     ids=str,
@@ -691,7 +724,7 @@ def test_a_spec_survives_json(registered: Callable[..., gym.Env[Any, Any]]) -> N
 
 
 def test_every_setting_is_json(states_path: str) -> None:
-    config = TaskConfig(task="tie", states=states_path)
+    config = TaskConfig(task="tie", states=states_path, views=("left", "top"), depth=True)
     assert TaskConfig(**json.loads(json.dumps(config.__dict__))) == config
 
 

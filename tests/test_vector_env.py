@@ -94,6 +94,27 @@ def test_make_vec_can_still_sync(states_path: str) -> None:
     assert same(envs.reset(seed=0), batched.reset(seed=0))
 
 
+def test_views_and_depth_are_those_of_single_environments(
+    make: MakeVec, synced: Callable[..., SyncVectorEnv]
+) -> None:
+    settings: dict[str, Any] = {
+        "observation": "both",
+        "views": ["left", "top", "front"],
+        "depth": True,
+        "image_size": 16,
+        "num_envs": 2,
+    }
+    envs, singles = make(**settings), synced(**settings)
+    assert envs.observation_space == singles.observation_space
+    first = envs.reset(seed=7)
+    assert same(first, singles.reset(seed=7))
+    assert first[0]["pixels"].shape == (2, 48, 32, 4) and first[0] in envs.observation_space
+    for each in actions(2, 2):
+        assert same(envs.step(each), singles.step(each))
+    pictures = envs.render()
+    assert pictures is not None and [picture.shape for picture in pictures] == [(48, 32, 3)] * 2
+
+
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
 @pytest.mark.parametrize(
     ("task", "observation"), [("tie", "state"), ("convert", "both"), ("unknot", "pixels")]

@@ -35,8 +35,9 @@ from knotgym.tasks import OBSERVATIONS, TaskConfig
 
 FORMAT = "knotgym-episodes"
 # 2: every episode's start and goal are of the task's split, and infos hold the goal's code
-FORMAT_VERSION = 2
-READ_VERSIONS = (1, FORMAT_VERSION)
+# 3: pictures have the task's views and depth
+FORMAT_VERSION = 3
+READ_VERSIONS = (1, 2, FORMAT_VERSION)
 STORED = (*OBSERVATIONS, "none")
 
 _ROPE = ("start_qpos", "points", "goal_points")
@@ -175,8 +176,8 @@ class EpisodeReader:
                 file holds.
 
         Returns:
-            uint8 (n, size, 2 size, 3), float32 (n, 6 beads), a dict of both, or int16 (n, 2,
-            SYMBOLS); made from the vertices where the file holds none.
+            uint8 (n, views * size, 2 size, 3 or 4), float32 (n, 6 beads), a dict of both, or int16
+            (n, 2, SYMBOLS); made from the vertices where the file holds none.
         """
         wanted = observation or self.task.observation
         if wanted not in OBSERVATIONS:

@@ -25,6 +25,7 @@ import gymnasium
 
 import knotgym
 from knotgym.atomic_files import atomic_write
+from knotgym.configuration import as_json
 from knotgym.datasets.episode_reader import EpisodeReader, InvalidEpisodeFile
 from knotgym.datasets.episode_writer import merge_episodes
 from knotgym.datasets.states import minari_root
@@ -202,5 +203,5 @@ def minari_entries(metadata: MinariMetadata, task: TaskConfig) -> dict[str, Any]
 def environment_spec(task: TaskConfig) -> gymnasium.envs.registration.EnvSpec:
     """The registered environment, every setting spelled out: a later default changes nothing."""
     spec = copy.deepcopy(gymnasium.spec(f"knotgym/{task.task.capitalize()}-v0"))
-    spec.kwargs = asdict(task)
+    spec.kwargs = as_json(task)
     return spec

@@ -6,6 +6,11 @@ The names below are imported when they are first used.
 
 from typing import TYPE_CHECKING
 
+if __name__ == "generate":
+    raise ImportError(
+        "this is the link `generate` at the top of a checkout of knotgym: import knotgym.generate"
+    )
+
 if TYPE_CHECKING:
     from knotgym.generate.episodes.collect import CollectConfig, InvalidCollection, collect
     from knotgym.generate.episodes.evaluate import EvaluateConfig, InvalidEvaluation

@@ -195,7 +195,13 @@ def _states(ordered: Sequence[ShardFolder], folder: Path) -> Path:
             for dataset, rows in groupby(mine, datasets.__getitem__)
         ]
         state_folder.publish_demonstrations(
-            nx, name, sources, len(mine), folder / "minari", folder / "states.h5"
+            nx,
+            name,
+            str(merged.knot[0]),
+            sources,
+            len(mine),
+            folder / "minari",
+            folder / "states.h5",
         )
     archives = [Archive.load(shard.folder / "archive.h5") for shard in ordered]
     search = from_json(SearchSettings, config["search"])
@@ -207,7 +213,7 @@ def _states(ordered: Sequence[ShardFolder], folder: Path) -> Path:
 def _renumbered(states: States, config: dict[str, Any]) -> States:
     """States split anew, each nx and split with demonstrations of its own."""
     states = _split_anew(states, config)
-    numbered = state_folder.demonstrations_of(states.nx, states.split)
+    numbered = state_folder.demonstrations_of(states.nx, states.split, str(states.knot[0]))
     return replace(states, source={**states.source, **numbered})
 
 

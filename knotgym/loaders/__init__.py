@@ -6,7 +6,7 @@ Every loader takes a dataset as a Minari id, a folder, an episode file (compact 
     observation     "pixels", "state", "both" or "symbolic"; None for what the dataset's environment
                     shows
     picture         a `knotgym.rendering.picture.PictureConfig`, to draw pictures of another size,
-                    camera or colours
+                    camera or colours, from other views, with depth or without
     relabel         "last" or "all": hindsight, the code reached becomes the goal (see
                     `Transitions`)
 
@@ -15,6 +15,11 @@ when they are first used.
 """
 
 from typing import TYPE_CHECKING
+
+if __name__ == "loaders":
+    raise ImportError(
+        "this is the link `loaders` at the top of a checkout of knotgym: import knotgym.loaders"
+    )
 
 if TYPE_CHECKING:
     from knotgym.loaders.converters import (

@@ -61,9 +61,9 @@ def torch_dataset(
                 episode too.
 
     Returns:
-        A Dataset of dicts of tensors: observations uint8 (size, 2 size, 3) as the environment's, or
-        float32 (6 beads,), a dict of both, or int16 (2, symbols); rewards float32; frames'
-        gauss_code a str.
+        A Dataset of dicts of tensors: observations uint8 (views * size, 2 size, 3 or 4) as the
+        environment's, or float32 (6 beads,), a dict of both, or int16 (2, symbols); rewards
+        float32; frames' gauss_code a str.
 
     Raises:
         MissingExtra: torch isn't installed.

@@ -24,21 +24,21 @@ SYMBOLS = 64  # visits of a code that an agent is told, two a crossing
 def picture_config(task: TaskConfig) -> PictureConfig:
     """How a task's environment draws."""
     drawn: dict[str, Any] = {"camera": task.camera, "renderer": task.renderer}
-    return PictureConfig(size=task.image_size, **drawn)
+    return PictureConfig(size=task.image_size, views=task.views, depth=task.depth, **drawn)
 
 
 def pixels(
     points: ArrayLike, goal_picture: NDArray[np.uint8], picture: PictureConfig
 ) -> NDArray[np.uint8]:
-    """Ropes left, their one goal right.
+    """Ropes left, their one goal right; views one below another.
 
     Args:
         points: float64 (n, beads, 3), metres.
-        goal_picture: uint8 (size, size, 3), the goal as `draw` draws it.
+        goal_picture: uint8 (views * size, size, 3 or 4), the goal as `draw` draws it.
         picture: how the ropes are drawn.
 
     Returns:
-        uint8 (n, size, 2 size, 3).
+        uint8 (n, views * size, 2 size, 3), with depth 4 channels.
     """
     ropes = draw_many(points, picture)
     return np.concatenate([ropes, np.broadcast_to(goal_picture, ropes.shape)], axis=2)

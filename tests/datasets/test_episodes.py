@@ -411,6 +411,19 @@ def test_a_truncated_file_is_refused(tmp_path: Path, root: Path) -> None:
         EpisodeReader(tmp_path / "a.h5")
 
 
+def test_a_file_from_before_there_were_views_has_one_and_no_depth(
+    tmp_path: Path, root: Path
+) -> None:
+    old = tmp_path / "old.h5"
+    old.write_bytes((root / ID / "data" / "main_data.hdf5").read_bytes())
+    with h5py.File(old, "a") as file:
+        said = json.loads(file.attrs["task"])
+        assert said.pop("views") == ["top"] and said.pop("depth") is False
+        file.attrs["task"], file.attrs["format_version"] = json.dumps(said), 2
+    assert EpisodeReader(old).task == EpisodeReader(root / ID).task
+    assert not any("observations" in fault for fault in verify_episodes(old, pyknotid=False))
+
+
 def test_another_format_is_refused(tmp_path: Path) -> None:
     h5py.File(tmp_path / "a.h5", "w").close()
     with pytest.raises(InvalidEpisodeFile, match="format 'none'"):

@@ -227,7 +227,7 @@ def test_what_cannot_be_accepted_ends_with_a_line_that_says_so() -> None:
 
 
 def test_a_job_stops_after_its_cycles_with_what_there_is() -> None:
-    job = done(CurationRun.begin(config(nx=(0, 1), count=40, cycles=2, wave=4)))
+    job = done(CurationRun.begin(config(nx=(0, 1), count=40, cycles=2, wave=2)))
     assert job.cycle == len(job.growth) == 2 and 0 < len(job.accepted[1]) < 40
     assert job.growth[-1]["accepted"] == {
         str(nx): len(candidates) for nx, candidates in job.accepted.items()

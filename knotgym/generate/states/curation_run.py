@@ -173,7 +173,7 @@ class CurationRun:
                     if elite.exact:
                         fresh[target.goal] = elite
 
-            yield Batch(reach, _targets(self, search), absorb)
+            yield Batch(reach, _targets(self, search), absorb, "searching for codes not met")
         tasks = _tasks(self, fresh)
         nx_of = iter([nx for nx, _ in tasks])
 
@@ -181,7 +181,7 @@ class CurationRun:
             self.actions += candidate.steps
             _judge(self, next(nx_of), candidate)
 
-        yield Batch(make_candidate, [task for _, task in tasks], judge)
+        yield Batch(make_candidate, [task for _, task in tasks], judge, "choosing")
 
     def _require_hope(self) -> None:
         """Raise NotEnough where the attempts allowed for some nx are spent."""

@@ -18,7 +18,6 @@ from zipfile import BadZipFile
 
 import mujoco
 import numpy as np
-from rich.console import Console
 
 import knotgym
 from knotgym.atomic_files import atomic_write, sha256
@@ -42,7 +41,7 @@ from knotgym.quality import UNITS, Quality
 from knotgym.rendering.picture import draw_many
 from knotgym.rope import RopeConfig
 from knotgym.runs.engine import CHECKPOINT, Batch, run
-from knotgym.runs.progress import Status
+from knotgym.runs.progress import Progress, Status
 from knotgym.runs.run_options import NotEnough, RunOptions
 from knotgym.runs.shards import Shard
 from knotgym.streams import Stream, generator
@@ -55,7 +54,7 @@ _RUN = "drawn.json"
 
 
 def draw_state_set(
-    config: DrawnStatesConfig, out: Path, options: RunOptions, *, console: Console | None = None
+    config: DrawnStatesConfig, out: Path, options: RunOptions, *, progress: Progress | None = None
 ) -> Path:
     """Make drawn states in the new folder `out`, or in that of the shard, and return it.
 
@@ -63,7 +62,7 @@ def draw_state_set(
         config: what is wanted.
         out: the folder of the whole run.
         options: how it is done.
-        console: to show progress on.
+        progress: to show it on.
 
     Raises:
         Occupied, InvalidRun: as of `runs.engine.run`.
@@ -71,7 +70,7 @@ def draw_state_set(
         NotEnough: the attempts allowed were spent.
     """
     recipe = DrawnStatesRecipe(config, options.shard)
-    return run(recipe, options.shard.folder(out), options, console)
+    return run(recipe, options.shard.folder(out), options, progress)
 
 
 class DrawnStatesRecipe:
