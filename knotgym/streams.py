@@ -56,6 +56,8 @@ class Stream(IntEnum):
     IMAGE_GRAIN = 23  # the noise of one picture, whose seed is stored
     RANDOM_WALK = 30  # rope: all its actions, see `actions.drawn_actions`
     RANDOM_WALK_NOISE = 31  # rope, step: noise survival of the state saved there
+    DRAWING = 40  # nx, code, number of the drawing
+    DRAWING_CODES = 41  # nx: which codes are drawn, where there are too many to list
 
 
 def key(stream: Stream, seed: int, *counters: int) -> tuple[int, ...]:

@@ -469,11 +469,11 @@ def test_a_row_of_the_other_split_is_refused(make: Make, states: States) -> None
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"nx": -1}, "nx must be a whole number from 1 to 6, got -1"),
-        ({"nx": 0}, "nx must be a whole number from 1 to 6, got 0"),
-        ({"nx": 9}, "nx must be a whole number from 1 to 6, got 9"),
-        ({"nx": 2.5}, "nx must be a whole number from 1 to 6, got 2.5"),
-        ({"nx": True}, "nx must be a whole number from 1 to 6, got True"),
+        ({"nx": -1}, "nx must be a whole number from 1 to 11, got -1"),
+        ({"nx": 0}, "nx must be a whole number from 1 to 11, got 0"),
+        ({"nx": 12}, "nx must be a whole number from 1 to 11, got 12"),
+        ({"nx": 2.5}, "nx must be a whole number from 1 to 11, got 2.5"),
+        ({"nx": True}, "nx must be a whole number from 1 to 11, got True"),
         ({"split": "validation"}, "no split 'validation'; there is train, test"),
         ({"task": "plait"}, "no task 'plait'; there is unknot, tie, convert"),
         (

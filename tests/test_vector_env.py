@@ -277,8 +277,8 @@ def test_no_ropes_are_refused(make: MakeVec, count: int) -> None:
 
 
 def test_settings_that_cannot_be_had_are_refused(make: MakeVec) -> None:
-    with pytest.raises(InvalidSetting, match="nx must be a whole number from 1 to 6, got 9"):
-        make(nx=9)
+    with pytest.raises(InvalidSetting, match="nx must be a whole number from 1 to 11, got 12"):
+        make(nx=12)
 
 
 @pytest.mark.parametrize(

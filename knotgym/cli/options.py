@@ -12,6 +12,7 @@ from knotgym.configuration import Config, InvalidConfig, updated
 from knotgym.runs.executors import scheduler_of
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.shards import Shard
+from knotgym.topology.gauss import GaussCode
 
 ENVIRONMENT, ACTING = "The environment", "Who acts"
 RUN, METADATA = "How it is run", "Metadata"
@@ -173,6 +174,24 @@ def numbers(text: str) -> tuple[int, ...]:
             )
         out += range(int(low), int(high if dash else low) + 1)
     return tuple(dict.fromkeys(out))
+
+
+def code_list(path: Path | None) -> list[GaussCode]:
+    """The Gauss codes in a file, one a line; none of no file.
+
+    Raises:
+        InvalidGaussCode: a line is none.
+    """
+    if path is None:
+        return []
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise typer.BadParameter(f"--codes {path} can't be read: {error}") from error
+    found = [GaussCode.parse(line) for line in lines if line.strip()]
+    if not found:
+        raise typer.BadParameter(f"--codes {path} holds no code")
+    return found
 
 
 def listed(text: str) -> tuple[str, ...]:

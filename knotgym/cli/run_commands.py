@@ -17,6 +17,7 @@ from knotgym.cli.options import (
     SettingsOption,
     ShardOption,
     WorkersOption,
+    code_list,
     default_folder,
     made_from,
     numbers,
@@ -47,7 +48,8 @@ def generate(
             "--source",
             help=(
                 '"play": searched and opened up, with the trajectories; "random-walk": saved from'
-                " uniform random actions, only over-twisted states left out."
+                " uniform random actions, only over-twisted states left out;"
+                ' "drawing": drawn from the codes themselves, quick, no trajectories.'
             ),
             group=_CHOICE,
         ),
@@ -86,6 +88,17 @@ def generate(
             group=_CHOICE,
         ),
     ] = "0_1",
+    codes: Annotated[
+        Path | None,
+        option(
+            "--codes",
+            help=(
+                "With --source drawing: a file of Gauss codes, one a line, that are drawn instead"
+                " of those of --nx; --every-code says how often, 1 if not given."
+            ),
+            group=_CHOICE,
+        ),
+    ] = None,
     archive: Annotated[
         Path | None,
         option(
@@ -124,7 +137,7 @@ def generate(
 ) -> None:
     """Make rope states, split into train and test.
 
-    They are curated, with the trajectories that reach them, or as random play meets them.
+    They are curated, with the trajectories that reach them; or as random play meets them; or drawn.
 
     Examples:
 
@@ -133,16 +146,22 @@ def generate(
         knotgym generate --nx 3 --knot 3_1 --count 8
 
         knotgym generate --nx 2-4 --source random-walk
+
+        knotgym generate --nx 5 --source drawing --every-code 1
     """
     with Progress(quiet) as progress:
+        from knotgym.generate.states.drawn_states import DrawnStatesConfig
+        from knotgym.generate.states.drawn_states_recipe import draw_state_set
         from knotgym.generate.states.generate_config import GenerateConfig
         from knotgym.generate.states.random_walk import RandomWalkConfig
         from knotgym.generate.states.random_walk_recipe import walk_states
         from knotgym.generate.states.state_recipe import generate as run
 
         options = run_options(engine, scheduler, workers, shard, resume, quiet)
-        if source not in ("play", "random-walk"):
-            raise typer.BadParameter(f"--source takes play or random-walk, got {source!r}")
+        if source not in ("play", "random-walk", "drawing"):
+            raise typer.BadParameter(f"--source takes play, random-walk or drawing, got {source!r}")
+        if codes is not None and source != "drawing":
+            raise typer.BadParameter(f"--codes goes with --source drawing, not {source}")
         folder = out or default_folder(
             f"nx{nx}",
             "" if source == "play" else source,
@@ -150,9 +169,31 @@ def generate(
             f"every{every_code}" if every_code else "",
             "" if balance == "even" else balance,
             "" if split_by == "state" else f"by-{split_by}",
+            Path(codes).stem if codes else "",
             made_from(archive),
             f"seed{seed}" if seed else "",
         )
+        if source == "drawing":
+            for name, refused in {
+                "--balance": balance != "even",
+                "--archive": archive is not None,
+            }.items():
+                if refused:
+                    raise typer.BadParameter(f"{name} goes with --source play, not drawing")
+            named = code_list(codes)
+            drawings = DrawnStatesConfig(
+                nx=tuple(dict.fromkeys(code.nx for code in named)) or numbers(nx),
+                codes=tuple(str(code) if code.chirality is None else code.chiral for code in named),
+                count=count,
+                every_code=every_code or int(bool(named)),
+                split_by=split_by,
+                knot=knot,
+                seed=seed,
+                attempts=attempts,
+                cycles=cycles,
+            )
+            draw_state_set(with_settings(drawings, settings), folder, options, progress=progress)
+            return
         if source == "random-walk":
             for name, given in {
                 "--every-code": every_code != 0,

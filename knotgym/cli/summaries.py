@@ -49,7 +49,7 @@ def print_states(path: str, file: Path, console: Console) -> None:
             nx,
             str(count["states"]),
             str(count["codes"]),
-            str(existing.get(nx, "?")),
+            str(existing.get(nx) or "?"),
             str(count["codes_with_chirality"]),
             str(count["train"]),
             str(count["test"]),
@@ -58,6 +58,9 @@ def print_states(path: str, file: Path, console: Console) -> None:
             "/".join(map(str, count["actions_to_reach"])),
         )
     console.print(counts)
+    if facts["sources"]:
+        made = ", ".join(f"{policy} {count}" for policy, count in facts["sources"].items())
+        _say(console, f"sources: {made}")
     _say(
         console,
         "of: codes there are; chiral: codes with chirality; both: codes in both splits; actions:"

@@ -221,6 +221,7 @@ def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
     """
     if not parts:
         raise InvalidStates("nothing to merge: name at least one state file")
+    parts = [_with_drawings(part, parts) for part in parts]
     first = parts[0]
     for other in parts[1:]:
         if other.attributes.get("rope") != first.attributes.get("rope"):
@@ -260,6 +261,13 @@ def _with_actions_padded(part: States, parts: Sequence[States]) -> States:
     actions = part.source["actions"]
     padded = np.pad(actions, ((0, 0), (0, longest - actions.shape[1]), (0, 0)))
     return replace(part, source={**part.source, "actions": padded})
+
+
+def _with_drawings(part: States, parts: Sequence[States]) -> States:
+    """A part that says of its rows that none was drawn, if rows of another part were."""
+    if "drawing" in part.source or not any("drawing" in other.source for other in parts):
+        return part
+    return replace(part, source={**part.source, "drawing": np.full(len(part), "", dtype=np.str_)})
 
 
 def _configs(part: States) -> list[Any]:

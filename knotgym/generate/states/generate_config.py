@@ -11,7 +11,7 @@ from knotgym.generate.states.candidates import CandidateConfig
 from knotgym.generate.states.code_frequencies import FrequencyConfig
 from knotgym.generate.states.search import SearchSettings
 from knotgym.rope import RopeConfig
-from knotgym.tasks import MAX_NX
+from knotgym.topology.knots import LISTED_NX
 
 
 class InvalidGenerateConfig(KnotgymError, ValueError):
@@ -69,11 +69,11 @@ class GenerateConfig:
     def __post_init__(self) -> None:
         if (
             not self.nx
-            or any(not 0 <= nx <= MAX_NX for nx in self.nx)
+            or any(not 0 <= nx <= LISTED_NX for nx in self.nx)
             or len(set(self.nx)) != len(self.nx)
         ):
             raise InvalidGenerateConfig(
-                f"nx takes different numbers of crossings from 0 to {MAX_NX}, got"
+                f"nx takes different numbers of crossings from 0 to {LISTED_NX}, got"
                 f" {', '.join(map(str, self.nx)) or 'none'}"
             )
         for name in ("count", "attempts", "wave", "stuck"):
