@@ -20,7 +20,6 @@ from knotgym.quality import Limits, measure
 from knotgym.rope import Rope
 from knotgym.simulation import Simulation
 from knotgym.topology.crossings import label
-from knotgym.topology.gauss import GaussCode
 from knotgym.topology.reference_labeller import pyknotid_code
 from knotgym.topology.symmetry import mirror_images
 
@@ -161,7 +160,10 @@ def test_another_seed_gives_another_candidate(followed: Made) -> None:
 
 
 def test_a_sequence_that_misses_the_code_is_rejected_for_it(searched: Archive, rope: Rope) -> None:
-    nowhere = Elite(GaussCode.parse("1+a,1-a"), 0, False, NO_ACTIONS, np.zeros(1), 0.0)
+    simulation, curl = Simulation(1, rope), rope.from_curve(curled(1))
+    simulation.lay(rope.qpos(curl)[None])
+    state = simulation.states()[0]
+    nowhere = Elite(label(curl), 0, False, NO_ACTIONS, state, 0.0)
     candidate = make_candidate(
         CandidateTask(
             SMALL.candidate, mirror_images(nowhere.code)[0], (nowhere,), rope.loop(), (0,)

@@ -260,7 +260,7 @@ def test_more_is_searched_while_wanted_codes_are_unknown(finished: CurationRun) 
         curation._rounds(CurationRun.begin(config(nx=(3,), every_code=1))) == 1 + SMALL.more_rounds
     )
     assert (
-        curation._rounds(finished) == 1
+        curation._rounds(finished) == 0
         and curation._rounds(CurationRun.begin(config(nx=(0,)))) == 0
     )
 
