@@ -73,7 +73,7 @@ class CandidateConfig:
     jitter: float = 0.04
     walk_steps: int = 6
     loop: LoopConfig = LoopConfig()
-    loop_walk_steps: int = 12
+    loop_walk_steps: int = 6
     walk_force: tuple[float, float] = (0.3, 1.0)
     walk_hold: int = 20
     walk_slope: float = 0.5

@@ -39,9 +39,9 @@ class LoopConfig:
     """
 
     waves: int = 3
-    falling: tuple[float, float] = (0.0, 2.0)
+    falling: tuple[float, float] = (0.0, 3.0)
     height: tuple[float, float] = (0.0, 0.5)
-    draws: int = 200
+    draws: int = 400
 
     def __post_init__(self) -> None:
         check_numbers(self, counts=("waves", "draws"), ranges=("falling", "height"))
@@ -52,10 +52,9 @@ def plain_loop(rope: Rope, config: LoopConfig, limits: Limits, rng: np.random.Ge
     turn = np.linspace(0, 2 * np.pi, _SAMPLES, endpoint=False)
     wave = np.arange(1, config.waves + 1)
     phase = wave[:, None] * turn
+    falling, height = rng.uniform(*config.falling), rng.uniform(*config.height)
+    scale = wave[:, None] ** -falling * np.array([1.0, 1.0, height])
     for _ in range(config.draws):
-        scale = wave[:, None] ** -rng.uniform(*config.falling) * (
-            (1.0, 1.0, rng.uniform(*config.height))
-        )
         cosines, sines = rng.normal(size=(2, config.waves, 3)) * scale
         try:
             points = rope.from_curve(np.cos(phase).T @ cosines + np.sin(phase).T @ sines)
