@@ -33,6 +33,9 @@ class GenerateConfig:
         knot: type of the rope's knot; "0_1" starts from the plain loop, any other name or file as
             `curves.knot_curve`.
         seed: of everything.
+        choice: accepted states, for each state wanted, that a code has to choose the most unlike
+            from (`curation.most_unlike`). A code wanted once gets no candidates for that.
+        most_spare: of them, beyond those wanted, in each crossing number.
         attempts: candidates tried, for each state wanted, before giving up.
         cycles: of search and a wave of candidates, after which what there is is enough; 0 to go on
             until all wanted is there.
@@ -55,6 +58,8 @@ class GenerateConfig:
     train_share: float = 0.5
     knot: str = "0_1"
     seed: int = 0
+    choice: int = 6
+    most_spare: int = 80
     attempts: int = 100
     cycles: int = 0
     wave: int = 48
@@ -76,10 +81,10 @@ class GenerateConfig:
                 f"nx takes different numbers of crossings from 0 to {LISTED_NX}, got"
                 f" {', '.join(map(str, self.nx)) or 'none'}"
             )
-        for name in ("count", "attempts", "wave", "stuck"):
+        for name in ("count", "choice", "attempts", "wave", "stuck"):
             if getattr(self, name) < 1:
                 raise InvalidGenerateConfig(f"{name} must be at least 1, got {getattr(self, name)}")
-        for name in ("every_code", "cycles", "more_rounds", "targets"):
+        for name in ("every_code", "most_spare", "cycles", "more_rounds", "targets"):
             if getattr(self, name) < 0:
                 raise InvalidGenerateConfig(f"{name} must be at least 0, got {getattr(self, name)}")
         if self.balance not in ("even", "empirical"):

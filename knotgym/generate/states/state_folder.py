@@ -45,13 +45,14 @@ POLICY = "demonstrations"
 def states_of(run: CurationRun) -> States:
     """The accepted candidates as rows, by nx and then in the order of acceptance."""
     config = run.config
-    candidates = [(nx, candidate) for nx in config.nx for candidate in run.accepted[nx]]
+    chosen = {nx: run.chosen(nx) for nx in config.nx}
+    candidates = [(nx, candidate) for nx in config.nx for candidate in chosen[nx]]
     longest = max(len(candidate.actions) for _, candidate in candidates)
     splits: list[str] = []
     for nx in config.nx:
         rng = generator(Stream.SPLIT, config.seed, nx)
         splits += split(
-            [candidate.code for candidate in run.accepted[nx]],
+            [candidate.code for candidate in chosen[nx]],
             config.split_by,
             config.train_share,
             rng,
@@ -178,7 +179,7 @@ def write_trajectories(run: CurationRun, states: States, folder: Path, carried: 
     """
     for nx, name in product(run.config.nx, STATE_SPLITS):
         splits = states.split[states.nx == nx].tolist()
-        candidates = list(compress(run.accepted[nx], [one == name for one in splits]))
+        candidates = list(compress(run.chosen(nx), [one == name for one in splits]))
         if not candidates:
             continue
         shard = folder / f"nx{nx}.h5"

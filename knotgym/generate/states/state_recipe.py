@@ -186,7 +186,9 @@ class StateRecipe:
             "rejected": common or "none",
             "environment steps": f"{state.steps()}",
         }
-        total = sum(state.wanted(nx) for nx in config.nx)
+        total = len(accepted) + sum(
+            0 if state.has_enough(nx) else state.lacking(nx) for nx in config.nx
+        )
         return Status(len(accepted), total, "states accepted", facts)
 
     def finish(self, folder: Path, request: dict[str, Any]) -> Path:
@@ -194,8 +196,8 @@ class StateRecipe:
         return folder
 
     def summary(self) -> str:
-        status = self.status()
-        return f"{status.done} states of {status.facts['distinct codes']} codes"
+        chosen = [one for nx in self.config.nx for one in self.run.chosen(nx)]
+        return f"{len(chosen)} states of {len({one.code.plain for one in chosen})} codes"
 
 
 def _counted(pairs: list[list[Any]]) -> Counter[GaussCode]:
