@@ -89,7 +89,7 @@ def stored_bytes(path: Path) -> dict[str, float]:
     return {
         "file": path.stat().st_size / frames,
         "observations": seen / frames,
-        "rope": sizes["rope/points"] / frames,
+        "rope": sizes["infos/points"] / frames,
     }
 
 

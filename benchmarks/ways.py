@@ -1,7 +1,7 @@
 """What an archive knows: codes by number of crossings, and the shortest action sequence to each
 from the plain loop, replayed.
 
-    python benchmarks/ways.py knotgym-data/nx4/archive.h5
+    python benchmarks/ways.py knotgym-data/nx4-every1/archive.h5
 
 A sequence counts when the rope, led from the plain loop at rest (mirrored or turned over where the
 code is such an image, numbered from another sub-chain or the other way where the archive knows the

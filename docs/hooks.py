@@ -23,7 +23,7 @@ def pages() -> Iterator[str]:
     """Markdown of every command, one after another."""
     for name, command in commands("knotgym", typer.main.get_command(app)):
         yield f"## `{name}`\n"
-        yield f"{_flowed(command.help)}\n"
+        yield f"{_paragraphs(command.help)}\n"
         yield f"```text\n{_usage(name, command)}\n```\n"
         yield "| argument or option | default | what it says |\n| --- | --- | --- |"
         for parameter in command.params:
@@ -65,6 +65,12 @@ def _default(parameter: Any) -> str:
 
 def _is_argument(parameter: Any) -> bool:
     return str(parameter.param_type_name) == "argument"
+
+
+def _paragraphs(text: str | None) -> str:
+    """A help text in Markdown, its examples as code."""
+    parts = [_flowed(part) for part in (text or "").split("\n\n")]
+    return "\n\n".join(f"    {part}" if part.startswith("knotgym ") else part for part in parts)
 
 
 def _flowed(text: str | None) -> str:

@@ -1,7 +1,8 @@
 """knotgym: a closed rope in MuJoCo, goals that are Gauss codes, and the data to learn to tie them.
 
 Importing this registers the environments knotgym/Unknot-v0, knotgym/Tie-v0 and knotgym/Convert-v0
-with Gymnasium; the names below are imported when they are first used.
+with Gymnasium, and for OGBench knotgym/tie-nx2-v0 and the like (`adapters.ogbench_environment`).
+The names below are imported when they are first used.
 """
 
 from importlib.metadata import PackageNotFoundError, version
@@ -85,3 +86,10 @@ for _task in ("unknot", "tie", "convert"):
         vector_entry_point="knotgym.env:KnotVectorEnv",
         kwargs={"task": _task},
     )
+    for _nx in (2, 3, 4):
+        for _look, _seen in (("", "state"), ("visual-", "pixels")):  # OGBench goes by the name
+            gymnasium.register(
+                id=f"knotgym/{_look}{_task}-nx{_nx}-v0",
+                entry_point="knotgym.adapters.ogbench_environment:OGBenchEnv",
+                kwargs={"task": _task, "nx": _nx, "split": "test", "observation": _seen},
+            )

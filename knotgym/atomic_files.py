@@ -14,6 +14,27 @@ from typing import Any
 
 import h5py
 
+from knotgym.errors import KnotgymError
+
+
+class Unwritable(KnotgymError, OSError):
+    """Nothing can be written at a path."""
+
+
+def require_writable(path: str | os.PathLike[str]) -> None:
+    """Try, before hours of work, whether `path` could be written at the end; leaves no trace.
+
+    Raises:
+        Unwritable: it couldn't.
+    """
+    target = Path(path)
+    folder = next(parent for parent in target.absolute().parents if parent.exists())
+    try:
+        with tempfile.TemporaryDirectory(prefix=".part-", dir=folder):
+            pass
+    except OSError as error:
+        raise Unwritable(f"{target} can't be written: {error.strerror}, {folder}") from error
+
 
 @contextmanager
 def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:

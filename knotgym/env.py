@@ -3,27 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from gymnasium.error import ResetNeeded
-from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from knotgym.episode_batch import EpisodeBatch
 from knotgym.rendering.observations import SYMBOLS
 from knotgym.simulation import InvalidAction
-from knotgym.tasks import InvalidSetting, TaskConfig
+from knotgym.tasks import InvalidSetting, TaskConfig, UnknownKeyword
+
+if TYPE_CHECKING:
+    from gymnasium.vector import AutoresetMode
 
 _FPS = 5  # an action lasts 0.192 s
+_NEXT_STEP, _SAME_STEP, _DISABLED = "NextStep", "SameStep", "Disabled"  # Gymnasium's values
+_MODE: Any = getattr(gym.vector, "AutoresetMode", str)  # before 1.1 Gymnasium had no class for it
 
 
 def observation_space(config: TaskConfig, beads: int = 100) -> spaces.Space[Any]:
     """What one agent sees."""
-    pixels = spaces.Box(0, 255, (config.image_size, 2 * config.image_size, 3), np.uint8)
+    height, width, channels = len(config.views) * config.image_size, config.image_size, 3
+    channels += config.depth
+    beside = config.layout == "beside"
+    shape = (height, 2 * width, channels) if beside else (height, width, 2 * channels)
+    pixels = spaces.Box(0, 255, shape, np.uint8)
     state = spaces.Box(-np.inf, np.inf, (6 * beads,), np.float32)
     choices: dict[str, spaces.Space[Any]] = {
         "pixels": pixels,
@@ -45,7 +53,7 @@ class KnotEnv(gym.Env[Any, NDArray[np.float32]]):
     metadata = {"render_modes": ["rgb_array"], "render_fps": _FPS}
 
     def __init__(self, task: str, render_mode: str | None = "rgb_array", **settings: Any) -> None:
-        self.config = _config(task, settings)
+        self.config = task_config(task, settings)
         self.render_mode = _checked(render_mode)
         self.episodes = EpisodeBatch(self.config)
         self.observation_space = observation_space(
@@ -79,8 +87,8 @@ class KnotEnv(gym.Env[Any, NDArray[np.float32]]):
         )
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The rope and its goal, uint8 (size, 2 size, 3)."""
-        return self.episodes.picture(0) if self.render_mode == "rgb_array" else None
+        """The rope and its goal, uint8 (views * size, 2 size, 3)."""
+        return self.episodes.rgb(0) if self.render_mode == "rgb_array" else None
 
 
 class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]):
@@ -90,14 +98,14 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         task: as KnotEnv.
         num_envs: ropes.
         threads: of the simulation, 0 for every core.
-        autoreset_mode: Gymnasium's; "next_step" by default.
+        autoreset_mode: Gymnasium's, or "next_step", "same_step", "disabled".
         settings: as KnotEnv.
     """
 
     metadata = {
         "render_modes": ["rgb_array"],
         "render_fps": _FPS,
-        "autoreset_mode": AutoresetMode.NEXT_STEP,
+        "autoreset_mode": _MODE(_NEXT_STEP),
     }
 
     def __init__(
@@ -105,16 +113,16 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         task: str,
         num_envs: int = 1,
         threads: int = 0,
-        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        autoreset_mode: str | AutoresetMode = "next_step",
         render_mode: str | None = "rgb_array",
         **settings: Any,
     ) -> None:
-        self.config = _config(task, settings)
+        self.config = task_config(task, settings)
         self.render_mode = _checked(render_mode)
         if num_envs < 1:
             raise InvalidSetting(f"num_envs must be at least 1, got {num_envs}")
         self.num_envs = num_envs
-        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self._autoreset, self.autoreset_mode = _autoreset(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
         self.episodes = EpisodeBatch(self.config, num_envs, threads)
         self.single_observation_space = observation_space(
@@ -125,6 +133,10 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._rngs = [np.random.default_rng() for _ in range(num_envs)]
         self._done = np.zeros(num_envs, dtype=bool)
+
+    def __len__(self) -> int:
+        """The ropes."""
+        return self.num_envs
 
     def reset(
         self,
@@ -167,7 +179,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
             raise InvalidAction(
                 f"actions must have shape {self.action_space.shape}, got {actions.shape}"
             )
-        if done.any() and self.autoreset_mode == AutoresetMode.DISABLED:
+        if done.any() and self._autoreset == _DISABLED:
             raise InvalidSetting(
                 f"episodes {np.flatnonzero(done).tolist()} have ended: reset them (options"
                 " reset_mask) before the next step"
@@ -184,7 +196,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
             self.episodes.begin(int(i), self._rngs[i])
         self._done = terminated | truncated
         final: dict[int, dict[str, Any]] = {}
-        if self.autoreset_mode == AutoresetMode.SAME_STEP:
+        if self._autoreset == _SAME_STEP:
             for i in np.flatnonzero(self._done):
                 final[int(i)] = {
                     "final_obs": self.episodes.observation(int(i)),
@@ -198,10 +210,10 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         return self._observations(), rewards, terminated, truncated, infos
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """One picture a rope, uint8 (size, 2 size, 3) each."""
+        """One picture a rope, uint8 (views * size, 2 size, 3) each."""
         if self.render_mode != "rgb_array":
             return None
-        return tuple(self.episodes.picture(i) for i in range(self.num_envs))
+        return tuple(self.episodes.rgb(i) for i in range(self.num_envs))
 
     def _observations(self) -> Any:
         each = [self.episodes.observation(i) for i in range(self.num_envs)]
@@ -216,15 +228,31 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         return infos
 
 
-def _config(task: str, settings: dict[str, Any]) -> TaskConfig:
+def task_config(task: str, settings: dict[str, Any]) -> TaskConfig:
+    """What keywords ask for.
+
+    Raises:
+        UnknownKeyword: there is no such keyword.
+        InvalidSetting: it can't be had.
+    """
     known = TaskConfig.__dataclass_fields__
     unknown = [name for name in settings if name not in known]
     if unknown:
-        raise InvalidSetting(
-            f"no keyword {', '.join(map(repr, unknown))}; there is"
+        raise UnknownKeyword(
+            f"got an unexpected keyword argument {', '.join(map(repr, unknown))}; there is"
             f" {', '.join(name for name in known if name != 'task')}"
         )
     return TaskConfig(task=task, **settings)
+
+
+def _autoreset(mode: str | AutoresetMode) -> tuple[str, str | AutoresetMode]:
+    """What a mode is called, and as what Gymnasium knows it."""
+    known = {"next_step": _NEXT_STEP, "same_step": _SAME_STEP, "disabled": _DISABLED}
+    given = str(getattr(mode, "value", mode))
+    name = known.get(given, given)
+    if name not in known.values():
+        raise InvalidSetting(f"no autoreset_mode {given!r}; there is {', '.join(known)}")
+    return name, _MODE(name)
 
 
 def _require_reset(episodes: EpisodeBatch) -> None:

@@ -15,7 +15,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.datasets.states import States, read_states, shipped, ships, states_file
-from knotgym.rendering.observations import picture_config, pixels, state, symbols
+from knotgym.rendering.observations import (
+    SYMBOLS,
+    numbers,
+    picture_config,
+    pixels,
+    stacked,
+    state,
+    symbols,
+)
 from knotgym.rendering.picture import draw
 from knotgym.reset_noise import start_qpos
 from knotgym.reward import Outcome
@@ -62,6 +70,12 @@ class EpisodeBatch:
         self.origins = np.zeros((count, 3))
         self.beads = np.full(count, -1, dtype=np.int64)
         self.forces = np.zeros((count, 3))
+
+    def rows(self, side: str) -> NDArray[np.int64]:
+        """The rows of the state file that the "start" or the "goal" is drawn from."""
+        if side == "start":
+            return self._starts.rows(self.config.start_nx, self.config.split)
+        return self._goals.rows(self.config.goal_nx, self.config.split)
 
     def begin(
         self, index: int, rng: np.random.Generator, options: dict[str, Any] | None = None
@@ -131,7 +145,7 @@ class EpisodeBatch:
         return TowBound(self.origins[index].copy(), self.config.tow_limit)
 
     def picture(self, index: int) -> NDArray[np.uint8]:
-        """The rope now, left, and its goal, right: uint8 (size, 2 size, 3)."""
+        """The rope now, left, and its goal, right: uint8 (views * size, 2 size, 3 or 4)."""
         goal = int(self.goal_row[index])
         if goal not in self._goal_images:
             self._goal_images[goal] = draw(self._goals.points[goal], self._picture)
@@ -139,6 +153,10 @@ class EpisodeBatch:
             self.simulation.points[index][None], self._goal_images[goal], self._picture
         )[0]
         return seen
+
+    def rgb(self, index: int) -> NDArray[np.uint8]:
+        """The picture without its depth: uint8 (views * size, 2 size, 3)."""
+        return np.ascontiguousarray(self.picture(index)[..., :3])
 
     def state(self, index: int) -> NDArray[np.float32]:
         """Vertices of the rope now, then of its goal, metres: float32 (6 beads,)."""
@@ -159,17 +177,22 @@ class EpisodeBatch:
     def observation(self, index: int) -> Any:
         """What the agent of episode `index` sees, as `config.observation` says."""
         if self.config.observation == "pixels":
-            return self.picture(index)
+            return self._pixels(index)
         if self.config.observation == "state":
             return self.state(index)
         if self.config.observation == "symbolic":
             return self.symbols(index)
-        return {"pixels": self.picture(index), "state": self.state(index)}
+        return {"pixels": self._pixels(index), "state": self.state(index)}
 
     def info(self, index: int) -> dict[str, Any]:
-        """Labels and counts of episode `index`, the same keys at every step; arrays are copies."""
+        """Labels and counts of episode `index`, the same keys at every step; arrays are copies.
+
+        With `numeric_infos` every value is a NumPy array. Codes are int16 (SYMBOLS,), see
+        `observations.numbers`; the chiral one is int16 (SYMBOLS // 2,), a sign a crossing; whose
+        states they are is True for SHIPPED.
+        """
         code, goal = self.codes[index], self.goals[index]
-        return {
+        told = {
             "gauss_code": str(code),
             "gauss_code_chiral": code.chiral,
             "goal_gauss_code": str(goal),
@@ -182,16 +205,31 @@ class EpisodeBatch:
             "bead": int(self.beads[index]),
             "force": self.forces[index].copy(),
         }
+        if not self.config.numeric_infos:
+            return told
+        numeric = {
+            "gauss_code": numbers(code.visits),
+            "gauss_code_chiral": numbers(code.signs, SYMBOLS // 2),
+            "goal_gauss_code": numbers(goal.visits),
+            **{name: origin == SHIPPED for name, origin in self._came_from.items()},
+        }
+        return {name: np.asarray(numeric.get(name, value)) for name, value in told.items()}
+
+    def _pixels(self, index: int) -> NDArray[np.uint8]:
+        seen = self.picture(index)
+        return stacked(seen) if self.config.layout == "stacked" else seen
 
     def _choose(
         self, row: object, side: States, name: str, rng: np.random.Generator
     ) -> tuple[int, States]:
         nx = self.config.start_nx if name == "start" else self.config.goal_nx
-        rows = side.rows(nx, self.config.split)
+        rows = self.rows(name)
         # drawn even if unused: the noise that follows doesn't depend on options
         drawn = int(rows[rng.integers(len(rows))])
         if row is None:
             return drawn, side
+        if isinstance(row, np.ndarray) and not row.ndim:  # as numeric infos say it
+            row = row.item()
         if isinstance(row, bool) or not isinstance(row, (int, np.integer)) or row not in rows:
             raise InvalidSetting(
                 f"{name} must be a row with nx = {nx} of the {self.config.split} split:"

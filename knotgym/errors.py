@@ -18,6 +18,13 @@ class MissingFile(KnotgymError, FileNotFoundError):
     """There is no such file or dataset."""
 
 
+class MissingExtra(KnotgymError, ImportError):
+    """An optional dependency isn't installed."""
+
+    def __init__(self, needed: str, how: str) -> None:
+        super().__init__(f"this needs {needed}, which isn't installed; install it: {how}")
+
+
 def one_line(error: BaseException) -> str:
     """What an error says, its line breaks taken out."""
     return " ".join(str(error).split())

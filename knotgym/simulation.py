@@ -28,6 +28,8 @@ _BLOWN_UP = [
     )
 ]
 
+ROUNDING = 1e-6  # beyond 1 is float32's, of who rescales actions, and is taken for 1
+
 EASED = (0.5, 0.25, 0.0)  # shares of the force that a step which opens the rope is tried again with
 
 Ids = Sequence[int] | NDArray[np.int64] | None
@@ -165,7 +167,8 @@ class Simulation:
             As `step`.
 
         Raises:
-            InvalidAction: a NaN, or a number outside [-1, 1]; no rope has moved.
+            InvalidAction: a NaN, or a number outside [-1, 1] by more than ROUNDING; no rope has
+                moved.
         """
         beads, forces = self.read_actions(actions, ids)
         return self.step(beads, forces, ids)
@@ -179,10 +182,10 @@ class Simulation:
                 f"an action is 6 numbers (x, y, z, fx, fy, fz); got shape {a.shape} for"
                 f" {len(where)} ropes"
             )
-        bad = ~(np.abs(a) <= 1.0).all(axis=1)
+        bad = ~(np.abs(a) <= 1.0 + ROUNDING).all(axis=1)
         if bad.any():
             raise InvalidAction(f"an action's numbers lie in [-1, 1]; got {a[bad][0].tolist()}")
-        return decode_actions(a, self.points[where], self.rope.config)
+        return decode_actions(np.clip(a, -1.0, 1.0), self.points[where], self.rope.config)
 
     def actions(self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None) -> NDArray[np.float32]:
         """Actions float32 (len(ids), 6) that `act` reads as these beads and forces, newtons."""

@@ -56,9 +56,11 @@ class Stream(IntEnum):
     IMAGE_GRAIN = 23  # the noise of one picture, whose seed is stored
     RANDOM_WALK = 30  # rope: all its actions, see `actions.drawn_actions`
     RANDOM_WALK_NOISE = 31  # rope, step: noise survival of the state saved there
-    LEARN_PICTURES = 40  # step of training the reader
-    LEARN_ROPE = 41  # fitting the model of the rope
-    LEARN_PLACES = 42  # which places ropes begin at are kept
+    DRAWING = 40  # nx, code, number of the drawing
+    DRAWING_CODES = 41  # nx: which codes are drawn, where there are too many to list
+    LEARN_PICTURES = 50  # step of training the reader
+    LEARN_ROPE = 51  # fitting the model of the rope
+    LEARN_PLACES = 52  # which places ropes begin at are kept
 
 
 def key(stream: Stream, seed: int, *counters: int) -> tuple[int, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -14,7 +14,9 @@ if TYPE_CHECKING:
 
 SPLITS = ("train", "test")  # of a state file
 OBSERVATIONS = ("pixels", "state", "both", "symbolic")
-MAX_NX = 6  # codes above are not enumerated, nor ever met in numbers
+LAYOUTS = ("beside", "stacked")  # of the two halves of a picture
+VIEWS = ("top", "left", "front")  # of the rope, see `rendering.camera`
+MAX_NX = 11  # the largest of the hard unknots; a rope has hardly room for more
 
 # task -> (crossings of the start, crossings of the goal) for a difficulty nx
 TASKS: dict[str, Callable[[int], tuple[int, int]]] = {
@@ -26,6 +28,32 @@ TASKS: dict[str, Callable[[int], tuple[int, int]]] = {
 
 class InvalidSetting(KnotgymError, ValueError):
     """A keyword of an environment that cannot be had."""
+
+
+class UnknownKeyword(InvalidSetting, TypeError):
+    """There is no such keyword.
+
+    A TypeError in Python's own words, for TorchRL tries again without `frameskip` on no other.
+    """
+
+
+def checked_views(views: Sequence[str], error: type[KnotgymError]) -> tuple[str, ...]:
+    """Views as a tuple (JSON has lists); raise error unless each is of VIEWS and named once."""
+    named = tuple(views) if isinstance(views, (tuple, list)) else ()
+    if not named or any(view not in VIEWS for view in named) or len({*named}) < len(named):
+        raise error(
+            f"views must be a list of {', '.join(VIEWS)}, each at most once, one at least; got"
+            f" {views!r}"
+        )
+    return named
+
+
+def check_depth(depth: object, renderer: str, error: type[KnotgymError]) -> None:
+    """Raise error unless depth is a bool, and drawn by a renderer that draws it."""
+    if not isinstance(depth, bool):
+        raise error(f"depth must be true or false, got {depth!r}")
+    if depth and renderer == "mujoco":
+        raise error("depth is drawn by renderer 'opencv' (or 'auto', the same), not by 'mujoco'")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,13 +78,19 @@ class TaskConfig:
             an action that is only repeated hardly ever unties a rope (`benchmarks/towing.py`).
         reset_noise: scale of the noise at reset, radians per joint and metres.
         image_size: pixels, each half of the picture.
+        views: where the rope is seen from: "top", "left", "front", each at most once, one picture
+            below another.
+        depth: a fourth channel, how near to the camera the rope is, see `rendering.picture`.
+        layout: "beside", rope left and goal right, (size, 2 size, 3); or "stacked", the goal's
+            channels behind the rope's, (size, size, 6).
         camera: "orthographic" or "perspective".
-        renderer: "auto", "opencv" or "mujoco".
+        renderer: "auto", "opencv" or "mujoco"; depth is drawn by OpenCV alone.
         integrator_steps: MuJoCo steps that the 0.192 s of an action are cut into; 24 as published.
             With 20 an action takes five sixths of the time, and the bead furthest off ends 0.2 mm
             from where 24 put it, 2 mm after ten actions (`benchmarks/physics.py`). With fewer,
             ropes under large forces blow up; with 20, two in 100,000 random steps did.
         success_reward, failure_reward: paid at success, and at the horizon without it.
+        numeric_infos: `info` holds integers where it else holds text, see `EpisodeBatch.info`.
     """
 
     task: str
@@ -69,17 +103,22 @@ class TaskConfig:
     tow_limit: float | None = None
     reset_noise: float = 0.015
     image_size: int = 128
+    views: tuple[str, ...] = ("top",)
+    depth: bool = False
+    layout: str = "beside"
     camera: str = "orthographic"
     renderer: str = "auto"
     integrator_steps: int = 24
     success_reward: float = SUCCESS_REWARD
     failure_reward: float = FAILURE_REWARD
+    numeric_infos: bool = False
 
     def __post_init__(self) -> None:
         for name, known in {
             "task": tuple(TASKS),
             "split": SPLITS,
             "observation": OBSERVATIONS,
+            "layout": LAYOUTS,
             "camera": ("orthographic", "perspective"),
             "renderer": ("auto", "opencv", "mujoco"),
         }.items():
@@ -87,6 +126,8 @@ class TaskConfig:
                 raise InvalidSetting(
                     f"no {name} {getattr(self, name)!r}; there is {', '.join(known)}"
                 )
+        object.__setattr__(self, "views", checked_views(self.views, InvalidSetting))
+        check_depth(self.depth, self.renderer, InvalidSetting)
         for name, least, most in (
             ("nx", 1, MAX_NX),
             ("horizon", 1, None),
@@ -99,6 +140,8 @@ class TaskConfig:
             if not whole or value < least or (most is not None and value > most):
                 right = f"from {least} to {most}" if most else f"of at least {least}"
                 raise InvalidSetting(f"{name} must be a whole number {right}, got {value!r}")
+        if not isinstance(self.numeric_infos, bool):
+            raise InvalidSetting(f"numeric_infos must be True or False, got {self.numeric_infos!r}")
         if self.states is not None and not isinstance(self.states, str):
             raise InvalidSetting(
                 f"states must be the path of a state file as a string, got {self.states!r}"

@@ -14,7 +14,7 @@ _INNER = np.isnan(_ARC)
 
 def polygons(
     pixels: NDArray[np.float64], height: NDArray[np.float64], radius: NDArray[np.float64], side: int
-) -> tuple[NDArray[np.int32], NDArray[np.intp]]:
+) -> tuple[NDArray[np.int32], NDArray[np.intp], NDArray[np.float64]]:
     """As `knotgym.rendering.rasterizer.polygons`."""
     along = np.roll(pixels, -1, axis=0) - pixels
     length = np.hypot(along[:, 0], along[:, 1])
@@ -55,10 +55,10 @@ def polygons(
 
     # false for NaN
     seen = np.all((corners.max(axis=1) >= -1.0) & (corners.min(axis=1) <= side), axis=1)
-    order = np.flatnonzero(seen)[
-        np.argsort((height[bead] + 0.5 * (start + stop) * climb[bead])[seen], kind="stable")
-    ]
-    return np.rint(np.clip(corners[order], -_FAR, _FAR) * 2**SHIFT).astype(np.int32), bead[order]
+    middle = height[bead] + 0.5 * (start + stop) * climb[bead]
+    order = np.flatnonzero(seen)[np.argsort(middle[seen], kind="stable")]
+    vertices = np.rint(np.clip(corners[order], -_FAR, _FAR) * 2**SHIFT).astype(np.int32)
+    return vertices, bead[order], middle[order]
 
 
 def _end(

@@ -119,6 +119,23 @@ def test_gymnasium_finds_no_fault_in_a_bare_environment(make: Make, observation:
     check_env(make(observation=observation), skip_render_check=True)
 
 
+@pytest.mark.parametrize("observation", ["pixels", "both"])
+def test_gymnasium_finds_no_fault_in_three_views_with_depth(
+    registered: Callable[..., gym.Env[Any, Any]], observation: str
+) -> None:
+    env = registered(
+        "tie", observation=observation, views=["top", "left", "front"], depth=True, image_size=32
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", message=".*(infinity|-infinity).*")
+        check_env(env.unwrapped)
+    seen = env.reset(seed=0)[0]
+    picture = seen["pixels"] if observation == "both" else seen
+    assert picture.shape == (96, 64, 4) and picture.dtype == np.uint8
+    assert same(env.render(), picture[..., :3])
+
+
 def test_the_contracts_first_line_works() -> None:
     env = gym.make("knotgym/Tie-v0", nx=3, split="train")
     observation, info = env.reset(seed=0)
@@ -155,6 +172,15 @@ def test_pictures_show_the_rope_left_and_the_goal_right(make: Make, states: Stat
     picture, info = env.reset(seed=0)
     config = PictureConfig(size=64)
     assert picture.shape == (64, 128, 3) and picture.dtype == np.uint8
+    assert np.array_equal(picture[:, :64], draw(env.episodes.simulation.points[0], config))
+    assert np.array_equal(picture[:, 64:], draw(states.points[info["goal"]], config))
+
+
+def test_views_show_the_rope_left_and_the_goal_right(make: Make, states: States) -> None:
+    views = ("front", "top")
+    env = make("convert", nx=3, observation="pixels", image_size=64, views=views, depth=True)
+    picture, info = env.reset(seed=0)
+    config = PictureConfig(size=64, views=views, depth=True)
     assert np.array_equal(picture[:, :64], draw(env.episodes.simulation.points[0], config))
     assert np.array_equal(picture[:, 64:], draw(states.points[info["goal"]], config))
 
@@ -443,17 +469,19 @@ def test_a_row_of_the_other_split_is_refused(make: Make, states: States) -> None
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"nx": -1}, "nx must be a whole number from 1 to 6, got -1"),
-        ({"nx": 0}, "nx must be a whole number from 1 to 6, got 0"),
-        ({"nx": 9}, "nx must be a whole number from 1 to 6, got 9"),
-        ({"nx": 2.5}, "nx must be a whole number from 1 to 6, got 2.5"),
-        ({"nx": True}, "nx must be a whole number from 1 to 6, got True"),
+        ({"nx": -1}, "nx must be a whole number from 1 to 11, got -1"),
+        ({"nx": 0}, "nx must be a whole number from 1 to 11, got 0"),
+        ({"nx": 12}, "nx must be a whole number from 1 to 11, got 12"),
+        ({"nx": 2.5}, "nx must be a whole number from 1 to 11, got 2.5"),
+        ({"nx": True}, "nx must be a whole number from 1 to 11, got True"),
         ({"split": "validation"}, "no split 'validation'; there is train, test"),
         ({"task": "plait"}, "no task 'plait'; there is unknot, tie, convert"),
         (
             {"observation": "depth"},
             "no observation 'depth'; there is pixels, state, both, symbolic",
         ),
+        ({"layout": "above"}, "no layout 'above'; there is beside, stacked"),
+        ({"numeric_infos": 1}, "numeric_infos must be True or False, got 1"),
         ({"camera": "fisheye"}, "no camera 'fisheye'"),
         ({"renderer": "filament"}, "no renderer 'filament'"),
         ({"render_mode": "human"}, "no render_mode 'human'"),
@@ -463,7 +491,17 @@ def test_a_row_of_the_other_split_is_refused(make: Make, states: States) -> None
         ({"integrator_steps": 12}, "integrator_steps must be a whole number from 20 to 96, got 12"),
         ({"reset_noise": -0.1}, r"reset_noise must be in \[0, 1\), got -0.1"),
         ({"reset_noise": float("nan")}, r"reset_noise must be in \[0, 1\), got nan"),
-        ({"noise": 0.1}, "no keyword 'noise'; there is nx, split, states, observation"),
+        (
+            {"views": ["top", "below"]},
+            "views must be a list of top, left, front, each at most once",
+        ),
+        ({"views": "left"}, "one at least; got 'left'"),
+        ({"depth": "yes"}, "depth must be true or false, got 'yes'"),
+        ({"depth": True, "renderer": "mujoco"}, "depth is drawn by renderer 'opencv'"),
+        (
+            {"noise": 0.1},
+            "got an unexpected keyword argument 'noise'; there is nx, split, states, observation",
+        ),
     ],
     ids=str,
 )
@@ -590,6 +628,39 @@ def test_bad_actions_are_refused_and_nothing_moves(make: Make, action: NDArray[A
     )
 
 
+def test_an_unknown_keyword_is_a_type_error_in_pythons_words(
+    registered: Callable[..., gym.Env[Any, Any]],
+) -> None:
+    with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'"):
+        registered(frameskip=4)
+
+
+def test_numeric_infos_say_the_same_in_integers(make: Make) -> None:
+    words, numbers = make("unknot", nx=3), make("unknot", nx=3, numeric_infos=True)
+    text, told = words.reset(seed=1)[1], numbers.reset(seed=1)[1]
+    code = GaussCode.parse(text["gauss_code_chiral"])
+    assert text.keys() == told.keys()
+    assert all(isinstance(value, np.ndarray) for value in told.values())
+    assert told["gauss_code"].dtype == np.int16 and told["gauss_code"].shape == (64,)
+    assert tuple(told["gauss_code"][:6]) == code.visits and not told["gauss_code"][6:].any()
+    assert tuple(told["gauss_code_chiral"][:3]) == code.signs
+    assert not told["goal_gauss_code"].any() and told["start_states"] == 0
+
+
+@pytest.mark.parametrize("observation", ["pixels", "both"])
+def test_stacked_pictures_have_the_goals_channels_last(make: Make, observation: str) -> None:
+    settings: dict[str, Any] = {"observation": observation, "image_size": 16}
+    env = make("tie", layout="stacked", **settings)
+    seen, beside = env.reset(seed=0)[0], make("tie", **settings).reset(seed=0)[0]
+    assert seen in env.observation_space
+    if observation == "both":
+        seen, beside = seen["pixels"], beside["pixels"]
+    assert np.array_equal(seen[..., :3], beside[:, :16])
+    assert np.array_equal(seen[..., 3:], beside[:, 16:])
+    rendered = env.render()
+    assert rendered is not None and np.array_equal(rendered, beside)
+
+
 @pytest.mark.parametrize("observation", MODES)
 def test_a_blown_up_simulation_ends_the_episode_and_is_never_seen(
     make: Make, observation: str
@@ -691,7 +762,7 @@ def test_a_spec_survives_json(registered: Callable[..., gym.Env[Any, Any]]) -> N
 
 
 def test_every_setting_is_json(states_path: str) -> None:
-    config = TaskConfig(task="tie", states=states_path)
+    config = TaskConfig(task="tie", states=states_path, views=("left", "top"), depth=True)
     assert TaskConfig(**json.loads(json.dumps(config.__dict__))) == config
 
 

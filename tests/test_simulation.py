@@ -150,6 +150,15 @@ def test_bad_actions_are_refused_and_nothing_moves(
     assert np.array_equal(simulation.states(), before)
 
 
+def test_rounding_beyond_1_is_taken_for_1(rope: Rope) -> None:
+    one, other = Simulation(1, rope), Simulation(1, rope)
+    one.act(np.array([[0.1, 0, 0, 1, -1, 1]]))
+    other.act(np.array([[0.1, 0, 0, np.nextafter(np.float32(1), np.float32(2)), -1 - 1e-6, 1]]))
+    assert np.array_equal(one.states(), other.states())
+    with pytest.raises(InvalidAction):
+        one.act(np.full((1, 6), 1 + 2e-6))
+
+
 def test_a_call_refused_by_mujoco_leaves_no_force_behind(rope: Rope) -> None:
     simulation, other = Simulation(2, rope), Simulation(2, rope)
     with pytest.raises(ValueError, match="sorted and unique"):

@@ -13,8 +13,8 @@ Misread = tuple[NDArray[np.uint8], str, str]
 def page(
     missed: list[Misread], path: Path, columns: int = 5, rows: int = 8, side: int = 256
 ) -> None:
-    """Draw the first of them with the code they show (white) and the code that was read (red); an
-    empty page where there are none.
+    """Draw the first of them, one at least, with the code they show (white) and the code that was
+    read (red).
     """
     tiles = []
     for picture, code, read in missed[: rows * columns]:
@@ -32,9 +32,7 @@ def page(
                 cv2.LINE_AA,
             )
         tiles.append(tile)
-    tiles += [np.zeros((side + 40, side, 3), dtype=np.uint8)] * (
-        -len(tiles) % columns or columns * (not tiles)
-    )
+    tiles += [np.zeros((side + 40, side, 3), dtype=np.uint8)] * (-len(tiles) % columns)
     cv2.imwrite(
         str(path),
         np.concatenate(

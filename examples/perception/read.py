@@ -22,7 +22,11 @@ from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
-import torch
+
+try:
+    import torch
+except ModuleNotFoundError as error:
+    raise SystemExit("read.py needs torch: pip install 'knotgym[torch,huggingface]'") from error
 from misread import Misread, page
 from torch import Tensor, nn
 from torch.nn import functional
@@ -312,7 +316,10 @@ def main() -> None:
     score, missed = evaluate(net, given.folder)
     report = {"steps": given.steps, "batch": given.batch, "seed": given.seed, "exact match": score}
     (given.out / "report.json").write_text(json.dumps(report, indent=1))
-    page(missed, given.out / "confusions.png")
+    if missed:
+        page(missed, given.out / "confusions.png")
+    else:
+        print("nothing was misread, so there is no confusions.png")
     for key, value in score.items():
         print(f"{key:28} {value}")
 

@@ -196,8 +196,11 @@ def main() -> None:
             f"{' '.join(map(str, key)):16} {right[key]:5} of {tried[key]:5}"
             f" {100 * right[key] / tried[key]:6.2f} %"
         )
-    if given.page:
+    if given.page and missed:
         page(missed, given.page)
+        print(f"{given.page}: {len(missed)} misread")
+    elif given.page:
+        print(f"nothing accepted was misread, so there is no {given.page}")
 
 
 if __name__ == "__main__":

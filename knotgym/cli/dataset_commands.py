@@ -6,24 +6,34 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
+
+from knotgym.cli.options import QuietOption
+from knotgym.runs.progress import Progress
 
 dataset_app = typer.Typer(no_args_is_help=True, help="Look at, check and convert datasets.")
 
 PathOrId = Annotated[
     str,
     typer.Argument(
-        metavar="PATH-OR-ID", help="A folder or file that knotgym made, or a Minari dataset id."
+        metavar="PATH-OR-ID",
+        help=(
+            "A run's folder or the `minari` in it, a states.h5, an episode file, a folder of"
+            " pictures, or a Minari dataset id."
+        ),
     ),
 ]
 
 
 @dataset_app.command()
 def show(path: PathOrId) -> None:
-    """Count what a dataset holds: crossings, codes, chirality, splits, quality, rejections."""
-    from knotgym.cli.inspection import show as look
+    """Count what a dataset holds.
 
-    look(path, Console())
+    Crossings, codes, chirality, splits, quality, rejections.
+    """
+    with Progress(lines=False) as progress:
+        from knotgym.cli.inspection import show as look
+
+        look(path, progress.console)
 
 
 @dataset_app.command()
@@ -31,14 +41,16 @@ def gallery(
     path: PathOrId,
     out: Annotated[Path, typer.Option(help="PNG to write.")] = Path("gallery.png"),
     columns: Annotated[int, typer.Option(min=1, help="Pictures in a row.")] = 8,
+    quiet: QuietOption = False,
 ) -> None:
-    """Draw a contact sheet of curated states with their codes."""
-    from knotgym.cli.inspection import refuse_existing, states_path
-    from knotgym.datasets.gallery import write_gallery
-    from knotgym.datasets.states import read_states
+    """Draw a contact sheet, each picture with its code.
 
-    refuse_existing(out)
-    write_gallery(out, read_states(states_path(path)), columns)
+    Of all states; of pictures, or of the ends of episodes, the first 64.
+    """
+    with Progress(quiet, lines=False) as progress:
+        from knotgym.cli.inspection import gallery as draw
+
+        progress.say(f"{out}: {draw(path, out, columns)}")
 
 
 @dataset_app.command()
@@ -46,20 +58,26 @@ def verify(
     path: PathOrId,
     quiet: Annotated[bool, typer.Option("--quiet", help="Say nothing but faults.")] = False,
 ) -> None:
-    """Check everything: checksums, schema, labels by two labellers, provenance by replay, splits.
+    """Check everything that a dataset says.
 
-    Exit status 1 on any fault.
+    Checksums, schema, labels by two labellers, provenance by replay, splits. Exit status 1 on any
+    fault.
     """
-    from knotgym.cli.inspection import faults
+    with Progress(quiet, lines=False) as progress:
+        from knotgym.cli.inspection import checked, faults
+        from knotgym.runs.progress import compile_first
 
-    console, found = Console(), 0
-    for fault in faults(path, None if quiet else console):
-        found += 1
-        console.print(f"fault: {fault}", soft_wrap=True, highlight=False, markup=False)
-    if not quiet:
-        console.print(f"{found} faults" if found else "no faults", highlight=False)
-    if found:
-        raise typer.Exit(1)
+        compile_first(progress)
+        found = 0
+        for fault in faults(path, progress):
+            found += 1
+            told = f"fault: {fault}"
+            progress.console.print(told, soft_wrap=True, highlight=False, markup=False)
+        if found:
+            progress.say(f"{path}: {found} faults")
+            raise typer.Exit(1)
+        if not quiet:
+            progress.say(f"{path}: {checked(path)}: no faults")
 
 
 @dataset_app.command()
@@ -75,35 +93,68 @@ def merge(
         ),
     ],
     out: Annotated[
-        Path,
+        Path | None,
         typer.Option(
             help=(
                 "For shards the folder to make, for those of collect the root of the dataset's id;"
-                " else the file: states.h5, or "
-                "episodes.h5 for trajectories."
+                " with --id the root of the id, Minari's own by default; else the file: states.h5,"
+                " or episodes.h5 for trajectories."
             )
         ),
-    ],
+    ] = None,
+    dataset_id: Annotated[
+        str,
+        typer.Option("--id", help="Make a Minari dataset of this id, such as knotgym/all-v0."),
+    ] = "",
+    quiet: QuietOption = False,
 ) -> None:
-    """Put shards of one run, or datasets of one kind, together, nothing encoded again."""
-    from knotgym.cli.inspection import merge as put_together
+    """Put shards of one run, or datasets of one kind, together.
 
-    put_together(sources, out)
+    Nothing is encoded again.
+
+    Examples:
+
+        knotgym dataset merge runs/nx4-shard-*-of-8 --out runs/nx4
+
+        knotgym dataset merge a/states.h5 b/states.h5 --out states.h5
+
+        knotgym dataset merge knotgym/tie-nx2/a-v0 knotgym/tie-nx2/b-v0 --id knotgym/both-v0
+    """
+    if not dataset_id and out is None:
+        raise typer.BadParameter("say where to: --out FILE, or --id for a Minari dataset")
+    with Progress(quiet, lines=False) as progress:
+        from knotgym.atomic_files import require_writable
+        from knotgym.cli.inspection import merge as put_together
+        from knotgym.cli.inspection import merge_to_minari
+
+        if out is not None:
+            require_writable(out)
+        progress.stage("merging")
+        if dataset_id:
+            progress.say(merge_to_minari(sources, dataset_id, out))
+        elif out is not None:
+            progress.say(put_together(sources, out))
 
 
 @dataset_app.command()
 def replay(
     path: PathOrId,
-    out: Annotated[Path, typer.Option(help="Video to write, .mp4 or .gif.")] = Path("replay.gif"),
+    out: Annotated[
+        Path, typer.Option(help="Video to write: .gif, or .mp4 or .webm with the extra video.")
+    ] = Path("replay.gif"),
     row: Annotated[int, typer.Option(min=0, help="Which state or episode.")] = 0,
+    quiet: QuietOption = False,
 ) -> None:
     """Act out how a state or an episode came to be, check it bit for bit, and film it.
 
-    Its code stands under the picture.
+    The pull is an arrow, and both codes stand below.
     """
-    from knotgym.cli.inspection import film
+    with Progress(quiet, lines=False) as progress:
+        from knotgym.atomic_files import require_writable
+        from knotgym.cli.inspection import film
 
-    film(path, row, out)
+        require_writable(out)
+        progress.say(f"{out}: {film(path, row, out, progress)}")
 
 
 @dataset_app.command()
@@ -111,12 +162,24 @@ def export(
     path: PathOrId,
     out: Annotated[
         Path,
-        typer.Option(help="File to write: .h5 for the compact form (states and actions only)."),
+        typer.Option(
+            help=(
+                "What to write: a file, .h5, for the compact form, a folder of such where there are"
+                " several datasets; a folder for the others."
+            )
+        ),
     ],
+    to: Annotated[
+        str,
+        typer.Option(help="compact (states and actions; pictures are drawn), lerobot or ogbench."),
+    ] = "compact",
+    quiet: QuietOption = False,
 ) -> None:
-    """Convert trajectories to the compact form; pictures are drawn when it is read."""
-    from knotgym.cli.inspection import refuse_existing
-    from knotgym.datasets.minari_dataset import compact
+    """Convert trajectories to another form: the compact one, LeRobot's, OGBench's."""
+    with Progress(quiet, lines=False) as progress:
+        from knotgym.atomic_files import require_writable
+        from knotgym.cli.inspection import export as convert
 
-    refuse_existing(out)
-    compact(path, out)
+        require_writable(out)
+        progress.stage("exporting")
+        progress.say(f"{out}: {convert(path, out, to)}")

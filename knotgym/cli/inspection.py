@@ -1,35 +1,52 @@
-"""What `knotgym dataset ...` does: find out what a path or an id holds, and call what fits."""
+"""What `knotgym dataset ...` does with what a path or an id names."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
+from knotgym.atomic_files import atomic_write
+from knotgym.cli.places import Place, UnknownDataset, episodes_at, name_of, place, places
 from knotgym.cli.summaries import print_episodes, print_images, print_states
 from knotgym.datasets import verification
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_writer import merge_episodes
-from knotgym.datasets.image_table import is_images
-from knotgym.datasets.states import merge_states, read_states, write_states
+from knotgym.datasets.exports.forms import export as convert
+from knotgym.datasets.gallery import contact_sheet, write_gallery, write_png
+from knotgym.datasets.image_table import read_rows, read_table
+from knotgym.datasets.manifest_check import read_manifest
+from knotgym.datasets.minari_dataset import compact, merge_datasets
+from knotgym.datasets.states import merge_states, minari_root, read_states, write_states
 from knotgym.errors import KnotgymError
 from knotgym.generate.merge_shards import merge_shards, shard_folder_of
-from knotgym.hdf5_files import hdf5_format
 from knotgym.rendering.picture import draw
-from knotgym.rendering.video import FRAMES_PER_SECOND, captioned, write_film
+from knotgym.rendering.video import FRAMES_PER_SECOND, film_frame, require_film, write_film
 from knotgym.rope import Array, Rope
 from knotgym.runs.executors import executor
+from knotgym.runs.progress import Progress
 from knotgym.runs.staging import Occupied
 from knotgym.simulation import Simulation
 from knotgym.topology.crossings import label
 
+_SHOWN = 64  # pictures or episodes of a gallery, at most
 
-class UnknownDataset(KnotgymError, ValueError):
-    """Nothing of ours is at this path."""
+
+def states_file(path: Path) -> Path:
+    """The state file that a folder or a path means."""
+    return path / "states.h5" if path.is_dir() else path
+
+
+def demonstrations(path: Path) -> list[Place]:
+    """The trajectory datasets beside the states of a run."""
+    return episodes_at(str(path)) if (path / "minari").is_dir() else []
 
 
 class UntrueReplay(KnotgymError, RuntimeError):
@@ -42,45 +59,126 @@ def refuse_existing(path: Path) -> None:
         raise Occupied(f"{path} is there already; choose another --out, or remove it")
 
 
-def is_states(path: str) -> bool:
-    """Whether a path means a state file, by itself or in its folder."""
-    given = Path(path)
-    if given.is_dir():
-        return (given / "states.h5").is_file()
-    return given.is_file() and hdf5_format(given) == "knotgym-states"
-
-
-def states_path(path: str) -> Path:
-    """The state file that a folder or a path means."""
-    given = Path(path)
-    file = given / "states.h5" if given.is_dir() else given
-    if not file.is_file():
-        raise UnknownDataset(
-            f"no states at {path}: give a folder that knotgym generate made, or a states.h5"
-        )
-    return file
-
-
-def show(path: str, console: Console) -> None:
+def show(named: str, console: Console) -> None:
     """Print what a dataset holds."""
-    if is_images(path):
-        print_images(path, console)
-    elif is_states(path):
-        print_states(path, states_path(path), console)
-    else:
-        print_episodes(path, console)
+    for kind, path in places(named):
+        if kind == "images":
+            print_images(str(path), console)
+        elif kind == "states":
+            print_states(named, states_file(path), console)
+        else:
+            print_episodes(str(path), console)
 
 
-def faults(path: str, console: Console | None) -> Iterator[str]:
-    """Check a dataset; yield its faults."""
-    if console:
-        console.print(f"verifying {path}", highlight=False, soft_wrap=True)
+def faults(named: str, progress: Progress) -> Iterator[str]:
+    """Check what a path or an id names; yield its faults."""
     with executor(0) as pool:
-        yield from verification.faults(path, pool.map)
+        for _, path in places(named):
+            progress.stage(f"checking {path}")
+            yield from verification.faults(path, pool.map)
 
 
-def merge(sources: Sequence[str], out: Path) -> None:
-    """Put datasets of one kind together, or the shards of one run."""
+def checked(named: str) -> str:
+    """What a check of a sound dataset has looked at, in a few words."""
+    told: Counter[str] = Counter()
+    for kind, path in places(named):
+        if kind == "images":
+            told["pictures"] += len(read_table(path, columns=["nx"]))
+        elif kind == "states":
+            told["labels"] += len(read_states(states_file(path), images=False))
+        if kind != "images":
+            inside = episodes_at(str(path)) if kind == "episodes" else demonstrations(path)
+            for one in inside:
+                reader = EpisodeReader(one.path)
+                told["episodes" if kind == "episodes" else "demonstrations"] += len(reader)
+                told["steps acted out"] += int(reader.lengths.sum())
+                reader.close()
+        told["checksums"] += len(read_manifest(path)[0].get("files", {})) if path.is_dir() else 0
+    return ", ".join(f"{count} {what}" for what, count in told.items() if count)
+
+
+def gallery(named: str, out: Path, columns: int) -> str:
+    """Draw a contact sheet of what a path or an id names; the fact to tell of it."""
+    refuse_existing(out)
+    kind, path = places(named)[0]
+    if kind == "states":
+        states = read_states(states_file(path))
+        write_gallery(out, states, columns)
+        return f"{len(states)} states"
+    if kind == "images":
+        count, shown = len(read_table(path, columns=["nx"])), []
+        columns_read = ["image", "gauss_code_chiral", "split"]
+        for row in islice(read_rows(path, columns=columns_read), _SHOWN):
+            coded = np.frombuffer(row["image"], np.uint8)
+            picture = cv2.resize(np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR)), (128, 128))
+            shown.append((picture[..., ::-1], row["gauss_code_chiral"], row["split"]))
+        what = "pictures"
+    else:
+        ends = [end for one in places(named) for end in _ends(one.path)]
+        count, shown, what = len(ends), ends[:_SHOWN], "episodes, each at its end"
+    pictures = np.stack([picture for picture, _, _ in shown])
+    captions = [(code or "loop", more) for _, code, more in shown]
+    write_png(out, contact_sheet(pictures, captions, columns=min(columns, len(shown))))
+    return f"{len(shown)} of {count} {what}" if len(shown) < count else f"{count} {what}"
+
+
+def _ends(path: Path) -> list[tuple[NDArray[np.uint8], str, str]]:
+    """The last picture of each episode, its code, and who got there."""
+    reader = EpisodeReader(path)
+    out = []
+    for row in range(len(reader)):
+        points = reader.column(row, "points")[-1]
+        reached = "reached" if reader.column(row, "is_success")[-1] else "not reached"
+        out.append((draw(points), label(points).chiral, f"episode {row}  {reached}"))
+    reader.close()
+    return out
+
+
+def export(named: str, out: Path, form: str = "compact") -> str:
+    """Write another form of what a path or an id names, the compact one as a file, or a folder with
+    one for each dataset; the fact to tell of it.
+    """
+    found = episodes_at(named)
+    if form != "compact":
+        if len(found) > 1:
+            raise UnknownDataset(
+                f"{named} has {len(found)} datasets; export them to {form} one by one"
+            )
+        convert(found[0].path, out, form)
+        return f"{len(EpisodeReader(found[0].path))} episodes for {form}"
+    refuse_existing(out)
+    refuse_minaris_folder(out)
+    if len(found) == 1:
+        compact(found[0].path, out)
+    else:
+        with atomic_write(out) as folder:
+            folder.mkdir()
+            for one in found:
+                compact(one.path, folder / f"{name_of(one.path)}.h5")
+    readers = [EpisodeReader(path) for path in (sorted(out.iterdir()) if out.is_dir() else [out])]
+    size = sum(reader.path.stat().st_size for reader in readers)
+    where = f" in {len(readers)} files" if len(readers) > 1 else ""
+    return f"{sum(map(len, readers))} episodes{where}, {size / 1e6:.1f} MB"
+
+
+def refuse_minaris_folder(out: Path) -> None:
+    """Raise UnknownDataset where a plain file would lie among Minari's datasets."""
+    if out.resolve().is_relative_to(minari_root().resolve()):
+        raise UnknownDataset(
+            f"{out} is in Minari's folder, where a plain file is no dataset: give --id"
+            " knotgym/name-v0 to merge, or another --out"
+        )
+
+
+def merge_to_minari(sources: Sequence[str], dataset_id: str, root: Path | None) -> str:
+    """Make a Minari dataset of several; the fact to tell of it."""
+    paths = [place(source, "episodes").path for source in sources]
+    made = merge_datasets(paths, dataset_id, root)
+    return f"{made}: {len(EpisodeReader(made))} episodes"
+
+
+def merge(sources: Sequence[str], out: Path) -> str:
+    """Put datasets of one kind together, or the shards of one run; the fact to tell of it."""
     run_shards = [shard for source in sources if (shard := shard_folder_of(source))]
     if run_shards:
         others = len(sources) - len(run_shards)
@@ -89,46 +187,60 @@ def merge(sources: Sequence[str], out: Path) -> None:
                 f"shards of a run are merged with each other alone; {others} of these"
                 f" {len(sources)} are none"
             )
-        merge_shards(run_shards, out)
-        return
+        made = merge_shards(run_shards, out)
+        return f"{made} is the whole run, of {len(run_shards)} shards"
     refuse_existing(out)
-    if any(is_images(source) for source in sources):
+    refuse_minaris_folder(out)
+    found = [place(source) for source in sources]
+    kinds = {one.kind for one in found}
+    if "images" in kinds:
         raise UnknownDataset(
             "perception tables are merged only if they are shards of one run (knotgym images"
             " --shard)"
         )
-    if all(is_states(source) for source in sources):
-        parts = [read_states(states_path(source)) for source in sources]
-        write_states(out, merge_states(parts, distinct=True))
-    elif any(is_states(source) for source in sources):
+    if len(kinds) > 1:
         raise UnknownDataset(
             f"states and trajectories don't go into one file: {', '.join(sources)}"
         )
-    else:
-        merge_episodes(sources, out, concatenate=True, distinct=True)
+    if kinds == {"states"}:
+        merged = merge_states([read_states(states_file(path)) for _, path in found], distinct=True)
+        write_states(out, merged)
+        return f"{out}: {len(merged)} states"
+    merge_episodes([path for _, path in found], out, concatenate=True, distinct=True)
+    return f"{out}: {len(EpisodeReader(out))} episodes"
 
 
-def film(path: str, row: int, out: Path) -> None:
-    """Act out a state's provenance or an episode and write it as a video.
+def film(named: str, row: int, out: Path, progress: Progress) -> str:
+    """Act out a state's provenance or an episode and write it as a video; the fact to tell of it.
 
     Raises:
         UnknownDataset: there is no such row, or nothing is known of how it came to be.
         UntrueReplay: it ended elsewhere; nothing is written.
     """
+    require_film(out)
     refuse_existing(out)
-    scene = _state_scene(path, row) if is_states(path) else _episode_scene(path, row)
-    simulation = Simulation(1, scene.rope)
+    kind, path = place(named, "states", "episodes")
+    scene = (_state_scene if kind == "states" else _episode_scene)(path, row)
+    simulation, steps = Simulation(1, scene.rope), len(scene.actions)
     simulation.lay(scene.start_qpos[None])
-    frames = [_frame(simulation.points[0], scene.goal, 0)]
-    for step, action in enumerate(scene.actions, 1):
-        simulation.act(action[None])
-        frames.append(_frame(simulation.points[0], scene.goal, step))
+    frames = []
+    for step in range(steps + 1):
+        progress.stage("steps acted out", step, steps)
+        points, pull = simulation.points[0].copy(), None
+        if step < steps:
+            beads, forces = simulation.read_actions(scene.actions[step][None])
+            pull = int(beads[0]), forces[0] / scene.rope.config.max_force
+        frames.append(film_frame(points, scene.goal, f"step {step} of {steps}", pull))
+        if step < steps:
+            simulation.act(scene.actions[step][None])
     if not np.array_equal(simulation.points[0], scene.end):
         raise UntrueReplay(
-            f"row {row} of {path} acted out again ends elsewhere, first bead"
+            f"row {row} of {named} acted out again ends elsewhere, first bead"
             f" {np.abs(simulation.points[0] - scene.end).max():.3g} m away at most"
         )
+    progress.stage("writing")
     write_film(out, frames + frames[-1:] * FRAMES_PER_SECOND)
+    return f"bit for bit the same, {steps} steps"
 
 
 class _Scene(NamedTuple):
@@ -141,8 +253,8 @@ class _Scene(NamedTuple):
     goal: Array
 
 
-def _state_scene(path: str, row: int) -> _Scene:
-    states = read_states(states_path(path), images=False)
+def _state_scene(path: Path, row: int) -> _Scene:
+    states = read_states(states_file(path), images=False)
     _require_row(row, len(states))
     if not {"start_qpos", "actions", "steps"} <= states.source.keys():
         raise UnknownDataset(
@@ -153,7 +265,7 @@ def _state_scene(path: str, row: int) -> _Scene:
     return _Scene(Rope(), states.source["start_qpos"][row], actions, end, goal=end)
 
 
-def _episode_scene(path: str, row: int) -> _Scene:
+def _episode_scene(path: Path, row: int) -> _Scene:
     reader = EpisodeReader(path)
     _require_row(row, len(reader))
     episode = reader.episode(row)
@@ -170,11 +282,3 @@ def _episode_scene(path: str, row: int) -> _Scene:
 def _require_row(row: int, count: int) -> None:
     if row >= count:
         raise UnknownDataset(f"row {row} is not there; there are {count}, from 0")
-
-
-def _frame(points: Array, goal: Array, step: int) -> NDArray[np.uint8]:
-    lines = [
-        f"step {step}   code {label(points).chiral or 'loop'}",
-        f"goal {str(label(goal)) or 'loop'}",
-    ]
-    return captioned(np.concatenate([draw(points), draw(goal)], axis=1), lines)

@@ -8,9 +8,10 @@ import sys
 import traceback
 from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor
-from typing import Any
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
 from knotgym.cli.dataset_commands import dataset_app
 from knotgym.cli.learning_commands import train
@@ -20,15 +21,69 @@ from knotgym.errors import KnotgymError
 from knotgym.runs.pools import LostWorkers
 from knotgym.runs.run_options import NotEnough
 
-app = typer.Typer(
-    add_completion=False,
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    help="Data for spatial reasoning on knots.",
-)
-app.add_typer(dataset_app, name="dataset")
+
+class Command(TyperCommand):
+    """A command whose flags show no type in --help."""
+
+    def get_params(self, ctx: Any) -> Any:
+        return _flags_bare(super().get_params(ctx))
+
+
+class Group(TyperGroup):
+    """The same for a group of commands."""
+
+    def get_params(self, ctx: Any) -> Any:
+        return _flags_bare(super().get_params(ctx))
+
+
+def _flags_bare(parameters: list[Any]) -> list[Any]:
+    for parameter in parameters:
+        if getattr(parameter, "is_flag", False):
+            parameter.metavar = ""
+    return parameters
+
+
+_HELP: dict[str, Any] = {"context_settings": {"help_option_names": ["-h", "--help"]}}
+_APP: dict[str, Any] = {**_HELP, "add_completion": False, "pretty_exceptions_enable": False}
+
+app = typer.Typer(cls=Group, no_args_is_help=True, **_APP)
+app.add_typer(dataset_app, name="dataset", cls=Group, **_HELP)
 for _command in (generate, collect, train, evaluate, images):
-    app.command()(_command)
+    app.command(cls=Command)(_command)
+for _listed in dataset_app.registered_commands:
+    _listed.cls = Command
+generate_app = typer.Typer(**_APP)  # knotgym-generate, one command without a name
+generate_app.command(cls=Command)(generate)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        import knotgym
+
+        print(f"knotgym {knotgym.__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def knotgym(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_version, is_eager=True, help="Say which this is."),
+    ] = False,
+) -> None:
+    """Data for spatial reasoning on knots.
+
+    Examples:
+
+        knotgym generate --nx 3 --count 40
+
+        knotgym collect --task tie --nx 3 --policy expert --episodes 200
+
+        knotgym evaluate --task tie --nx 3 --policy random
+
+        knotgym dataset show knotgym-data/nx3
+    """
+
 
 # ClickException, be it Click's own or the copy inside typer
 _USAGE: Any = typer.BadParameter.__mro__[2]
@@ -43,19 +98,19 @@ _OURS = (
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run `knotgym`; exits with 0 only when everything asked for was done."""
-    _run(app, arguments)
+    _run(app, "knotgym", arguments)
 
 
 def main_generate(arguments: Sequence[str] | None = None) -> None:
     """Run `knotgym-generate`, the same as `knotgym generate`."""
-    _run(app, ["generate", *(sys.argv[1:] if arguments is None else arguments)])
+    _run(generate_app, "knotgym-generate", arguments)
 
 
-def _run(command: typer.Typer, arguments: Sequence[str] | None) -> None:
+def _run(command: typer.Typer, name: str, arguments: Sequence[str] | None) -> None:
     for number in _SIGNALS:
         signal.signal(number, _interrupt)
     try:
-        result = command(args=arguments, standalone_mode=False)
+        result = command(args=arguments, prog_name=name, standalone_mode=False)
         status = result if isinstance(result, int) else 0
         if status == _INTERRUPTED:  # what typer makes of a KeyboardInterrupt
             _say(_STOPPED, status)

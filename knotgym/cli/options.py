@@ -1,10 +1,10 @@
-"""Options that several commands share."""
+"""Options that several commands share, each declared once, in the groups that --help shows."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -12,41 +12,147 @@ from knotgym.configuration import Config, InvalidConfig, updated
 from knotgym.runs.executors import scheduler_of
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.shards import Shard
+from knotgym.topology.gauss import GaussCode
 
+ENVIRONMENT, ACTING = "The environment", "Who acts"
+RUN, METADATA = "How it is run", "Metadata"
+_POLICIES = (
+    "random, constant, scripted, expert, noisy-expert, mixed, pretrained; the folder of a learner"
+    " (knotgym train); a .zip (SB3), .onnx or .pt file; or"
+    " module:name of your own, a function of (observation) or (observation, info, generator), or"
+    " an object with reset and act."
+)
+
+
+def option(*names: str, help: str, group: str | None = None, **more: Any) -> Any:
+    """An option of a group of --help."""
+    return typer.Option(*names, help=help, rich_help_panel=group, **more)
+
+
+NxOption = Annotated[str, option("--nx", help="Crossings: 3, or 2,3, or 0-4.")]
+
+StatesOption = Annotated[
+    Path | None,
+    option(
+        "--states",
+        help="readable (default) or random-walk, which ship, or a state file.",
+        group=ENVIRONMENT,
+    ),
+]
+ObservationOption = Annotated[
+    str, option("--observation", help="pixels, state, both or symbolic.", group=ENVIRONMENT)
+]
+ImageSizeOption = Annotated[
+    int, option("--image-size", help="Pixels, each half of the picture.", group=ENVIRONMENT)
+]
+ViewsOption = Annotated[
+    str,
+    option(
+        "--views",
+        help="Views in the picture, with commas: of top, left and front.",
+        group=ENVIRONMENT,
+    ),
+]
+DepthOption = Annotated[
+    bool, option("--depth", help="Depth as a fourth channel of the picture.", group=ENVIRONMENT)
+]
+HorizonOption = Annotated[
+    int, option("--horizon", help="Steps until truncation.", group=ENVIRONMENT)
+]
+HoldOption = Annotated[
+    int,
+    option("--hold", help="Consecutive steps the goal code must show.", group=ENVIRONMENT),
+]
+TowLimitOption = Annotated[
+    float | None,
+    option(
+        "--tow-limit",
+        help="Metres that the rope's centre may be towed; no bound by default.",
+        group=ENVIRONMENT,
+    ),
+]
+ResetNoiseOption = Annotated[
+    float,
+    option(
+        "--reset-noise",
+        help="Scale of the noise at reset, radians per joint and metres.",
+        group=ENVIRONMENT,
+    ),
+]
+IntegratorStepsOption = Annotated[
+    int,
+    option(
+        "--integrator-steps",
+        help="MuJoCo steps in an action; 20 are faster, on slightly other trajectories.",
+        group=ENVIRONMENT,
+    ),
+]
+
+PolicyOption = Annotated[str, option("--policy", help=_POLICIES, group=ACTING)]
+PoliciesOption = Annotated[
+    list[str] | None, option("--policy", help=f"{_POLICIES} May be repeated.", group=ACTING)
+]
+NoiseOption = Annotated[
+    float,
+    option("--noise", help="Chance that a noisy expert's pull is a random one.", group=ACTING),
+]
+BudgetOption = Annotated[
+    int,
+    option("--budget", help="Actions that an expert may simulate for an episode.", group=ACTING),
+]
+SharesOption = Annotated[
+    str,
+    option("--shares", help="Of random, scripted, noisy-expert and expert in mixed.", group=ACTING),
+]
+
+SeedOption = Annotated[
+    int,
+    option("--seed", help="Of everything; the same seed gives the same bytes.", group=RUN),
+]
+WorkersOption = Annotated[
+    int,
+    option("--workers", help="Processes; 0 for one a core. Does not change the result.", group=RUN),
+]
 EngineOption = Annotated[
     str,
-    typer.Option(
-        help="local, or dask: the workers of a Dask cluster, on a file system that all of them see."
+    option(
+        "--engine",
+        help=(
+            "local, or dask: the workers of a Dask cluster, on a file system that all of them see"
+            " (extra dask)."
+        ),
+        group=RUN,
+    ),
+]
+SchedulerOption = Annotated[
+    str,
+    option(
+        "--scheduler",
+        help="Address of the cluster's scheduler, such as tcp://127.0.0.1:8786.",
+        group=RUN,
     ),
 ]
 ShardOption = Annotated[
     str,
-    typer.Option(
+    option(
+        "--shard",
         help=(
             "2/8: make the second eighth of the run, in NAME-shard-2-of-8; `knotgym dataset merge`"
             " puts all eight together."
-        )
+        ),
+        group=RUN,
     ),
 ]
-SchedulerOption = Annotated[
-    str, typer.Option(help="Address of the cluster's scheduler, such as tcp://127.0.0.1:8786.")
-]
-NxOption = Annotated[str, typer.Option("--nx", help="Crossings: 3, or 2,3, or 0-4.")]
-SeedOption = Annotated[int, typer.Option(help="Of everything; the same seed gives the same bytes.")]
-WorkersOption = Annotated[
-    int, typer.Option(help="Processes; 0 for one a core. Does not change the result.")
-]
-QuietOption = Annotated[bool, typer.Option("--quiet", help="Say nothing but errors.")]
-ResumeOption = Annotated[bool, typer.Option("--resume", help="Finish an interrupted run.")]
-
-# ClickException, be it Click's own or the copy inside typer
 SettingsOption = Annotated[
     Path | None,
-    typer.Option(
+    option(
         "--settings",
         help="JSON file of further settings, named as `config` in manifest.json names them.",
+        group=RUN,
     ),
 ]
+ResumeOption = Annotated[bool, option("--resume", help="Finish an interrupted run.", group=RUN)]
+QuietOption = Annotated[bool, option("--quiet", help="Say nothing but errors.", group=RUN)]
 
 
 def numbers(text: str) -> tuple[int, ...]:
@@ -71,6 +177,34 @@ def numbers(text: str) -> tuple[int, ...]:
     return tuple(dict.fromkeys(out))
 
 
+def code_list(path: Path | None) -> list[GaussCode]:
+    """The Gauss codes in a file, one a line; none of no file.
+
+    Raises:
+        InvalidGaussCode: a line is none.
+    """
+    if path is None:
+        return []
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise typer.BadParameter(f"--codes {path} can't be read: {error}") from error
+    found = [GaussCode.parse(line) for line in lines if line.strip()]
+    if not found:
+        raise typer.BadParameter(f"--codes {path} holds no code")
+    return found
+
+
+def listed(text: str) -> tuple[str, ...]:
+    """Read "top,left"."""
+    return tuple(word.strip() for word in text.split(","))
+
+
+def words(text: str) -> tuple[str, ...]:
+    """Read "tie,unknot", each once."""
+    return tuple(dict.fromkeys(listed(text)))
+
+
 def run_options(
     engine: str, scheduler: str, workers: int, shard: str, resume: bool, quiet: bool
 ) -> RunOptions:
@@ -82,6 +216,24 @@ def run_options(
         resume=resume,
         quiet=quiet,
     )
+
+
+def default_folder(name: str, *marks: str) -> Path:
+    """Where a run goes without --out: its name, and what tells it from other runs of that name.
+
+    >>> print(default_folder("nx3", "3_1", "", "seed1"))
+    knotgym-data/nx3-3_1-seed1
+    """
+    return Path("knotgym-data") / "-".join([name.replace(" ", ""), *filter(None, marks)])
+
+
+def made_from(source: Path | None) -> str:
+    """A mark for a run that sets out from a file of another run's folder.
+
+    >>> made_from(Path("knotgym-data/nx3/archive.h5"))
+    'from-nx3'
+    """
+    return "" if source is None else f"from-{source.absolute().parent.name}"
 
 
 def with_settings(config: Config, path: Path | None) -> Config:

@@ -6,73 +6,53 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
 from knotgym.cli.options import (
+    ENVIRONMENT,
+    METADATA,
+    BudgetOption,
+    DepthOption,
     EngineOption,
+    HoldOption,
+    HorizonOption,
+    ImageSizeOption,
+    IntegratorStepsOption,
+    NoiseOption,
+    NxOption,
+    ObservationOption,
+    PoliciesOption,
+    PolicyOption,
+    QuietOption,
+    ResetNoiseOption,
     ResumeOption,
     SchedulerOption,
+    SeedOption,
     SettingsOption,
     ShardOption,
+    SharesOption,
+    StatesOption,
+    TowLimitOption,
+    ViewsOption,
+    WorkersOption,
+    listed,
     numbers,
+    option,
     run_options,
     with_settings,
+    words,
 )
+from knotgym.runs.progress import Progress
 
 if TYPE_CHECKING:
     from knotgym.control.policies import PolicyConfig
 
-_POLICIES = (
-    "random, constant, scripted, expert, noisy-expert, mixed, pretrained, the folder of a"
-    " learner (knotgym train), module:function, or a .zip (SB3), .onnx or .pt file."
-)
-
-Policy = Annotated[str, typer.Option("--policy", help=_POLICIES)]
-States = Annotated[
-    Path | None,
-    typer.Option(help="readable (default) or random-walk, which ship, or a state file."),
-]
-Observation = Annotated[str, typer.Option(help="pixels, state, both or symbolic.")]
-Horizon = Annotated[int, typer.Option(help="Steps until truncation.")]
-Hold = Annotated[int, typer.Option(help="Consecutive steps the goal code must show.")]
-TowLimit = Annotated[
-    float | None,
-    typer.Option(help="Metres that the rope's centre may be towed; no bound by default."),
-]
-ResetNoise = Annotated[
-    float, typer.Option(help="Scale of the noise at reset, radians per joint and metres.")
-]
-IntegratorSteps = Annotated[
-    int,
-    typer.Option(help="MuJoCo steps in an action; 20 are faster, on slightly other trajectories."),
-]
-Noise = Annotated[float, typer.Option(help="Chance that a noisy expert's pull is a random one.")]
-Budget = Annotated[int, typer.Option(help="Actions that an expert may simulate for an episode.")]
-Shares = Annotated[str, typer.Option(help="Of random, scripted, noisy-expert and expert in mixed.")]
-Seed = Annotated[int, typer.Option(help="Of everything; the same seed gives the same bytes.")]
-Workers = Annotated[
-    int, typer.Option(help="Processes; 0 for one a core. Does not change the result.")
-]
-Quiet = Annotated[bool, typer.Option("--quiet", help="Say nothing but errors.")]
-
 
 def collect(
     task: Annotated[str, typer.Option(help="tie, unknot or convert.")] = "tie",
-    nx: Annotated[int, typer.Option("--nx", help="Crossings of the tangled side.")] = 2,
-    policy: Policy = "expert",
-    episodes: Annotated[int, typer.Option(help="Played.")] = 200,
+    nx: NxOption = "2",
+    policy: PolicyOption = "expert",
+    episodes: Annotated[int, typer.Option(help="Played, for each nx.")] = 200,
     split: Annotated[str, typer.Option(help="train or test.")] = "train",
-    states: States = None,
-    observation: Observation = "both",
-    image_size: Annotated[int, typer.Option(help="Pixels, each half of the picture.")] = 128,
-    horizon: Horizon = 50,
-    hold: Hold = 1,
-    tow_limit: TowLimit = None,
-    reset_noise: ResetNoise = 0.015,
-    integrator_steps: IntegratorSteps = 24,
-    noise: Noise = 0.1,
-    budget: Budget = 20000,
-    shares: Shares = "0.25,0.25,0.25,0.25",
     keep_failed: Annotated[
         bool,
         typer.Option(
@@ -84,54 +64,102 @@ def collect(
     ] = None,
     dataset_id: Annotated[
         str,
-        typer.Option("--id", help="Minari id; knotgym/tie-nx3/expert-v0 and the like by default."),
+        typer.Option(
+            "--id",
+            help=(
+                "Minari id; by default knotgym/tie-nx3/expert-v0 and the like, other states, seeds"
+                " and rules in its name."
+            ),
+        ),
     ] = "",
+    states: StatesOption = None,
+    observation: ObservationOption = "both",
+    image_size: ImageSizeOption = 128,
+    views: ViewsOption = "top",
+    depth: DepthOption = False,
+    horizon: HorizonOption = 50,
+    hold: HoldOption = 1,
+    tow_limit: TowLimitOption = None,
+    reset_noise: ResetNoiseOption = 0.015,
+    integrator_steps: IntegratorStepsOption = 24,
+    noise: NoiseOption = 0.1,
+    budget: BudgetOption = 20000,
+    shares: SharesOption = "0.25,0.25,0.25,0.25",
     author: Annotated[
-        list[str] | None, typer.Option(help="For the metadata; may be repeated.")
+        list[str] | None, option("--author", help="May be repeated.", group=METADATA)
     ] = None,
     author_email: Annotated[
-        list[str] | None, typer.Option(help="For the metadata; may be repeated.")
+        list[str] | None, option("--author-email", help="May be repeated.", group=METADATA)
     ] = None,
-    code_permalink: Annotated[str | None, typer.Option(help="For the metadata.")] = None,
-    seed: Seed = 0,
-    workers: Workers = 0,
+    code_permalink: Annotated[
+        str | None,
+        option("--code-permalink", help="Where the code can be seen.", group=METADATA),
+    ] = None,
+    seed: SeedOption = 0,
+    workers: WorkersOption = 0,
     engine: EngineOption = "local",
     scheduler: SchedulerOption = "",
     settings: SettingsOption = None,
     shard: ShardOption = "",
     resume: ResumeOption = False,
-    quiet: Quiet = False,
+    quiet: QuietOption = False,
 ) -> None:
-    """Play a policy's episodes and write them as a Minari dataset."""
-    from knotgym.generate.episodes.collect import CollectConfig
-    from knotgym.generate.episodes.collect import collect as run
-    from knotgym.tasks import TaskConfig
+    """Play a policy's episodes and write them as a Minari dataset.
 
-    options = run_options(engine, scheduler, workers, shard, resume, quiet)
-    config = CollectConfig(
-        task=TaskConfig(
-            task=task,
-            nx=nx,
-            split=split,
-            states=None if states is None else str(states),
-            observation=observation,
-            image_size=image_size,
-            horizon=horizon,
-            hold=hold,
-            tow_limit=tow_limit,
-            reset_noise=reset_noise,
-            integrator_steps=integrator_steps,
-        ),
-        policy=policy_config(policy, noise, budget, shares),
-        episodes=episodes,
-        seed=seed,
-        keep_failed=keep_failed,
-        dataset_id=dataset_id,
-        author=tuple(author or ()),
-        author_email=tuple(author_email or ()),
-        code_permalink=code_permalink,
-    )
-    run(with_settings(config, settings), out, options)
+    Several --nx make a dataset each.
+
+    Examples:
+
+        knotgym collect --task tie --nx 3 --policy expert --episodes 200
+
+        knotgym collect --task unknot --nx 2-4 --policy mine:act --observation state
+    """
+    with Progress(quiet) as progress:
+        from knotgym.generate.episodes.collect import CollectConfig, distinct_id
+        from knotgym.generate.episodes.collect import collect as run
+        from knotgym.tasks import TaskConfig
+
+        options, crossings = run_options(engine, scheduler, workers, shard, resume, quiet), nx
+        if dataset_id and len(numbers(crossings)) > 1:
+            raise typer.BadParameter(
+                f"--id names one dataset, and --nx {nx} makes {len(numbers(crossings))}: leave out"
+                " --id, or give one nx"
+            )
+        acting = policy_config(policy, noise, budget, shares)
+        tasks = [
+            TaskConfig(
+                task=task,
+                nx=one,
+                split=split,
+                states=None if states is None else str(states),
+                observation=observation,
+                image_size=image_size,
+                views=listed(views),
+                depth=depth,
+                horizon=horizon,
+                hold=hold,
+                tow_limit=tow_limit,
+                reset_noise=reset_noise,
+                integrator_steps=integrator_steps,
+            )
+            for one in numbers(crossings)
+        ]
+        configs = [
+            CollectConfig(
+                task=one,
+                policy=acting,
+                episodes=episodes,
+                seed=seed,
+                keep_failed=keep_failed,
+                dataset_id=dataset_id or distinct_id(one, acting, seed),
+                author=tuple(author or ()),
+                author_email=tuple(author_email or ()),
+                code_permalink=code_permalink,
+            )
+            for one in tasks
+        ]
+        for config in configs:
+            run(with_settings(config, settings), out, options, progress=progress)
 
 
 def evaluate(
@@ -141,60 +169,93 @@ def evaluate(
     nx: Annotated[
         str, typer.Option("--nx", help="Crossings: 3, or 2,3, or 2-4; several make the matrix.")
     ] = "2",
-    policy: Annotated[
-        list[str] | None, typer.Option("--policy", help=f"{_POLICIES} May be repeated.")
-    ] = None,
+    policy: PoliciesOption = None,
     episodes: Annotated[int, typer.Option(help="For each policy, task, split and nx.")] = 256,
     split: Annotated[str, typer.Option(help="train, test, or both with a comma.")] = "test",
-    states: States = None,
-    observation: Annotated[
-        str, typer.Option(help="What models and functions see: pixels, state, both or symbolic.")
-    ] = "state",
-    horizon: Horizon = 50,
-    hold: Hold = 1,
-    tow_limit: TowLimit = None,
-    reset_noise: ResetNoise = 0.015,
-    integrator_steps: IntegratorSteps = 24,
-    noise: Noise = 0.1,
-    budget: Budget = 20000,
-    shares: Shares = "0.25,0.25,0.25,0.25",
     out: Annotated[Path | None, typer.Option(help="JSON to write.")] = None,
     video: Annotated[
-        Path | None, typer.Option(help="Film of the first episodes of each setup, .mp4 or .gif.")
+        Path | None,
+        typer.Option(
+            help=(
+                "Film of the first episodes of each setup: .webm or .gif, or .mp4 with the extra"
+                " video."
+            )
+        ),
     ] = None,
     filmed: Annotated[int, typer.Option(help="Episodes of each setup in the film.")] = 2,
-    seed: Seed = 0,
-    workers: Workers = 0,
-    quiet: Quiet = False,
+    states: StatesOption = None,
+    observation: Annotated[
+        str,
+        option(
+            "--observation",
+            help="What models and functions see: pixels, state, both or symbolic.",
+            group=ENVIRONMENT,
+        ),
+    ] = "state",
+    image_size: ImageSizeOption = 128,
+    views: ViewsOption = "top",
+    depth: DepthOption = False,
+    horizon: HorizonOption = 50,
+    hold: HoldOption = 1,
+    tow_limit: TowLimitOption = None,
+    reset_noise: ResetNoiseOption = 0.015,
+    integrator_steps: IntegratorStepsOption = 24,
+    noise: NoiseOption = 0.1,
+    budget: BudgetOption = 20000,
+    shares: SharesOption = "0.25,0.25,0.25,0.25",
+    seed: SeedOption = 0,
+    workers: WorkersOption = 0,
+    quiet: QuietOption = False,
 ) -> None:
-    """Measure success rates with 95 % intervals: policies by tasks, splits and numbers of
-    crossings.
-    """
-    from knotgym.generate.episodes.evaluate import EvaluateConfig
-    from knotgym.generate.episodes.evaluate import run as run_evaluation
-    from knotgym.tasks import TaskConfig
+    """Measure success rates, with 95 % intervals.
 
-    base = TaskConfig(
-        task="tie",
-        states=None if states is None else str(states),
-        observation=observation,
-        horizon=horizon,
-        hold=hold,
-        tow_limit=tow_limit,
-        reset_noise=reset_noise,
-        integrator_steps=integrator_steps,
-    )
-    config = EvaluateConfig(
-        policies=tuple(policy_config(one, noise, budget, shares) for one in policy or ["random"]),
-        tasks=_words(task),
-        nx=numbers(nx),
-        splits=_words(split),
-        episodes=episodes,
-        seed=seed,
-        task=base,
-        filmed=filmed if video else 0,
-    )
-    run_evaluation(config, workers=workers, out=out, video=video, quiet=quiet, console=Console())
+    Of policies by tasks, splits and numbers of crossings.
+
+    Examples:
+
+        knotgym evaluate --task tie --nx 3 --policy random --episodes 256
+
+        knotgym evaluate --policy random --policy mine:act --task tie,unknot --nx 2-4
+    """
+    with Progress(quiet, lines=False) as progress:
+        from knotgym.generate.episodes.evaluate import EvaluateConfig
+        from knotgym.generate.episodes.evaluate import run as run_evaluation
+        from knotgym.tasks import TaskConfig
+
+        base = TaskConfig(
+            task="tie",
+            states=None if states is None else str(states),
+            observation=observation,
+            image_size=image_size,
+            views=listed(views),
+            depth=depth,
+            horizon=horizon,
+            hold=hold,
+            tow_limit=tow_limit,
+            reset_noise=reset_noise,
+            integrator_steps=integrator_steps,
+        )
+        config = EvaluateConfig(
+            policies=tuple(
+                policy_config(one, noise, budget, shares) for one in policy or ["random"]
+            ),
+            tasks=words(task),
+            nx=numbers(nx),
+            splits=words(split),
+            episodes=episodes,
+            seed=seed,
+            task=base,
+            filmed=filmed if video else 0,
+        )
+        run_evaluation(
+            config,
+            workers=workers,
+            out=out,
+            video=video,
+            quiet=quiet,
+            console=progress.console,
+            progress=progress,
+        )
 
 
 def policy_config(policy: str, noise: float, budget: int, shares: str) -> PolicyConfig:
@@ -211,7 +272,3 @@ def policy_config(policy: str, noise: float, budget: int, shares: str) -> Policy
     return PolicyConfig(
         policy=policy, noise=noise, shares=parts, planner=PlannerConfig(budget=budget)
     )
-
-
-def _words(text: str) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(word.strip() for word in text.split(",")))

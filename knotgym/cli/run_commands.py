@@ -17,10 +17,17 @@ from knotgym.cli.options import (
     SettingsOption,
     ShardOption,
     WorkersOption,
+    code_list,
+    default_folder,
+    made_from,
     numbers,
+    option,
     run_options,
     with_settings,
 )
+from knotgym.runs.progress import Progress
+
+_CHOICE, _SEARCH, _SPLITS = "Which states", "The search", "Splits"
 
 
 def generate(
@@ -32,100 +39,187 @@ def generate(
         ),
     ] = 40,
     out: Annotated[
-        Path | None, typer.Option(help="Folder to make; knotgym-data/nx3 for --nx 3.")
+        Path | None,
+        typer.Option(help="Folder to make; knotgym-data/nx3 for --nx 3, nx3-3_1 of that knot."),
     ] = None,
     source: Annotated[
         str,
-        typer.Option(
+        option(
+            "--source",
             help=(
                 '"play": searched and opened up, with the trajectories; "random-walk": saved from'
-                " uniform random actions, only over-twisted states left out."
-            )
+                " uniform random actions, only over-twisted states left out;"
+                ' "drawing": drawn from the codes themselves, quick, no trajectories.'
+            ),
+            group=_CHOICE,
         ),
     ] = "play",
     every_code: Annotated[
-        int, typer.Option(help="Instead of --count: so many states of every code there is.")
+        int,
+        option(
+            "--every-code",
+            help="Instead of --count: so many states of every code there is.",
+            group=_CHOICE,
+        ),
     ] = 0,
     balance: Annotated[
         str,
-        typer.Option(
-            help='"even" over codes, or "empirical": as often as a random policy meets them.'
+        option(
+            "--balance",
+            help='"even" over codes, or "empirical": as often as a random policy meets them.',
+            group=_CHOICE,
         ),
     ] = "even",
     split_by: Annotated[
-        str, typer.Option(help='"state", or "code": train and test share no code.')
+        str,
+        option(
+            "--split-by",
+            help='"state", or "code": train and test share no code.',
+            group=_CHOICE,
+        ),
     ] = "state",
     knot: Annotated[
         str,
-        typer.Option(
-            help="0_1, 3_1, 4_1, 5_1, or a file with a closed curve, three numbers a line or .npy."
+        option(
+            "--knot",
+            help=(
+                "0_1, 3_1, 4_1, 5_1, or a file with a closed curve, three numbers a line or .npy."
+            ),
+            group=_CHOICE,
         ),
     ] = "0_1",
+    codes: Annotated[
+        Path | None,
+        option(
+            "--codes",
+            help=(
+                "With --source drawing: a file of Gauss codes, one a line, that are drawn instead"
+                " of those of --nx; --every-code says how often, 1 if not given."
+            ),
+            group=_CHOICE,
+        ),
+    ] = None,
     archive: Annotated[
-        Path | None, typer.Option(help="Go on from the archive of another run (its archive.h5).")
+        Path | None,
+        option(
+            "--archive",
+            help="Go on from the archive of another run (its archive.h5).",
+            group=_SEARCH,
+        ),
     ] = None,
     attempts: Annotated[
         int,
-        typer.Option(
-            help="Candidates tried, or ropes walked, for each state wanted, before giving up."
+        option(
+            "--attempts",
+            help="Candidates tried, or ropes walked, for each state wanted, before giving up.",
+            group=_SEARCH,
         ),
     ] = 100,
     cycles: Annotated[
         int,
-        typer.Option(
+        option(
+            "--cycles",
             help=(
                 "Stop after so many rounds of searching and choosing, with what there is; 0: when"
                 " all is there."
-            )
+            ),
+            group=_SEARCH,
         ),
     ] = 0,
-    settings: SettingsOption = None,
     seed: SeedOption = 0,
     workers: WorkersOption = 0,
     engine: EngineOption = "local",
     scheduler: SchedulerOption = "",
+    settings: SettingsOption = None,
     shard: ShardOption = "",
     resume: ResumeOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Make states, split into train and test: curated, with the trajectories that reach them, or as
-    random play meets them.
-    """
-    from knotgym.generate.states.generate_config import GenerateConfig
-    from knotgym.generate.states.random_walk import RandomWalkConfig
-    from knotgym.generate.states.random_walk_recipe import walk_states
-    from knotgym.generate.states.state_recipe import generate as run
+    """Make rope states, split into train and test.
 
-    options = run_options(engine, scheduler, workers, shard, resume, quiet)
-    folder = out or Path("knotgym-data") / f"nx{nx.replace(' ', '')}"
-    if source not in ("play", "random-walk"):
-        raise typer.BadParameter(f"--source takes play or random-walk, got {source!r}")
-    if source == "random-walk":
-        for option, given in {
-            "--every-code": every_code != 0,
-            "--balance": balance != "even",
-            "--split-by": split_by != "state",
-            "--knot": knot != "0_1",
-            "--archive": archive is not None,
-            "--cycles": cycles != 0,
-        }.items():
-            if given:
-                raise typer.BadParameter(f"{option} goes with --source play, not with random-walk")
-        walks = RandomWalkConfig(nx=numbers(nx), count=count, seed=seed, attempts=attempts)
-        walk_states(with_settings(walks, settings), folder, options)
-        return
-    config = GenerateConfig(
-        nx=numbers(nx),
-        count=count,
-        every_code=every_code,
-        balance=balance,
-        split_by=split_by,
-        knot=knot,
-        seed=seed,
-        attempts=attempts,
-        cycles=cycles,
-    )
-    run(with_settings(config, settings), folder, options, archive=archive)
+    They are curated, with the trajectories that reach them; or as random play meets them; or drawn.
+
+    Examples:
+
+        knotgym generate --nx 3 --count 40
+
+        knotgym generate --nx 3 --knot 3_1 --count 8
+
+        knotgym generate --nx 2-4 --source random-walk
+
+        knotgym generate --nx 5 --source drawing --every-code 1
+    """
+    with Progress(quiet) as progress:
+        from knotgym.generate.states.drawn_states import DrawnStatesConfig
+        from knotgym.generate.states.drawn_states_recipe import draw_state_set
+        from knotgym.generate.states.generate_config import GenerateConfig
+        from knotgym.generate.states.random_walk import RandomWalkConfig
+        from knotgym.generate.states.random_walk_recipe import walk_states
+        from knotgym.generate.states.state_recipe import generate as run
+
+        options = run_options(engine, scheduler, workers, shard, resume, quiet)
+        if source not in ("play", "random-walk", "drawing"):
+            raise typer.BadParameter(f"--source takes play, random-walk or drawing, got {source!r}")
+        if codes is not None and source != "drawing":
+            raise typer.BadParameter(f"--codes goes with --source drawing, not {source}")
+        folder = out or default_folder(
+            f"nx{nx}",
+            "" if source == "play" else source,
+            "" if knot == "0_1" else Path(knot).stem,
+            f"every{every_code}" if every_code else "",
+            "" if balance == "even" else balance,
+            "" if split_by == "state" else f"by-{split_by}",
+            Path(codes).stem if codes else "",
+            made_from(archive),
+            f"seed{seed}" if seed else "",
+        )
+        if source == "drawing":
+            for name, refused in {
+                "--balance": balance != "even",
+                "--archive": archive is not None,
+            }.items():
+                if refused:
+                    raise typer.BadParameter(f"{name} goes with --source play, not drawing")
+            named = code_list(codes)
+            drawings = DrawnStatesConfig(
+                nx=tuple(dict.fromkeys(code.nx for code in named)) or numbers(nx),
+                codes=tuple(str(code) if code.chirality is None else code.chiral for code in named),
+                count=count,
+                every_code=every_code or int(bool(named)),
+                split_by=split_by,
+                knot=knot,
+                seed=seed,
+                attempts=attempts,
+                cycles=cycles,
+            )
+            draw_state_set(with_settings(drawings, settings), folder, options, progress=progress)
+            return
+        if source == "random-walk":
+            for name, given in {
+                "--every-code": every_code != 0,
+                "--balance": balance != "even",
+                "--split-by": split_by != "state",
+                "--knot": knot != "0_1",
+                "--archive": archive is not None,
+                "--cycles": cycles != 0,
+            }.items():
+                if given:
+                    raise typer.BadParameter(f"{name} goes with --source play, not random-walk")
+            walks = RandomWalkConfig(nx=numbers(nx), count=count, seed=seed, attempts=attempts)
+            walk_states(with_settings(walks, settings), folder, options, progress=progress)
+            return
+        config = GenerateConfig(
+            nx=numbers(nx),
+            count=count,
+            every_code=every_code,
+            balance=balance,
+            split_by=split_by,
+            knot=knot,
+            seed=seed,
+            attempts=attempts,
+            cycles=cycles,
+        )
+        run(with_settings(config, settings), folder, options, archive=archive, progress=progress)
 
 
 def images(
@@ -144,11 +238,23 @@ def images(
         typer.Option(help="Set out from a states.h5; without either, from the states that ship."),
     ] = None,
     test_nx: Annotated[
-        str, typer.Option(help="Crossings that only split test-nx shows; the largest, or none.")
+        str,
+        option(
+            "--test-nx",
+            help="Crossings that only split test-nx shows; the largest, or none.",
+            group=_SPLITS,
+        ),
     ] = "largest",
-    test_share: Annotated[float, typer.Option(help="Share of split test.")] = 0.15,
+    test_share: Annotated[
+        float, option("--test-share", help="Share of split test.", group=_SPLITS)
+    ] = 0.15,
     code_share: Annotated[
-        float, typer.Option(help="Share of split test-code, and of codes that only it shows.")
+        float,
+        option(
+            "--code-share",
+            help="Share of split test-code, and of codes that only it shows.",
+            group=_SPLITS,
+        ),
     ] = 0.15,
     vary: Annotated[
         str, typer.Option(help="Of colours,width,background,turn,zoom,noise,blur; all, or none.")
@@ -157,40 +263,62 @@ def images(
         str,
         typer.Option(help="Pixels of a side, 64 to 512; several, such as 64,128, are drawn from."),
     ] = "128",
-    settings: SettingsOption = None,
     seed: SeedOption = 0,
     workers: WorkersOption = 0,
     engine: EngineOption = "local",
     scheduler: SchedulerOption = "",
+    settings: SettingsOption = None,
     shard: ShardOption = "",
     resume: ResumeOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Make a perception dataset: pictures with Gauss code, crossings, coordinates and
-    difficulty.
-    """
-    from knotgym.generate.images.image_recipe import make_images
-    from knotgym.generate.images.images_config import ImagesConfig
-    from knotgym.rendering.appearance import VARIED, AppearanceConfig
+    """Make labelled pictures.
 
-    options = run_options(engine, scheduler, workers, shard, resume, quiet)
-    sizes = size.split(",")
-    if not all(pixels.strip().isdecimal() for pixels in sizes):
-        raise typer.BadParameter(f"--size takes pixels such as 128 or 64,128, got {size!r}")
-    varied: tuple[str, ...] = VARIED if vary == "all" else ()
-    if vary not in ("all", "none"):
-        varied = tuple(word.strip() for word in vary.split(","))
-    held_nx: tuple[int, ...] | None = None if test_nx == "largest" else ()
-    if test_nx not in ("largest", "none"):
-        held_nx = numbers(test_nx)
-    config = ImagesConfig(
-        nx=numbers(nx),
-        count=count,
-        test_nx=held_nx,
-        test_share=test_share,
-        code_share=code_share,
-        seed=seed,
-        appearance=AppearanceConfig(vary=varied, sizes=tuple(map(int, sizes))),
-    )
-    folder = out or Path("knotgym-data") / f"images-nx{nx.replace(' ', '')}"
-    make_images(with_settings(config, settings), folder, options, archive=archive, states=states)
+    Of each the Gauss code, the crossings, the rope's coordinates and how hard it is to read.
+    Needs the extra huggingface: pip install 'knotgym[huggingface]'.
+
+    Examples:
+
+        knotgym images --nx 0-4 --count 20000
+
+        knotgym images --nx 2,3 --count 500 --vary all --size 64,128
+    """
+    with Progress(quiet) as progress:
+        from knotgym.generate.images.image_recipe import make_images
+        from knotgym.generate.images.images_config import ImagesConfig
+        from knotgym.rendering.appearance import VARIED, AppearanceConfig
+
+        options = run_options(engine, scheduler, workers, shard, resume, quiet)
+        sizes = size.split(",")
+        if not all(pixels.strip().isdecimal() for pixels in sizes):
+            raise typer.BadParameter(f"--size takes pixels such as 128 or 64,128, got {size!r}")
+        varied: tuple[str, ...] = VARIED if vary == "all" else ()
+        if vary not in ("all", "none"):
+            varied = tuple(word.strip() for word in vary.split(","))
+        held_nx: tuple[int, ...] | None = None if test_nx == "largest" else ()
+        if test_nx not in ("largest", "none"):
+            held_nx = numbers(test_nx)
+        config = ImagesConfig(
+            nx=numbers(nx),
+            count=count,
+            test_nx=held_nx,
+            test_share=test_share,
+            code_share=code_share,
+            seed=seed,
+            appearance=AppearanceConfig(vary=varied, sizes=tuple(map(int, sizes))),
+        )
+        folder = out or default_folder(
+            f"images-nx{nx}",
+            made_from(archive or states),
+            "varied" if varied else "",
+            "" if size == "128" else f"{size}px",
+            f"seed{seed}" if seed else "",
+        )
+        make_images(
+            with_settings(config, settings),
+            folder,
+            options,
+            archive=archive,
+            states=states,
+            progress=progress,
+        )

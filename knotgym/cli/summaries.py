@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
+from textwrap import fill, wrap
 from typing import Any
 
 from rich.console import Console
-from rich.table import Table
 
 from knotgym.datasets.episode_verification import show_episodes
 from knotgym.datasets.image_card import summary as image_summary
@@ -24,6 +23,9 @@ from knotgym.datasets.state_card import (
 )
 from knotgym.datasets.state_card import summary as state_summary
 from knotgym.datasets.states import read_states
+from knotgym.runs.tables import narrow_table
+
+_LISTED = 24  # parts of a value, at most
 
 
 def print_states(path: str, file: Path, console: Console) -> None:
@@ -38,7 +40,7 @@ def print_states(path: str, file: Path, console: Console) -> None:
     facts = state_summary(states)
     report = read_manifest(file.parent)[0].get("report", {})
     existing = report.get("existing_codes", {})
-    counts = _table(
+    counts = narrow_table(
         ("nx", "states", "codes", "of", "chiral", "train", "test", "both", "c / a", "actions"),
         title=f"{path}: {len(states)} states",
     )
@@ -47,7 +49,7 @@ def print_states(path: str, file: Path, console: Console) -> None:
             nx,
             str(count["states"]),
             str(count["codes"]),
-            str(existing.get(nx, "?")),
+            str(existing.get(nx) or "?"),
             str(count["codes_with_chirality"]),
             str(count["train"]),
             str(count["test"]),
@@ -56,17 +58,20 @@ def print_states(path: str, file: Path, console: Console) -> None:
             "/".join(map(str, count["actions_to_reach"])),
         )
     console.print(counts)
+    if facts["sources"]:
+        made = ", ".join(f"{policy} {count}" for policy, count in facts["sources"].items())
+        _say(console, f"sources: {made}")
     _say(
         console,
         "of: codes there are; chiral: codes with chirality; both: codes in both splits; actions:"
         " fewest/median/most to reach",
     )
-    spread = _table(SPREAD_HEAD, title="spread")
+    spread = narrow_table(SPREAD_HEAD, title="spread")
     for row in spread_rows(facts["nx"]):
         spread.add_row(*row)
     console.print(spread)
     _say(console, SPREAD_SAYS)
-    quality = _table(
+    quality = narrow_table(
         ("measure", "unit", "min", "median", "max"), title="quality", left=("measure", "unit")
     )
     for name, spread in facts["quality"].items():
@@ -85,7 +90,7 @@ def print_images(path: str, console: Console) -> None:
         f"{path}: {facts['pictures']} pictures, {size / facts['pictures']:.0f} bytes each",
     )
     for by in ("nx", "splits"):
-        counts = _table((by, "pictures", "codes", "chiral", "of a code", "accepted", *GRADES))
+        counts = narrow_table((by, "pictures", "codes", "chiral", "of a code", "accepted", *GRADES))
         for name, count in facts[by].items():
             counts.add_row(
                 name,
@@ -110,14 +115,29 @@ def print_images(path: str, console: Console) -> None:
 def print_episodes(path: str, console: Console) -> None:
     """Print what an episode file or a Minari dataset holds."""
     for name, value in show_episodes(path).items():
-        _say(console, f"{name:20} {json.dumps(value) if isinstance(value, dict) else value}")
+        told = _in_words(value)
+        if told:
+            lines = wrap(f"{name:20} {told}", 80, subsequent_indent=" " * 21)
+            for line in lines:
+                _say(console, line)
+
+
+def _in_words(value: Any) -> str:
+    """A value of a summary as a person reads it, "" for nothing."""
+    if isinstance(value, Mapping):
+        told = [f"{name} {_in_words(one)}" for name, one in list(value.items())[:_LISTED]]
+        more = len(value) - len(told)
+        return ", ".join(told) + (f" and {more} more" if more else "")
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return "" if value is None else str(value)
 
 
 def _print_growth(report: Mapping[str, Any], console: Console) -> None:
     rows = growth(report)
     if not rows:
         return
-    grown = _table(
+    grown = narrow_table(
         ("steps", *(f"nx {nx}" for nx in rows[-1]["known"])),
         title="growth: codes known to the search / states accepted",
     )
@@ -140,12 +160,6 @@ def _print_rejected(report: Mapping[str, Any], console: Console) -> None:
         _say(console, f"  nx {nx}: {counts}")
 
 
-def _table(columns: Iterable[str], title: str | None = None, left: Sequence[str] = ()) -> Table:
-    table = Table(title=title, title_justify="left")
-    for column in columns:
-        table.add_column(column, justify="left" if column in left else "right", no_wrap=True)
-    return table
-
-
 def _say(console: Console, line: str) -> None:
-    console.print(line, highlight=False, markup=False, soft_wrap=True)
+    told = fill(line, 80, break_long_words=False, break_on_hyphens=False)
+    console.print(told, highlight=False, markup=False, soft_wrap=True)

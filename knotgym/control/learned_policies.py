@@ -1,6 +1,6 @@
-"""Policies of the user's own: a Python function, or a model from a file.
+"""Policies from files: models that map observations to actions.
 
-Models come from Stable-Baselines3, ONNX or TorchScript; each needs its own library, imported only
+They come from Stable-Baselines3, ONNX or TorchScript; each needs its own library, imported only
 here and only then.
 """
 
@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-import os
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,26 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.control.policy import Choice, InvalidPolicy, Policy, UnplannedPolicy
+from knotgym.control.policy import Choice, InvalidPolicy, Policy, UnplannedPolicy, checked
 from knotgym.episode_batch import EpisodeBatch
 
-UserFunction = Callable[[Any, dict[str, Any], np.random.Generator], Any]
 Model = Callable[[Any], Any]
-
-
-class FunctionPolicy(UnplannedPolicy):
-    """A user's function of one observation, its info and a generator."""
-
-    def __init__(self, function: UserFunction, name: str) -> None:
-        super().__init__(name)
-        self._function = function
-
-    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
-        actions = [
-            self._function(episodes.observation(index), episodes.info(index), self._rngs[index])
-            for index in ids.tolist()
-        ]
-        return _checked(actions, self._name)
 
 
 class ModelPolicy(UnplannedPolicy):
@@ -55,37 +37,7 @@ class ModelPolicy(UnplannedPolicy):
             }
         else:
             batch = np.stack(seen)
-        return _checked(list(np.asarray(self._model(batch))), self._name)
-
-
-def _checked(actions: list[Any], name: str) -> Choice:
-    """Actions of somebody else's, cut to [-1, 1]."""
-    array = np.array([np.asarray(action, dtype=np.float32).reshape(-1) for action in actions])
-    if array.shape != (len(actions), 6) or not np.isfinite(array).all():
-        raise InvalidPolicy(
-            f"policy {name} must give 6 finite numbers an episode, got {array[:1].tolist()}"
-        )
-    return Choice(np.clip(array, -1, 1), [""] * len(actions))
-
-
-def load_function(module: str, name: str) -> UserFunction:
-    """A function (observation, info, generator) -> action, from a module.
-
-    Raises:
-        InvalidPolicy: there is no such function.
-    """
-    if os.getcwd() not in sys.path:
-        # a user's file lies where the command is typed; last, so that it hides nothing
-        sys.path.append(os.getcwd())
-    try:
-        function: UserFunction = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError, ValueError, SyntaxError) as error:
-        raise InvalidPolicy(f"no policy {module}:{name}: {error}") from error
-    if not callable(function):
-        raise InvalidPolicy(
-            f"policy {module}:{name} must be a function (observation, info, generator) -> action"
-        )
-    return function
+        return checked(list(np.asarray(self._model(batch))), episodes, ids, self._name)
 
 
 def load_model(path: Path, algorithm: str = "") -> Model:

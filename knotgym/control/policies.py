@@ -7,8 +7,9 @@ expert          plans in the simulator from the state the rope is in, see `exper
 noisy-expert    an expert; each step is a random one instead with probability `noise`, and the
                 expert plans anew
 mixed           each episode is one of the four
-module:function a function (observation, info, generator) -> action (6,), of the user's own; its
-                module may lie in the current folder
+module:name     of the user's own: a function of (observation) or (observation, info, generator),
+                or an object with `reset` and `act`, see `own_policies`; its module may lie in the
+                current folder
 FOLDER          a learner that `knotgym train` wrote; `pretrained` for the one that ships
 FILE            a model that takes observations: .zip (Stable-Baselines3; FILE.zip:SAC for another
                 algorithm than PPO), .onnx, or .pt (TorchScript)
@@ -33,13 +34,12 @@ from knotgym.control.basic_policies import (
 from knotgym.control.expert import Expert
 from knotgym.control.learned_policies import (
     MODEL_FILES,
-    FunctionPolicy,
     ModelPolicy,
     is_learner,
-    load_function,
     load_learner,
     load_model,
 )
+from knotgym.control.own_policies import OwnPolicy, load_own
 from knotgym.control.planner import PlannerConfig
 from knotgym.control.policy import Choice, Effort, InvalidPolicy, Policy
 
@@ -86,9 +86,16 @@ class PolicyConfig:
         place = place or is_learner(self.policy)
         if self.policy not in _constructors and not place:
             raise InvalidPolicy(
-                f"no policy {self.policy!r}; there is {', '.join(_constructors)}, module:function,"
+                f"no policy {self.policy!r}; there is {', '.join(_constructors)}, module:name,"
                 " pretrained, a learner's folder, or a .zip, .onnx or .pt file"
             )
+
+    @property
+    def core_seconds(self) -> float:
+        """What an episode of 50 steps costs, roughly, on one core of the machine of README's table:
+        those that plan take longer.
+        """
+        return 3.0 if "expert" in self.policy or self.policy == "mixed" else 0.5
 
     @property
     def short(self) -> str:
@@ -113,7 +120,7 @@ def register_policy(name: str, constructor: Constructor) -> None:
     if name in _constructors:
         raise InvalidPolicy(f"there is a policy {name!r} already")
     if not name or ":" in name or Path(name).suffix in MODEL_FILES:
-        raise InvalidPolicy(f"a policy's name is neither module:function nor a file, got {name!r}")
+        raise InvalidPolicy(f"a policy's name is neither module:name nor a file, got {name!r}")
     _constructors[name] = constructor
 
 
@@ -135,7 +142,7 @@ def make_policy(config: PolicyConfig) -> Policy:
     place, _, word = config.policy.partition(":")
     if Path(place).suffix in MODEL_FILES:
         return ModelPolicy(load_model(Path(place), word), config.short)
-    return FunctionPolicy(load_function(place, word), config.policy)
+    return OwnPolicy(load_own(place, word), config.policy)
 
 
 def _scripted(config: PolicyConfig) -> Policy:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.episode_batch import EpisodeBatch
-from knotgym.errors import KnotgymError
+from knotgym.errors import KnotgymError, one_line
+from knotgym.simulation import InvalidAction
 
 
 class InvalidPolicy(KnotgymError, ValueError):
@@ -25,6 +26,30 @@ class Choice(NamedTuple):
 
     actions: NDArray[np.float32]
     moves: list[str]
+
+
+def checked(
+    actions: list[Any], episodes: EpisodeBatch, ids: NDArray[np.int64], name: str
+) -> Choice:
+    """Actions of somebody else's policy, refused as the environment's `step` refuses them.
+
+    Raises:
+        InvalidPolicy: not six finite numbers in [-1, 1] for each of the episodes `ids`.
+    """
+    wanted = f"policy {name} must give 6 finite numbers in [-1, 1] for an episode"
+    try:
+        rows = [np.asarray(action, dtype=np.float32).reshape(-1) for action in actions]
+    except (TypeError, ValueError) as error:
+        raise InvalidPolicy(f"{wanted}: {one_line(error)}") from error
+    for row in rows:
+        if len(row) != 6:
+            raise InvalidPolicy(f"{wanted}, got {row.tolist()[:8]}")
+    array = np.stack(rows)
+    try:
+        episodes.simulation.read_actions(array, ids)
+    except InvalidAction as error:
+        raise InvalidPolicy(f"{wanted}: {one_line(error)}") from error
+    return Choice(np.clip(array, -1, 1), [""] * len(actions))
 
 
 class Effort(NamedTuple):

@@ -89,7 +89,7 @@ def rollout(task: TaskConfig, policy: Policy, numbers: Sequence[int], seed: int)
         rewards, terminated, truncated = episodes.step(actions, under_way)
         for row, index in enumerate(under_way.tolist()):
             track = tracks[index]
-            track.actions.append(actions[row].copy())
+            track.actions.append(np.clip(actions[row], -1, 1))  # as the simulation read it
             track.rewards.append(float(rewards[row]))
             track.terminations.append(bool(terminated[row]))
             track.truncations.append(bool(truncated[row]))

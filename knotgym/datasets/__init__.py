@@ -6,6 +6,12 @@ The names below are imported when they are first used.
 
 from typing import TYPE_CHECKING
 
+if __name__ == "datasets":
+    raise ImportError(
+        "this is the link `datasets` at the top of a checkout of knotgym: import knotgym.datasets;"
+        " for Hugging Face's datasets run Python from another folder, or as `python -P`"
+    )
+
 if TYPE_CHECKING:
     from knotgym.datasets.episode_reader import EpisodeReader, InvalidEpisodeFile
     from knotgym.datasets.episode_verification import show_episodes, verify_episodes

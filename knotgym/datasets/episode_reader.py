@@ -5,12 +5,13 @@
                         index, int32 (n, 2): the k and T of each episode, in order of k (missing in
                                files made before there was one)
     /episode_{k}        attributes: id, number, total_steps, policy, goal_gauss_code, relabelled,
-                        hold, digest, seed, options/start, options/goal
+                        hold, digest, seed, options/start, options/goal; start_qpos, goal_points
         actions rewards terminations truncations infos/*            what Minari reads
         observations    pixels and state, one of them, symbols,     what Minari reads; made from
-                        or none                                     `rope/points`, the same bytes
-        rope/start_qpos rope/points rope/goal_points                float64: what everything else
-                                                                    can be made from again
+                        or none                                     `infos/points`, the same bytes
+
+Everything else can be made again from `start_qpos`, `goal_points` and `infos/points`, float64. Up
+to format version 3 the three stood in a group `rope`, which readers of Minari files stumble over.
 
 `stored` is "pixels", "state", "both", "symbolic" or, in the compact form, "none".
 """
@@ -35,11 +36,14 @@ from knotgym.tasks import OBSERVATIONS, TaskConfig
 
 FORMAT = "knotgym-episodes"
 # 2: every episode's start and goal are of the task's split, and infos hold the goal's code
-FORMAT_VERSION = 2
-READ_VERSIONS = (1, FORMAT_VERSION)
+# 3: pictures have the task's views and depth
+# 4: nothing in an episode but what Minari knows; before, `rope/*` stood there
+FORMAT_VERSION = 4
+READ_VERSIONS = (1, 2, 3, FORMAT_VERSION)
 STORED = (*OBSERVATIONS, "none")
 
-_ROPE = ("start_qpos", "points", "goal_points")
+ONCE = ("start_qpos", "goal_points")  # arrays of a whole episode: attributes
+POINTS = "infos/points"
 GOAL_INFO = "infos/goal_gauss_code"  # the goal's label, repeated at every state
 _STEPS = ("actions", "rewards", "terminations", "truncations")
 
@@ -125,7 +129,7 @@ class EpisodeReader:
 
     def column(self, index: int, name: str) -> NDArray[Any]:
         """One array of an episode, by `Episode`'s name for it."""
-        return _read(self.group(index)[place(name)])
+        return _array(self.group(index), name)
 
     def episode(self, index: int) -> Episode:
         """A whole episode, without its observations.
@@ -136,8 +140,8 @@ class EpisodeReader:
         with foreign_bytes_as(InvalidEpisodeFile, f"{self.path}, episode {self.rows[index]}"):
             group = self.group(index)
             arrays = {
-                name: _read(group[place(name)])
-                for name in (*_ROPE, *_STEPS, *INFOS)
+                name: _array(group, name)
+                for name in (*ONCE, "points", *_STEPS, *INFOS)
                 if name != "move" or place(name) in group
             }
             labels = dict(group.attrs)
@@ -175,8 +179,8 @@ class EpisodeReader:
                 file holds.
 
         Returns:
-            uint8 (n, size, 2 size, 3), float32 (n, 6 beads), a dict of both, or int16 (n, 2,
-            SYMBOLS); made from the vertices where the file holds none.
+            uint8 (n, views * size, 2 size, 3 or 4), float32 (n, 6 beads), a dict of both, or int16
+            (n, 2, SYMBOLS); made from the vertices where the file holds none.
         """
         wanted = observation or self.task.observation
         if wanted not in OBSERVATIONS:
@@ -201,7 +205,9 @@ class EpisodeReader:
         seen = {name: data[name][steps] for name in names}
         if goal_step is not None:
             for name, array in seen.items():
-                side = 2 if name == "pixels" else 1
+                side = 1
+                if name == "pixels":
+                    side = 2 if self.task.layout == "beside" else 3
                 half = array.shape[side] // 2
                 goal = data[name][goal_step][None]
                 np.moveaxis(array, side, 0)[half:] = np.moveaxis(goal, side, 0)[:half]
@@ -213,9 +219,11 @@ class EpisodeReader:
         # here, so that loaders of states need no OpenCV
         from knotgym.rendering.observations import observe, picture_config
 
-        points = self.group(index)["rope/points"]
-        goal = self.group(index)["rope/goal_points"][()] if goal_step is None else points[goal_step]
-        return observe(points[steps], goal, wanted, picture or picture_config(self.task))
+        group = self.group(index)
+        points = group[POINTS if POINTS in group else "rope/points"]
+        goal = _array(group, "goal_points") if goal_step is None else points[goal_step]
+        drawn = picture or picture_config(self.task)
+        return observe(points[steps], goal, wanted, drawn, self.task.layout)
 
 
 def episode_file(source: Any) -> Path:
@@ -252,8 +260,15 @@ def counted_index(file: h5py.File) -> dict[int, int]:
 
 
 def place(name: str) -> str:
-    """Where an array of an episode stands in its group."""
-    return f"rope/{name}" if name in _ROPE else f"infos/{name}" if name in INFOS else name
+    """Where an array of an episode's states or steps stands in its group."""
+    return f"infos/{name}" if name in (*INFOS, "points") else name
+
+
+def _array(group: h5py.Group, name: str) -> NDArray[Any]:
+    """An array of an episode, by `Episode`'s name for it."""
+    if f"rope/{name}" in group:  # up to format version 3
+        return _read(group[f"rope/{name}"])
+    return np.asarray(group.attrs[name]) if name in ONCE else _read(group[place(name)])
 
 
 def _read(data: h5py.Dataset) -> NDArray[Any]:

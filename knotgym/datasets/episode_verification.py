@@ -267,7 +267,9 @@ def _observation_faults(
             faults.append(f"{len(stored)} observations ({name}), should be {count}")
             continue
         picture = picture_config(reader.task)
-        shown = observe(episode.points[steps], episode.goal_points, name, picture)
+        shown = observe(
+            episode.points[steps], episode.goal_points, name, picture, reader.task.layout
+        )
         wrong = [
             int(step)
             for step, right in zip(steps, shown, strict=True)

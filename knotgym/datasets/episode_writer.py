@@ -29,6 +29,8 @@ from knotgym.datasets.episode_reader import (
     FORMAT,
     FORMAT_VERSION,
     GOAL_INFO,
+    ONCE,
+    POINTS,
     STORED,
     EpisodeReader,
     InvalidEpisodeFile,
@@ -105,11 +107,10 @@ class EpisodeWriter:
         labels = episode.labels()
         options = {f"options/{name}": row for name, row in labels.pop("options").items()}
         counts = {"id": number, "number": number, "total_steps": len(episode)}
-        written = {**counts, "digest": episode.digest(), **labels, **options}
-        for name, value in written.items():
-            if value is not None:
-                group.attrs[name] = value
-        for name, array in episode.arrays().items():
+        arrays = episode.arrays()
+        once = {name: arrays.pop(name) for name in ONCE}
+        _label(group, {**counts, "digest": episode.digest(), **labels, **options, **once})
+        for name, array in arrays.items():
             _write(group, place(name), array)
         _write_goal(group)
         _observe(group, self.task, self.stored, episode.points, episode.goal_points)
@@ -172,8 +173,7 @@ def merge_episodes(
             source, group = reader.group(i), file.create_group(f"episode_{number}")
             _copy(source, group, number, keep=store == first.stored)
             if store != first.stored:
-                points, goal_points = source["rope/points"][()], source["rope/goal_points"][()]
-                _observe(group, task, store, points, goal_points)
+                _observe(group, task, store, group[POINTS][()], group.attrs["goal_points"])
         lengths = [int(reader.lengths[i]) for reader, i in order]
         _write_index(file, list(enumerate(lengths)))
     for reader in readers:
@@ -271,7 +271,7 @@ def _observe(
     """Draw the observations of an episode and write them."""
     if stored == "none":
         return
-    seen = observe(points, goal_points, stored, picture_config(task))
+    seen = observe(points, goal_points, stored, picture_config(task), task.layout)
     if stored != "both":
         _write(group, "observations", seen)
         return
@@ -308,13 +308,20 @@ def _write_goal(group: h5py.Group) -> None:
     _write(group, GOAL_INFO, np.full(states, str(group.attrs["goal_gauss_code"])))
 
 
+def _label(group: h5py.Group, labels: Mapping[str, Any]) -> None:
+    """Set the attributes of an episode that are known, by name: the order shows in the bytes."""
+    for name, value in sorted(labels.items()):
+        if value is not None:
+            group.attrs[name] = value
+
+
 def _copy(source: h5py.Group, target: h5py.Group, number: int, keep: bool) -> None:
     """Copy an episode under a new number, its observations only if they are kept."""
-    for name, value in source.attrs.items():
-        target.attrs[name] = number if name in ("id", "number") else value
-    for name in _members(source):
+    old = {name: source[f"rope/{name}"][()] for name in ONCE if f"rope/{name}" in source}
+    _label(target, {**source.attrs, **old, "id": number, "number": number})
+    for name, place_now in _members(source).items():
         if keep or not name.startswith("observations"):
-            _copy_dataset(source[name], target, name)
+            _copy_dataset(source[name], target, place_now)
     if GOAL_INFO not in source:  # of format version 1
         _write_goal(target)
 
@@ -337,10 +344,18 @@ def _copy_dataset(source: h5py.Dataset, target: h5py.Group, name: str) -> None:
         copied.write_direct_chunk(start, stored, mask)
 
 
-def _members(group: h5py.Group) -> list[str]:
-    """The paths of all the arrays of an episode, the observations last, as when they are drawn."""
+def _members(group: h5py.Group) -> dict[str, str]:
+    """The paths of all the arrays of an episode, and where they stand in this format version.
+
+    The observations are last, as when they are drawn.
+    """
     names: list[str] = []
     group.visititems(
         lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None
     )
-    return sorted(names, key=lambda name: (name.startswith("observations"), name))
+    now = {
+        name: POINTS if name == "rope/points" else name
+        for name in names
+        if name not in {f"rope/{one}" for one in ONCE}
+    }
+    return dict(sorted(now.items(), key=lambda pair: (pair[1].startswith("observations"), pair[1])))

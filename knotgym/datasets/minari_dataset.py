@@ -24,10 +24,11 @@ from typing import Any
 import gymnasium
 
 import knotgym
-from knotgym.atomic_files import atomic_write
+from knotgym.atomic_files import atomic_write, sha256
+from knotgym.configuration import as_json
 from knotgym.datasets.episode_reader import EpisodeReader, InvalidEpisodeFile
 from knotgym.datasets.episode_writer import merge_episodes
-from knotgym.datasets.states import minari_root
+from knotgym.datasets.states import minari_root, ships, states_file
 from knotgym.tasks import TaskConfig
 
 _ID = re.compile(r"([-\w]+/)*[-\w]+-v\d+")
@@ -84,6 +85,7 @@ def publish(
     *,
     store: str | None = None,
     concatenate: bool = False,
+    distinct: bool = False,
     overwrite: bool = False,
     states: str | os.PathLike[str] | None = None,
     task: TaskConfig | None = None,
@@ -96,7 +98,7 @@ def publish(
         out: the root under which Minari would find the id; None for Minari's own.
         store: observations, "pixels", "state", "both" or "symbolic"; None for the sources' (the
             task's, if those are compact).
-        concatenate: as `merge_episodes`.
+        concatenate, distinct: as `merge_episodes`.
         overwrite: replace a dataset of this id.
         states: a state file to carry along; a task whose `states` is the dataset's id resets from
             it, wherever the dataset goes.
@@ -129,6 +131,7 @@ def publish(
             data / "main_data.hdf5",
             store=store,
             concatenate=concatenate,
+            distinct=distinct,
             task=task,
             attributes={"metadata": json.dumps(asdict(metadata))},
         )
@@ -145,6 +148,78 @@ def publish(
         entries["dataset_size"] = round(size / 1e6, 1)
         (data / "metadata.json").write_text(json.dumps(entries, sort_keys=True), encoding="utf-8")
     return folder
+
+
+def merge_datasets(
+    sources: Sequence[Any], dataset_id: str, out: str | os.PathLike[str] | None = None
+) -> Path:
+    """Put datasets of one task and split together into another, nothing encoded again.
+
+    Minari's own `combine_datasets` makes JPEGs of pictures and forgets the evaluation split.
+
+    Args:
+        sources: datasets, or episode files, that share no episode.
+        dataset_id: of the dataset to make.
+        out: the root under which Minari would find it; None for Minari's own.
+
+    Returns:
+        The dataset's folder.
+
+    Raises:
+        InvalidEpisodeFile: they don't go together, or there is a dataset of this id.
+    """
+    readers = [EpisodeReader(source) for source in sources]
+    for name in ("split", "states"):
+        asked = {_states_digest(one) if name == "states" else one.task.split for one in readers}
+        if len(asked) > 1:
+            raise InvalidEpisodeFile(
+                f"datasets of one split and one state file can be merged; these differ in {name}:"
+                f" {', '.join(str(one.path) for one in readers)}"
+            )
+    said = [metadata for source in sources if (metadata := metadata_of(source))]
+    first, task = readers[0], None
+    carried = None if ships(first.task.states) else _states_of(first)
+    if carried is not None:
+        task = replace(first.task, states=dataset_id)
+    same: dict[str, Any] = {}
+    for name in ("code_permalink", "ref_min_score", "ref_max_score", "num_episodes_average_score"):
+        values = {getattr(one, name) for one in said}
+        same[name] = values.pop() if len(values) == 1 and len(said) == len(sources) else None
+    policies = [one.algorithm_name for one in said] or [str(first.group(0).attrs["policy"])]
+    metadata = MinariMetadata(
+        dataset_id=dataset_id,
+        algorithm_name=", ".join(dict.fromkeys(policies)),
+        description="\n\n".join(
+            [
+                f"Merged of {', '.join(one.dataset_id for one in said) or 'episode files'}.",
+                *(f"{one.dataset_id}: {one.description}" for one in said),
+            ]
+        ),
+        author=tuple({name for one in said for name in one.author}),
+        author_email=tuple({name for one in said for name in one.author_email}),
+        eval_split=said[0].eval_split if said else "test",
+        **same,
+    )
+    for reader in readers:
+        reader.close()
+    return publish(
+        sources, metadata, out, concatenate=True, distinct=True, states=carried, task=task
+    )
+
+
+def _states_of(reader: EpisodeReader) -> Path:
+    """The state file that a dataset's episodes were reset from: its own, or the one it names."""
+    beside = reader.path.with_name("states.h5")
+    return beside if beside.is_file() else states_file(reader.task.states)
+
+
+def _states_digest(reader: EpisodeReader) -> str:
+    if ships(reader.task.states):
+        return str(reader.task.states or "readable")
+    path = _states_of(reader)
+    if not path.is_file():
+        raise InvalidEpisodeFile(f"{reader.path} was reset from {path}, which isn't there")
+    return sha256(path)
 
 
 def compact(source: Any, target: str | os.PathLike[str]) -> None:
@@ -202,5 +277,5 @@ def minari_entries(metadata: MinariMetadata, task: TaskConfig) -> dict[str, Any]
 def environment_spec(task: TaskConfig) -> gymnasium.envs.registration.EnvSpec:
     """The registered environment, every setting spelled out: a later default changes nothing."""
     spec = copy.deepcopy(gymnasium.spec(f"knotgym/{task.task.capitalize()}-v0"))
-    spec.kwargs = asdict(task)
+    spec.kwargs = as_json(task)
     return spec

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from knotgym.datasets.splits import STATE_SPLITS
 from knotgym.datasets.spread import spread_of
-from knotgym.datasets.state_schema import RANDOM_WALK
+from knotgym.datasets.state_schema import DRAWING, RANDOM_WALK
 from knotgym.datasets.states import States
 from knotgym.topology.gauss import GaussCode
 
@@ -21,6 +22,9 @@ def summary(states: States) -> dict[str, Any]:
     range of every quality measure."""
     return {
         "states": len(states),
+        "sources": dict(
+            sorted(Counter(states.source.get("policy", np.array([])).tolist()).items())
+        ),
         "nx": {
             str(nx): _counts(states, np.flatnonzero(states.nx == nx))
             for nx in sorted(set(states.nx.tolist()))
@@ -112,6 +116,13 @@ def _made(report: Mapping[str, Any]) -> str:
             f"{report['attempts']} ropes walked, {report['actions']} environment steps in all. A"
             " configuration can be rejected for several reasons."
         )
+    if report.get("source") == DRAWING:
+        passed = sum(len(codes) for codes in report["passed_over"].values())
+        return (
+            f"{report['attempts']} drawings were made. One can be rejected for several reasons."
+            f" {passed} codes of those begun have fewer states than wanted (`passed_over` in"
+            " `manifest.json`)."
+        )
     return (
         f"{report['attempts']} candidates were made, in {report['actions']} environment steps with"
         " the search. One can be rejected for several reasons."
@@ -125,6 +136,12 @@ def _holds(report: Mapping[str, Any]) -> str:
             "`states.h5` holds one row a state, as uniform random actions meet them: nothing was"
             " opened up, only over-twisted ones were left out; a row's actions are drawn from its"
             " stream. A state is laid at rest."
+        )
+    if report.get("source") == DRAWING:
+        return (
+            "`states.h5` holds one row a state, drawn from its code: a row's drawing is made again"
+            " from its seed, laid in the simulator, stirred and left to rest by the row's actions."
+            " There are no ways from the plain loop."
         )
     return (
         "`states.h5` holds one row a state, `minari/` the trajectories that lead from the start to"
@@ -151,7 +168,7 @@ def _states_rows(counts: Mapping[str, Any], existing: Mapping[str, int]) -> list
         [
             nx,
             count["states"],
-            f"{count['codes']} of {existing[nx]}",
+            f"{count['codes']} of {existing[nx] or 'very many'}",
             count["codes_with_chirality"],
             f"{count['train']} / {count['test']}",
             count["codes_in_both_splits"],

@@ -17,8 +17,9 @@ from knotgym.quality_limits import UNITS
 
 FORMAT = "knotgym-states"
 # 2: demonstrations of each split are a dataset of their own, which `source/dataset` names
-FORMAT_VERSION = 2
-READ_VERSIONS = (1, FORMAT_VERSION)
+# 3: drawn states, and `source/drawing`
+FORMAT_VERSION = 3
+READ_VERSIONS = (1, 2, FORMAT_VERSION)
 
 ATTRIBUTES = {
     "knotgym": "version of this package",
@@ -89,10 +90,11 @@ SOURCE = (
     Column("source/dataset", "text", (), "", "Minari dataset that its demonstration is in"),
     Column("source/trajectory", "int64", (), "", "its episode in that dataset; a rope"),
     Column("source/step", "int64", (), "actions", "state of that episode"),
+    Column("source/drawing", "text", (), "", 'how start_qpos was drawn, JSON; "" if it was not'),
 )
 COLUMNS = (*ROOT, *QUALITY, *SOURCE)
 
-RANDOM_WALK = "random-walk"  # in source/policy
+RANDOM_WALK, DRAWING = "random-walk", "drawing"  # in source/policy
 
 # without these a row can't be made again
 REPLAYED = ("source/start_qpos", "source/actions", "source/steps", "source/seed")

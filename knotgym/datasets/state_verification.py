@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.actions import drawn_actions
+from knotgym.configuration import from_json
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import verify_episodes
 from knotgym.datasets.manifest_check import listed_faults, read_manifest
@@ -17,16 +19,21 @@ from knotgym.datasets.near_duplicates import NEAR, distances, repeated
 from knotgym.datasets.splits import STATE_SPLITS
 from knotgym.datasets.state_schema import COLUMNS, RANDOM_WALK, REPLAYED
 from knotgym.datasets.states import InvalidStates, States, read_states
+from knotgym.drawing.drawn_curve import DrawingConfig, drawn_curve
 from knotgym.errors import KnotgymError, MissingFile
 from knotgym.rendering.picture import draw
 from knotgym.rope import Array, Rope
 from knotgym.simulation import Simulation
-from knotgym.streams import InvalidSeed, Stream, key
+from knotgym.streams import InvalidSeed, Stream, generator_of, key
 from knotgym.topology.crossings import label
+from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import knot_type
 from knotgym.topology.reference_labeller import pyknotid_code
 
 AT_ONCE = 64  # rows replayed side by side
+# metres by which a drawing made again may differ: other processors round otherwise, and the easing
+# of a drawing makes more of it; the replay from what is stored may not differ at all
+REDRAWN = 1e-4
 _LONGEST = 100_000  # actions of a random walk; more are a slip, and would fill the memory
 
 
@@ -131,6 +138,25 @@ def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iter
     else:
         if end is None or not np.array_equal(end, qpos):
             yield "replay of its start and actions does not end in qpos bit for bit"
+    if "drawing" in states.source and states.source["drawing"][row]:
+        yield from _drawing_faults(states, row, rope)
+
+
+def _drawing_faults(states: States, row: int, rope: Rope) -> Iterator[str]:
+    """Faults of a row that says how its start was drawn: drawn again it is the same."""
+    seed = tuple(states.source["seed"][row].tolist())
+    try:
+        config = from_json(DrawingConfig, json.loads(states.source["drawing"][row]))
+        if seed[0] != Stream.DRAWING or seed != key(Stream.DRAWING, *seed[1:]):
+            raise InvalidSource(f"seed {seed} is no stream of a drawing")
+        code = GaussCode.parse(states.gauss_code_chiral[row])
+        again = drawn_curve(code, generator_of(seed), rope, config)
+    except (KnotgymError, ValueError, IndexError, TypeError) as error:
+        yield f"its drawing can't be made again: {' '.join(str(error).split())}"
+        return
+    off = np.abs(again - rope.points(states.source["start_qpos"][row])).max()
+    if not off <= REDRAWN:
+        yield f"its start is not the drawing that its seed makes, off by {1000 * off:.1f} mm"
 
 
 class InvalidSource(KnotgymError, ValueError):

@@ -134,18 +134,22 @@ def states_file(named: str | None) -> Path:
     return carried if carried.is_file() and not Path(named).is_file() else Path(named)
 
 
-def demonstrations_id(nx: int, split: str = "train") -> str:
-    """The Minari dataset of the demonstrations of the states with nx crossings in a split.
+def demonstrations_id(nx: int, split: str = "train", knot: str = "0_1") -> str:
+    """The Minari dataset of the demonstrations of the states of a knot with nx crossings in a
+    split.
 
     A loop has nothing to tie: the way to one is an episode of an unknot task.
 
     >>> demonstrations_id(3)
     'knotgym/tie-nx3/demonstrations-v0'
     >>> demonstrations_id(0, "test")
-    'knotgym/unknot-nx1/demonstrations-test-v0'
+    'knotgym/unknot-nx0/demonstrations-test-v0'
+    >>> demonstrations_id(3, knot="3_1")
+    'knotgym/tie-nx3-3_1/demonstrations-v0'
     """
     name = "demonstrations" if split == "train" else f"demonstrations-{split}"
-    return f"knotgym/{'tie' if nx else 'unknot'}-nx{max(1, nx)}/{name}-v0"
+    knotted = "" if knot == "0_1" else f"-{knot}"
+    return f"knotgym/{'tie' if nx else 'unknot'}-nx{nx}{knotted}/{name}-v0"
 
 
 def write_states(path: str | os.PathLike[str], states: States) -> None:
@@ -189,7 +193,10 @@ def read_states(path: str | os.PathLike[str], *, images: bool = True) -> States:
                 columns[f"{group}/{name}"] = _read(data, h5py.check_string_dtype(data.dtype))
         if file.attrs["format_version"] == 1 and "source/trajectory" in columns:
             # then demonstrations of both splits were in the dataset that now is train's alone
-            mixed = [demonstrations_id(nx) for nx in columns["nx"].tolist()]
+            mixed = [
+                demonstrations_id(nx) if nx else "knotgym/unknot-nx1/demonstrations-v0"
+                for nx in columns["nx"].tolist()
+            ]
             columns["source/dataset"] = np.array(mixed, dtype=np.str_)
         return States(
             **_fields_of(columns),
@@ -214,6 +221,7 @@ def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
     """
     if not parts:
         raise InvalidStates("nothing to merge: name at least one state file")
+    parts = [_with_drawings(part, parts) for part in parts]
     first = parts[0]
     for other in parts[1:]:
         if other.attributes.get("rope") != first.attributes.get("rope"):
@@ -253,6 +261,13 @@ def _with_actions_padded(part: States, parts: Sequence[States]) -> States:
     actions = part.source["actions"]
     padded = np.pad(actions, ((0, 0), (0, longest - actions.shape[1]), (0, 0)))
     return replace(part, source={**part.source, "actions": padded})
+
+
+def _with_drawings(part: States, parts: Sequence[States]) -> States:
+    """A part that says of its rows that none was drawn, if rows of another part were."""
+    if "drawing" in part.source or not any("drawing" in other.source for other in parts):
+        return part
+    return replace(part, source={**part.source, "drawing": np.full(len(part), "", dtype=np.str_)})
 
 
 def _configs(part: States) -> list[Any]:

@@ -6,12 +6,19 @@ The names below are imported when they are first used.
 
 from typing import TYPE_CHECKING
 
+if __name__ == "generate":
+    raise ImportError(
+        "this is the link `generate` at the top of a checkout of knotgym: import knotgym.generate"
+    )
+
 if TYPE_CHECKING:
     from knotgym.generate.episodes.collect import CollectConfig, InvalidCollection, collect
     from knotgym.generate.episodes.evaluate import EvaluateConfig, InvalidEvaluation
     from knotgym.generate.episodes.evaluate import run as evaluate
     from knotgym.generate.images.image_recipe import make_images
     from knotgym.generate.images.images_config import ImagesConfig, InvalidImagesConfig
+    from knotgym.generate.states.drawn_states import DrawnStatesConfig
+    from knotgym.generate.states.drawn_states_recipe import draw_state_set
     from knotgym.generate.states.generate_config import GenerateConfig, InvalidGenerateConfig
     from knotgym.generate.states.random_walk import RandomWalkConfig
     from knotgym.generate.states.random_walk_recipe import walk_states
@@ -25,6 +32,7 @@ else:
         __name__,
         {
             "CollectConfig": "knotgym.generate.episodes.collect",
+            "DrawnStatesConfig": "knotgym.generate.states.drawn_states",
             "EvaluateConfig": "knotgym.generate.episodes.evaluate",
             "GenerateConfig": "knotgym.generate.states.generate_config",
             "ImagesConfig": "knotgym.generate.images.images_config",
@@ -38,6 +46,7 @@ else:
             "RandomWalkConfig": "knotgym.generate.states.random_walk",
             "RunOptions": "knotgym.runs.run_options",
             "collect": "knotgym.generate.episodes.collect",
+            "draw_state_set": "knotgym.generate.states.drawn_states_recipe",
             "evaluate": "knotgym.generate.episodes.evaluate:run",
             "make_images": "knotgym.generate.images.image_recipe",
             "make_states": "knotgym.generate.states.state_recipe:generate",
@@ -47,6 +56,7 @@ else:
 
 __all__ = [
     "CollectConfig",
+    "DrawnStatesConfig",
     "EvaluateConfig",
     "GenerateConfig",
     "ImagesConfig",
@@ -60,6 +70,7 @@ __all__ = [
     "RandomWalkConfig",
     "RunOptions",
     "collect",
+    "draw_state_set",
     "evaluate",
     "make_images",
     "make_states",

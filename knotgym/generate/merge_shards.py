@@ -34,6 +34,7 @@ from knotgym.datasets.image_table import (
 )
 from knotgym.datasets.near_duplicates import apart
 from knotgym.datasets.splits import IMAGE_SPLITS, STATE_SPLITS, split
+from knotgym.datasets.state_schema import DRAWING
 from knotgym.datasets.states import (
     States,
     merge_states,
@@ -170,8 +171,15 @@ def _states(ordered: Sequence[ShardFolder], folder: Path) -> Path:
     from_shard = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
     from_shard = from_shard[merged_order(parts)][kept]
     chosen = every.taken(kept)
-    merged = _renumbered(chosen, config)
     folder.mkdir(parents=True)
+    reports = [shard.manifest["report"] for shard in ordered]
+    report = _report_of_states(reports, len(every) - len(kept))
+    if request["source"] == DRAWING:
+        merged = _split_anew(chosen, config)
+        write_states(folder / "states.h5", merged)
+        state_folder.finish(folder, merged, report, request)
+        return folder
+    merged = _renumbered(chosen, config)
     write_states(folder / "states.h5", merged)
     # where the demonstration of each row is, in order
     datasets = [
@@ -187,19 +195,30 @@ def _states(ordered: Sequence[ShardFolder], folder: Path) -> Path:
             for dataset, rows in groupby(mine, datasets.__getitem__)
         ]
         state_folder.publish_demonstrations(
-            nx, name, sources, len(mine), folder / "minari", folder / "states.h5"
+            nx,
+            name,
+            str(merged.knot[0]),
+            sources,
+            len(mine),
+            folder / "minari",
+            folder / "states.h5",
         )
     archives = [Archive.load(shard.folder / "archive.h5") for shard in ordered]
     search = from_json(SearchSettings, config["search"])
     _joined_archive(archives, search).save(folder / "archive.h5")
-    reports = [shard.manifest["report"] for shard in ordered]
-    report = _report_of_states(reports, len(every) - len(kept))
     state_folder.finish(folder, merged, report, request)
     return folder
 
 
 def _renumbered(states: States, config: dict[str, Any]) -> States:
     """States split anew, each nx and split with demonstrations of its own."""
+    states = _split_anew(states, config)
+    numbered = state_folder.demonstrations_of(states.nx, states.split, str(states.knot[0]))
+    return replace(states, source={**states.source, **numbered})
+
+
+def _split_anew(states: States, config: dict[str, Any]) -> States:
+    """States dealt out to the splits anew."""
     splits = states.split.copy()
     for nx in config["nx"]:
         mine = np.flatnonzero(states.nx == nx)
@@ -209,7 +228,6 @@ def _renumbered(states: States, config: dict[str, Any]) -> States:
     return replace(
         states,
         split=splits,
-        source={**states.source, **state_folder.demonstrations_of(states.nx, splits)},
         attributes={**states.attributes, "config": json.dumps(config, sort_keys=True)},
     )
 
@@ -238,8 +256,13 @@ def _report_of_states(reports: Sequence[dict[str, Any]], near: int) -> dict[str,
     for report in reports:
         for nx, reasons in report["rejected"].items():
             rejected.setdefault(nx, Counter()).update(reasons)
+    passed: dict[str, list[str]] = {}
+    for report in reports:
+        for nx, codes in report.get("passed_over", {}).items():
+            passed.setdefault(nx, []).extend(codes)
     return {
         **reports[0],
+        **({"passed_over": passed} if passed else {}),
         "attempts": sum(report["attempts"] for report in reports),
         "actions": sum(report["actions"] for report in reports),
         "rejected": {nx: dict(sorted(reasons.items())) for nx, reasons in rejected.items()},

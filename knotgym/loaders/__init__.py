@@ -6,7 +6,7 @@ Every loader takes a dataset as a Minari id, a folder, an episode file (compact 
     observation     "pixels", "state", "both" or "symbolic"; None for what the dataset's environment
                     shows
     picture         a `knotgym.rendering.picture.PictureConfig`, to draw pictures of another size,
-                    camera or colours
+                    camera or colours, from other views, with depth or without
     relabel         "last" or "all": hindsight, the code reached becomes the goal (see
                     `Transitions`)
 
@@ -16,13 +16,14 @@ when they are first used.
 
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from knotgym.loaders.converters import (
-        MissingExtra,
-        to_d3rlpy,
-        to_tensordict,
-        torch_dataset,
+if __name__ == "loaders":
+    raise ImportError(
+        "this is the link `loaders` at the top of a checkout of knotgym: import knotgym.loaders"
     )
+
+if TYPE_CHECKING:
+    from knotgym.errors import MissingExtra
+    from knotgym.loaders.converters import to_d3rlpy, to_tensordict, torch_dataset
     from knotgym.loaders.perception import images
     from knotgym.loaders.rows import arrays
     from knotgym.loaders.transitions import Transitions
@@ -32,7 +33,7 @@ else:
     __getattr__, __dir__ = lazy_exports(
         __name__,
         {
-            "MissingExtra": "knotgym.loaders.converters",
+            "MissingExtra": "knotgym.errors",
             "Transitions": "knotgym.loaders.transitions",
             "arrays": "knotgym.loaders.rows",
             "images": "knotgym.loaders.perception",

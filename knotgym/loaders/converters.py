@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.errors import KnotgymError
+from knotgym.errors import KnotgymError, MissingExtra
 from knotgym.loaders.rows import rows
 from knotgym.loaders.transitions import Transitions
 
@@ -23,13 +23,6 @@ _HOW = {
         " --no-deps knotgym"
     ),
 }
-
-
-class MissingExtra(KnotgymError, ImportError):
-    """An optional dependency isn't installed."""
-
-    def __init__(self, needed: str, how: str) -> None:
-        super().__init__(f"this loader needs {needed}, which isn't installed; install it: {how}")
 
 
 class UnknownKind(KnotgymError, ValueError):
@@ -61,9 +54,9 @@ def torch_dataset(
                 episode too.
 
     Returns:
-        A Dataset of dicts of tensors: observations uint8 (size, 2 size, 3) as the environment's, or
-        float32 (6 beads,), a dict of both, or int16 (2, symbols); rewards float32; frames'
-        gauss_code a str.
+        A Dataset of dicts of tensors: observations uint8 (views * size, 2 size, 3 or 4) as the
+        environment's, or float32 (6 beads,), a dict of both, or int16 (2, symbols); rewards
+        float32; frames' gauss_code a str.
 
     Raises:
         MissingExtra: torch isn't installed.

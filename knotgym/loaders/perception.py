@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import importlib
 import os
+import sys
+from pathlib import Path
 from typing import Any
 
-from knotgym.loaders.converters import MissingExtra, UnknownKind
+from knotgym.errors import MissingExtra
+from knotgym.loaders.converters import UnknownKind
 
 KINDS = ("torch", "huggingface")
 
@@ -37,13 +40,13 @@ def images(
     if kind not in KINDS:
         raise UnknownKind(kind, KINDS)
     if kind == "torch":
-        _needed("torch", "Tensor", "torch")
+        _needed("torch", "torch")
         from knotgym.loaders.picture_dataset import PictureDataset
 
         return PictureDataset(path, split, max_nx)
     from knotgym.datasets.image_table import file_stem, shards  # here, for it needs OpenCV
 
-    library = _needed("datasets", "load_dataset", "huggingface")
+    library = _needed("datasets", "huggingface")
     files: dict[str, list[str]] = {}
     for shard in shards(path, split):
         files.setdefault(shard.name.partition("-")[0], []).append(str(shard))
@@ -51,20 +54,15 @@ def images(
     return library.load_dataset("parquet", data_files=files, split=wanted)
 
 
-def _needed(module: str, name: str, extra: str) -> Any:
-    """Import a module that has `name`.
-
-    The link `datasets` of a checkout, found first from its top, doesn't.
-    """
+def _needed(module: str, extra: str) -> Any:
+    """Import a module of another project, past the links at the top of a checkout of ours."""
     how = f"pip install 'knotgym[{extra}]'"
+    searched, link = list(sys.path), ("knotgym", module)
+    sys.path[:] = [one for one in searched if (Path(one) / module).resolve().parts[-2:] != link]
     try:
         imported = importlib.import_module(module)
     except ModuleNotFoundError as error:
         raise MissingExtra(str(error.name), how) from error
-    if not hasattr(imported, name):
-        raise MissingExtra(
-            module,
-            f"{how}; and don't run from the top of a checkout of knotgym, whose folder {module}"
-            " hides it",
-        )
+    finally:
+        sys.path[:] = searched
     return imported

@@ -18,9 +18,9 @@ def arrays(
         dataset, observation, picture, relabel: see `knotgym.loaders`.
 
     Returns:
-        observations, next_observations: uint8 (N, size, 2 size, 3), float32 (N, 6 beads), dicts of
-            both, or int16 (N, 2, symbols). They hold each picture twice: 200 kB a transition at
-            size 128.
+        observations, next_observations: uint8 (N, views * size, 2 size, 3 or 4), float32
+            (N, 6 beads), dicts of both, or int16 (N, 2, symbols). They hold each picture twice:
+            200 kB a transition at size 128, one view and no depth.
         actions: float32 (N, 6).
         rewards: float64 (N,).
         terminals, timeouts: bool (N,); each episode's last row has one of them set.

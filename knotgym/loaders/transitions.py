@@ -154,8 +154,8 @@ class Transitions:
         """Observations of the states [start, stop), of 0 to T, of a segment of T transitions.
 
         Returns:
-            uint8 (n, size, 2 size, 3), float32 (n, 6 beads), a dict of both, or int16 (n, 2,
-            symbols).
+            uint8 (n, views * size, 2 size, 3 or 4), float32 (n, 6 beads), a dict of both, or int16
+            (n, 2, symbols).
         """
         last = int(self.starts[segment + 1] - self.starts[segment]) + 1
         goal = int(self.goal_step[segment])

@@ -1,9 +1,16 @@
 """Where the camera of a picture stands, what it shows where, and how the beads are coloured.
 
-The camera looks straight down z at the rope's centre of mass. Pixel coordinates are continuous, x
-to the right and y down: pixel (row, column) covers [column, column + 1) x [row, row + 1), so its
-centre lies at (column + 0.5, row + 0.5). Image right is world +x, image up is world +y.
-Source: arXiv 2505.18028 (camera, colours).
+A camera looks straight at the rope's centre of mass, from the top, the left or the front:
+
+    view     stands at    image right    image up
+    top      +z           +x             +y
+    left     -x           -y             +z
+    front    -y           +x             +z
+
+Every view is the top view of a rope laid otherwise (`seen_from`), so only the top view is spoken of
+below. Pixel coordinates are continuous, x to the right and y down: pixel (row, column) covers
+[column, column + 1) x [row, row + 1), so its centre lies at (column + 0.5, row + 0.5).
+Source: arXiv 2505.18028 (camera of the top view, colours).
 """
 
 import math
@@ -14,9 +21,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.errors import KnotgymError
+from knotgym.tasks import check_depth, checked_views
 
 RGB = tuple[int, int, int]
 
+# view -> which coordinates go right, up and towards the camera, and their signs
+_AXES = {
+    "top": ((0, 1, 2), (1.0, 1.0, 1.0)),
+    "left": ((1, 2, 0), (-1.0, 1.0, -1.0)),
+    "front": ((0, 2, 1), (1.0, 1.0, -1.0)),
+}
 _NEAR = 0.01  # metres; nothing nearer to the perspective camera is seen
 
 
@@ -49,22 +63,26 @@ class PictureConfig:
     """What a picture shows; together with the points it determines every byte of it.
 
     Attributes:
-        size: pixels, both sides, 16 to 4096.
+        size: pixels, both sides of each view, 16 to 4096.
+        views: "top", "left" and "front", each at most once, one below another in the picture.
+        depth: a fourth channel: 0 where no rope is, else from 1 to 255, the nearer to the camera
+            the more; 128 is the rope's centre of mass, and a level is view / 254, 2.6 mm. What is
+            more than view / 2 before or behind the centre has the last level.
         view: metres that a side of the orthographic picture shows.
-        camera: "orthographic" (parallel to z, so that the picture shows the crossings that the
+        camera: "orthographic" (rays are parallel, so that the top view shows the crossings that the
             Gauss code names) or "perspective" (published).
-        camera_height: metres of the perspective camera above the centre of mass.
+        camera_height: metres of the perspective camera from the centre of mass.
         fovy: vertical field of view of the perspective camera, degrees.
-        turn: radians by which the camera is turned about z, anticlockwise seen from above; the rope
-            appears turned the other way.
+        turn: radians by which the camera is turned about its line of sight, anticlockwise seen from
+            behind it; the rope appears turned the other way.
         zoom: magnification about the picture's centre.
         rope_radius: metres.
         width: factor on the rope's radius, in the picture alone.
         colours: "published" (see bead_colours) or one RGB for the whole rope, whose base bead stays
             white.
         background: RGB.
-        renderer: "opencv" (needs no GL), "mujoco" (the same picture by OpenGL), or "auto", which is
-            "opencv".
+        renderer: "opencv" (needs no GL), "mujoco" (the same picture by OpenGL, without depth), or
+            "auto", which is "opencv".
         supersampling: samples along each side of a pixel, averaged; 1 to 8.
 
     Raises:
@@ -72,6 +90,8 @@ class PictureConfig:
     """
 
     size: int = 128
+    views: tuple[str, ...] = ("top",)
+    depth: bool = False
     view: float = 0.66
     camera: Literal["orthographic", "perspective"] = "orthographic"
     camera_height: float = 0.8
@@ -114,6 +134,8 @@ class PictureConfig:
             "renderer must be 'auto', 'opencv' or 'mujoco'",
             self.renderer,
         )
+        object.__setattr__(self, "views", checked_views(self.views, PictureError))
+        check_depth(self.depth, self.renderer, PictureError)
         object.__setattr__(self, "background", _rgb("background", self.background))
         if self.colours != "published":
             object.__setattr__(self, "colours", _rgb("colours", self.colours))
@@ -125,6 +147,11 @@ class PictureConfig:
             return self.zoom * self.size / self.view
         shown = 2.0 * self.camera_height * math.tan(math.radians(self.fovy) / 2.0)  # metres
         return self.zoom * self.size / shown
+
+    @property
+    def channels(self) -> int:
+        """3, or 4 with depth."""
+        return 3 + self.depth
 
     @property
     def drawn_radius(self) -> float:
@@ -161,10 +188,20 @@ def rope_colours(beads: int, config: PictureConfig = DEFAULT) -> NDArray[np.uint
     return colours
 
 
+def seen_from(view: str, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lay points (n, 3) so that their top view is what `view` shows; perhaps the same array.
+
+    >>> seen_from("left", np.array([[1.0, 2.0, 3.0]])).tolist()
+    [[-2.0, 3.0, -1.0]]
+    """
+    axes, signs = _AXES[view]
+    return points if view == "top" else np.ascontiguousarray(points[:, axes] * np.array(signs))
+
+
 def project(
     points: ArrayLike, config: PictureConfig = DEFAULT, center: ArrayLike | None = None
 ) -> NDArray[np.float64]:
-    """Where points of the world appear in the picture.
+    """Where points of the world appear in the top view.
 
     Args:
         points: float, shape (n, 3), metres, world frame.
@@ -173,7 +210,7 @@ def project(
 
     Returns:
         float64, shape (n, 2): pixel coordinates (x right, y down; see the module). They may lie
-        outside the picture; they are NaN for points less than 1 cm in front of the perspective
+        outside the view; they are NaN for points less than 1 cm in front of the perspective
         camera, or behind it.
     """
     points = np.asarray(points, dtype=np.float64)

@@ -2,6 +2,10 @@
 
 Bead i is a capsule from points[i] to points[(i + 1) % beads]. Colours are flat: no light, no
 shadow.
+
+Depth is that of the rope's axis, true to 3.4 mm: a piece of a bead, which spans 6.7 mm of depth at
+most, has the depth of its middle. A pixel has the nearest of its samples, never a mixture. Under
+the perspective camera distances are along the line of sight.
 """
 
 from functools import lru_cache
@@ -21,8 +25,9 @@ from knotgym.rendering.camera import (
     project,
     require,
     rope_colours,
+    seen_from,
 )
-from knotgym.rendering.rasterizer import EDGE, SHIFT, average, polygons
+from knotgym.rendering.rasterizer import EDGE, SHIFT, average, nearest, polygons
 from knotgym.topology.crossings import Crossings
 
 __all__ = [
@@ -49,8 +54,9 @@ def draw(
         colours: uint8, shape (beads, 3), RGB, instead of config's.
 
     Returns:
-        uint8, shape (size, size, 3), RGB, row 0 at the top (largest y). What lies outside the
-        picture is cut off.
+        uint8, shape (size, size, 3), RGB, row 0 at the top (largest y); with several views shape
+        (views * size, size, 3), the first one on top; with depth 4 channels. What lies outside a
+        view is cut off.
 
     Raises:
         PictureError: points or colours have another shape, or points are not finite.
@@ -71,7 +77,7 @@ def draw_many(
         colours: as for draw, the same for all.
 
     Returns:
-        uint8, shape (m, size, size, 3), RGB.
+        uint8, shape (m, views * size, size, 3 or 4).
 
     Raises:
         PictureError, GraphicsUnavailable: as draw.
@@ -82,7 +88,7 @@ def draw_many(
 def crossing_pixels(
     crossings: Crossings, points: ArrayLike, config: PictureConfig = DEFAULT
 ) -> NDArray[np.float64]:
-    """Where the over strand of each crossing appears in the picture of points.
+    """Where the over strand of each crossing appears in the top view of points.
 
     Returns:
         float64, shape (n, 2), pixel coordinates as of `project`.
@@ -111,32 +117,64 @@ def _draw_all(
         require(
             fits, f"colours must be uint8 of shape {(beads, 3)}", (colours.dtype, colours.shape)
         )
-    images = np.empty((frames, config.size, config.size, 3), dtype=np.uint8)
+    views, size = len(config.views), config.size
+    images = np.empty((frames, views * size, size, config.channels), dtype=np.uint8)
+    squares = images.reshape(frames, views, size, size, config.channels)
     if config.renderer == "mujoco":
         # here, for it looks for OpenGL
         from knotgym.rendering import mujoco_renderer
 
         shades = rope_colours(beads, config) if colours is None else colours
-        for image, rope in zip(images, points, strict=True):
-            image[:] = mujoco_renderer.draw(rope, shades, config)
+        for image, rope in zip(squares, points, strict=True):
+            for square, view in zip(image, config.views, strict=True):
+                square[:] = mujoco_renderer.draw(seen_from(view, rope), shades, config)
         return images
     paint = _paint(beads, config) if colours is None else _as_scalars(colours)
-    finer = config.supersampling
-    canvas = np.empty((finer * config.size, finer * config.size, 3), dtype=np.uint8)
-    for image, rope in zip(images, points, strict=True):
-        _fill(image, config.background)
-        outlines, owners = polygons(*_placed(rope, config), len(canvas))
-        if not len(outlines):
-            continue
-        columns, rows = _touched(outlines, config)
-        touched = canvas[
-            finer * rows.start : finer * rows.stop, finer * columns.start : finer * columns.stop
-        ]
-        _fill(touched, config.background)
-        for outline, bead in zip(outlines, owners.tolist(), strict=True):
-            cv2.fillConvexPoly(canvas, outline, paint[bead], cv2.LINE_8, SHIFT)
-        image[rows, columns] = average(touched, finer)
+    side = config.supersampling * size
+    canvas = np.empty((side, side, 3), dtype=np.uint8)
+    relief = np.empty((side, side), dtype=np.uint8) if config.depth else None
+    for image, rope in zip(squares, points, strict=True):
+        for square, view in zip(image, config.views, strict=True):
+            _draw_view(square, seen_from(view, rope), config, paint, canvas, relief)
     return images
+
+
+def _draw_view(
+    square: NDArray[np.uint8],
+    points: NDArray[np.float64],
+    config: PictureConfig,
+    paint: list[RGB],
+    canvas: NDArray[np.uint8],
+    relief: NDArray[np.uint8] | None,
+) -> None:
+    """Draw the top view of points into square, on a canvas of samples, and on one of depths."""
+    finer = config.supersampling
+    _fill(square, (*config.background, 0)[: config.channels])
+    outlines, owners, heights = polygons(*_placed(points, config), len(canvas))
+    if not len(outlines):
+        return
+    columns, rows = _touched(outlines, config)
+    samples = (
+        slice(finer * rows.start, finer * rows.stop),
+        slice(finer * columns.start, finer * columns.stop),
+    )
+    _fill(canvas[samples], config.background)
+    for outline, bead in zip(outlines, owners.tolist(), strict=True):
+        cv2.fillConvexPoly(canvas, outline, paint[bead], cv2.LINE_8, SHIFT)
+    square[rows, columns, :3] = average(canvas[samples], finer)
+    if relief is not None:
+        _fill(relief[samples], (0,))
+        for outline, level in zip(outlines, _levels(heights, config), strict=True):
+            cv2.fillConvexPoly(relief, outline, (level,), cv2.LINE_8, SHIFT)
+        square[rows, columns, 3] = nearest(relief[samples], finer)
+
+
+def _levels(heights: NDArray[np.float64], config: PictureConfig) -> list[int]:
+    """Levels of depth, 1 to 255, of pieces at heights as of `_placed`."""
+    middle = 0.0 if config.camera == "orthographic" else -config.camera_height
+    share = np.clip(0.5 + (heights - middle) / config.view, 0.0, 1.0)
+    levels: list[int] = (1 + np.rint(254.0 * share)).astype(int).tolist()
+    return levels
 
 
 def _touched(outlines: NDArray[np.int32], config: PictureConfig) -> tuple[slice, slice]:
@@ -152,7 +190,7 @@ def _touched(outlines: NDArray[np.int32], config: PictureConfig) -> tuple[slice,
     return columns, rows
 
 
-def _fill(picture: NDArray[np.uint8], colour: RGB) -> None:
+def _fill(picture: NDArray[np.uint8], colour: tuple[int, ...]) -> None:
     # a tenth of the time that NumPy takes
     cv2.rectangle(picture, (0, 0), picture.shape[1::-1], colour, cv2.FILLED)
 
@@ -163,7 +201,8 @@ def _placed(
     """A rope on the supersampled canvas.
 
     Returns:
-        pixels (beads, 2), heights (beads,), metres, and radii (beads,), pixels.
+        pixels (beads, 2), heights (beads,), metres (under the perspective camera less
+        the distance to it), and radii (beads,), pixels.
     """
     offset = points - points.mean(axis=0)
     pixels = config.supersampling * project(points, config) - 0.5

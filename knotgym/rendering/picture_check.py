@@ -33,8 +33,8 @@ def shown_strands(
     straddle a joint); the nearer strand is the one shown.
 
     Args:
-        image: uint8, shape (size, size, 3), drawn from points with config and colours,
-            orthographic.
+        image: uint8, drawn from points with config and colours, orthographic; its top view is
+            looked at.
         crossings: those of points.
         points: float64, shape (beads, 3), metres.
         window: beads along the rope, either way, that count as the same strand.
@@ -49,15 +49,22 @@ def shown_strands(
         pixel.
 
     Raises:
-        PictureError: config's camera is not orthographic, so that the picture's crossings are
-            others; or its pixels are larger than 1.1 drawn radii, so that the over strand need not
-            fill most of a crossing's pixel.
+        PictureError: config's camera is not orthographic or it has no top view, so that the
+            picture's crossings are others; or its pixels are larger than 1.1 drawn radii, so that
+            the over strand need not fill most of a crossing's pixel.
     """
     if config.camera != "orthographic":
         raise PictureError(
             "only an orthographic picture shows the crossings of the code; this one's camera is"
             f" {config.camera!r}"
         )
+    if "top" not in config.views:
+        raise PictureError(
+            "only the top view shows the crossings of the code; this picture's views are"
+            f" {', '.join(config.views)}"
+        )
+    first = config.size * config.views.index("top")
+    image = image[first : first + config.size, :, :3]
     pixel = 1.0 / config.pixels_per_metre
     if pixel > 1.1 * config.drawn_radius:
         raise PictureError(

@@ -1,4 +1,4 @@
-"""Outlines of a drawn rope, its beads cut into convex polygons; and samples averaged to pixels.
+"""Outlines of a drawn rope, its beads cut into convex polygons; and samples gathered to pixels.
 
 Each bead is cut across into as many equal pieces as its span of heights asks for. Where two beads
 meet, each ends at the bisector of the joint, as the capsules themselves do, so that neighbours
@@ -43,7 +43,7 @@ _CAP = np.stack(
 
 def polygons(
     pixels: NDArray[np.float64], height: NDArray[np.float64], radius: NDArray[np.float64], side: int
-) -> tuple[NDArray[np.int32], NDArray[np.intp]]:
+) -> tuple[NDArray[np.int32], NDArray[np.intp], NDArray[np.float64]]:
     """The pieces of the beads as convex polygons, in the order in which to paint them.
 
     Args:
@@ -54,8 +54,8 @@ def polygons(
         side: of the canvas, pixels; what lies outside isn't returned.
 
     Returns:
-        int32 (pieces, 14, 2), vertices in 1/2**SHIFT pixels; and for each the bead it belongs to,
-        (pieces,).
+        int32 (pieces, 14, 2), vertices in 1/2**SHIFT pixels; and for each the bead it belongs to
+        and the height of its middle, metres, (pieces,) both.
     """
     # What compiled code might round differently (angles and their functions) is NumPy's, so that
     # the bytes are the same with or without it.
@@ -80,7 +80,7 @@ def polygons(
         side,
     )
     order = np.argsort(middle, kind="stable")
-    return corners[order], bead[order]
+    return corners[order], bead[order], middle[order]
 
 
 def average(canvas: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
@@ -97,6 +97,23 @@ def average(canvas: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
         canvas = _shrink(canvas, 2)
         factor //= 2
     return canvas if factor == 1 else _shrink(canvas, factor)
+
+
+def nearest(canvas: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
+    """The greatest of the samples of each pixel.
+
+    Args:
+        canvas: uint8, shape (rows, columns).
+        factor: samples along each side of a pixel.
+
+    Returns:
+        uint8, shape (rows / factor, columns / factor).
+    """
+    for axis in (0, 1):
+        lines = np.moveaxis(canvas, axis, 0)
+        most = np.maximum.reduce([lines[k::factor] for k in range(factor)])
+        canvas = np.moveaxis(most, 0, axis)
+    return canvas
 
 
 def _shrink(canvas: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:

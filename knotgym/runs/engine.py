@@ -19,15 +19,14 @@ from typing import Any, Protocol
 import cv2
 import mujoco
 import numpy as np
-from rich.console import Console
 
 import knotgym
-from knotgym.atomic_files import atomic_write
+from knotgym.atomic_files import atomic_write, require_writable
 from knotgym.configuration import differences
 from knotgym.rope import RopeConfig
 from knotgym.runs.executors import executor
 from knotgym.runs.pools import Pool
-from knotgym.runs.progress import Progress, Status
+from knotgym.runs.progress import Progress, Status, compile_first
 from knotgym.runs.run_options import InvalidRun, RunOptions
 from knotgym.runs.staging import Occupied, lock_folder, staging, staging_folder
 
@@ -43,11 +42,13 @@ class Batch:
         work: a function of a unit alone, at the top level of a module, so that it can be pickled.
         units: what to do; iterated once.
         absorb: takes each unit with its result, in the order of the units.
+        name: what it is, for a person who looks on.
     """
 
     work: Callable[[Any], Any]
     units: Sequence[Any]
     absorb: Callable[[Any, Any], None]
+    name: str = "working"
 
     def follow(self, pool: Pool) -> Iterator[None]:
         """Do the work; yields after every unit absorbed."""
@@ -56,7 +57,9 @@ class Batch:
             yield
 
 
-CHECKPOINT = Batch(work=id, units=(), absorb=max)  # no work: here a recipe can be saved
+CHECKPOINT = Batch(
+    work=id, units=(), absorb=max, name="saving"
+)  # no work: here a recipe can be saved
 
 
 class Recipe(Protocol):
@@ -92,15 +95,19 @@ class Recipe(Protocol):
         """What was made, in a line."""
 
 
-def run(recipe: Recipe, out: Path, options: RunOptions, console: Console | None = None) -> Path:
+def run(recipe: Recipe, out: Path, options: RunOptions, progress: Progress | None = None) -> Path:
     """Follow a recipe until the new folder `out` is there, and return it.
 
     Raises:
         Occupied: there is something in the way, or another run is at it.
+        Unwritable: nothing can be written there.
         InvalidRun: what is resumed was asked for differently.
         KnotgymError: the recipe refuses, or what was allowed is spent.
     """
-    console, began = console or Console(), time.perf_counter()
+    if progress is None:
+        with Progress(options.quiet) as progress:
+            return run(recipe, out, options, progress)
+    began = time.perf_counter()
     request = {
         **recipe.request(),
         "shard": {"number": options.shard.number, "of": options.shard.of},
@@ -114,31 +121,43 @@ def run(recipe: Recipe, out: Path, options: RunOptions, console: Console | None 
             raise Occupied(f"{out} is there already; choose another --out, or remove it")
         _require_same(made_by, request, recipe.flexible, out)
         shutil.rmtree(staging_folder(out), ignore_errors=True)  # killed between its last two steps
-        _say(console, options, f"{out} is finished already")
+        progress.say(f"{out} is finished already")
         return out
+    require_writable(out)
     if staging_folder(out).exists():
         with lock_folder(staging_folder(out)):  # nobody is at it
-            left = request_of(staging_folder(out)) if options.resume else None
-            if left is not None:
+            left = request_of(staging_folder(out))
+            if left is not None and options.resume:
                 _require_same(left, request, recipe.flexible, staging_folder(out))
+            elif left is not None:
+                progress.say(
+                    f"{staging_folder(out)}: what an interrupted run left goes; --resume would have"
+                    " gone on from it"
+                )
+    elif options.resume:
+        progress.say(f"{out}: there is nothing to resume here, so the run begins")
+    compile_first(progress)
     if not (options.resume and recipe.load(staging_folder(out))):
         recipe.begin()
     with staging(out, options.resume) as folder:
         with atomic_write(folder / REQUEST) as temporary:
             temporary.write_text(json.dumps(request, indent=1, sort_keys=True), encoding="utf-8")
         with executor(options.workers, options.scheduler) as pool:
-            with Progress(console, options.quiet) as progress:
-                for batch in recipe.batches(folder):
-                    for _ in batch.follow(pool):
-                        progress.show(recipe.status)
-                    if batch is CHECKPOINT:
-                        recipe.save(folder)
-                progress.show(recipe.status, last=True)
+            for batch in recipe.batches(folder):
+                progress.stage(batch.name, 0, len(batch.units))
+                progress.show(recipe.status)
+                for done, _ in enumerate(batch.follow(pool), 1):
+                    progress.stage(batch.name, done, len(batch.units))
+                    progress.show(recipe.status)
+                if batch is CHECKPOINT:
+                    recipe.save(folder)
+            progress.show(recipe.status, last=True)
+        progress.stage("writing")
         shutil.rmtree(folder / "made", ignore_errors=True)
         recipe.finish(folder / "made", request).rename(out)
     shutil.rmtree(staging_folder(out))
     seconds = time.perf_counter() - began
-    _say(console, options, f"{out}: {recipe.summary()}; {seconds:.0f} s")
+    progress.say(f"{out}: {recipe.summary()}; {seconds:.0f} s")
     return out
 
 
@@ -176,8 +195,3 @@ def _require_same(
             f"{folder} is of another run than the one asked for: {'; '.join(found[:3])}; give the"
             " same again, or start without --resume"
         )
-
-
-def _say(console: Console, options: RunOptions, text: str) -> None:
-    if not options.quiet:
-        console.print(text, soft_wrap=True, highlight=False, markup=False)

@@ -1,16 +1,22 @@
-"""What a person sees while a run goes on: a live table on a terminal, plain lines elsewhere."""
+"""What a person sees while something goes on: on a terminal a few lines that tick twice a second,
+whatever the work is at; elsewhere plain lines, if the work is a long run.
+"""
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
+from rich.text import Text
 
 _LIVE_EVERY, _LINE_EVERY = 0.5, 10.0  # seconds between two looks
+_LONG = 3600.0  # seconds: a run that would take longer says so before it begins
 
 
 @dataclass(frozen=True)
@@ -21,55 +27,146 @@ class Status:
         done, total: of what is counted, such as states or episodes.
         counted: its name in the plural.
         facts: name -> value of whatever else is worth knowing.
+        even: each takes about as long as another, so that the time left can be told.
     """
 
     done: int
     total: int
     counted: str
     facts: dict[str, str] = field(default_factory=dict)
+    even: bool = False
 
 
 class Progress:
-    """Shows where a run stands, now and then; a context manager that clears up behind it."""
+    """Shows where a run stands; a context manager that clears up behind it.
 
-    def __init__(self, console: Console, quiet: bool) -> None:
-        self._console, self._quiet = console, quiet
-        live = console.is_terminal and not quiet
-        self._live = Live(console=console, transient=True) if live else None
-        self._began = self._told = time.perf_counter()
-        self._done_before: int | None = None
+    Args:
+        quiet: show nothing.
+        lines: write plain lines now and then where there is no terminal.
+        console: standard output by default.
+        clock: seconds.
+    """
+
+    def __init__(
+        self,
+        quiet: bool = False,
+        *,
+        lines: bool = True,
+        console: Console | None = None,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        self._clock, self._began = clock, clock()
+        self._told: float | None = None
+        self._first: Status | None = None
+        self._status: Status | None = None
+        self._stage, self._count = "starting", ""
+        self.console = console or Console()
+        shown = self.console
+        if not shown.is_terminal and console is None and sys.stderr.isatty():
+            shown = Console(stderr=True)  # the output goes into a pipe, the person looks on
+        live = shown.is_terminal and not quiet
+        self._live = (
+            Live(
+                get_renderable=self._table,
+                console=shown,
+                transient=True,
+                refresh_per_second=1 / _LIVE_EVERY,
+            )
+            if live
+            else None
+        )
+        self._lines, self._quiet = lines and not quiet and not live, quiet
 
     def __enter__(self) -> Progress:
         if self._live:
-            self._live.start()
+            self._live.start(refresh=True)
         return self
 
     def __exit__(self, *_: object) -> None:
         if self._live:
             self._live.stop()
 
+    def say(self, text: str) -> None:
+        """Print a line that stays."""
+        if not self._quiet:
+            self.console.print(text, soft_wrap=True, highlight=False, markup=False)
+
+    def stage(self, name: str, done: int = 0, total: int = 0) -> None:
+        """Say what is being done now, and how much of it is."""
+        self._stage, self._count = name, f" {done} of {total}" if total else ""
+
     def show(self, status_of: Callable[[], Status], last: bool = False) -> None:
         """Show the status, which is only asked for when it is time for another look."""
-        now = time.perf_counter()
-        if self._done_before is None:  # what an earlier sitting did says nothing of the speed
-            self._done_before = status_of().done
-        soon = now - self._told < (_LIVE_EVERY if self._live else _LINE_EVERY)
-        if self._quiet or (soon and not last):
+        now, every = self._clock(), _LIVE_EVERY if self._live else _LINE_EVERY
+        if self._quiet or (self._told is not None and now - self._told < every and not last):
             return
-        self._told = now
-        status, seconds = status_of(), now - self._began
-        done = status.done - self._done_before
-        left = f"{seconds * (status.total - status.done) / done:.0f} s" if done else "?"
-        facts = {
-            status.counted: f"{status.done} of {status.total}",
-            **status.facts,
-            "time left, about": left,
-        }
-        if self._live:
-            table = Table.grid(padding=(0, 2))
-            for name, value in facts.items():
-                table.add_row(f"[bold]{name}", value)
-            self._live.update(table)
-        else:
-            line = "; ".join(f"{name} {value}" for name, value in facts.items())
-            self._console.print(f"{seconds:5.0f} s  {line}", soft_wrap=True, highlight=False)
+        self._told, self._status = now, status_of()
+        self._first = self._first or self._status
+        if self._lines:
+            line = "; ".join(f"{name} {value}" for name, value in self._facts().items())
+            self.console.print(
+                f"{now - self._began:5.0f} s  {line}", soft_wrap=True, highlight=False
+            )
+
+    def _facts(self) -> dict[str, str]:
+        """What is to be told now, name -> value."""
+        status, first = self._status, self._first
+        if status is None or first is None:
+            return {}
+        facts = {status.counted: f"{status.done} of {status.total}", **status.facts}
+        done = status.done - first.done  # what an earlier sitting did says nothing of the speed
+        if status.even and 0 < done < status.total:
+            left = (self._clock() - self._began) * (status.total - status.done) / done
+            facts["time left, about"] = duration(left)
+        return facts
+
+    def _table(self) -> Table:
+        table = Table.grid(padding=(0, 2))
+        since = f"{self._count} {self._clock() - self._began:.0f} s".strip()
+        for name, value in {self._stage: since, **self._facts()}.items():
+            table.add_row(Text(name, "bold"), Text(value))
+        return table
+
+
+def duration(seconds: float) -> str:
+    """A time as people say it.
+
+    >>> [duration(one) for one in (50, 5000, 8e4, 8e6, 8e8)]
+    ['50 s', '83 minutes', '22 hours', '93 days', '25 years']
+    """
+    for unit, size in (("years", 31_557_600), ("days", 86_400), ("hours", 3600), ("minutes", 60)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.0f} {unit}"
+    return f"{seconds:.0f} s"
+
+
+def tell_if_long(progress: Progress, core_seconds: float, workers: int) -> None:
+    """Say before a run begins how long it would take, if that is more than an hour.
+
+    Args:
+        progress: where to.
+        core_seconds: what it costs, roughly: as measured on one core of the machine of README's
+            table.
+        workers: processes, 0 for one a core.
+    """
+    from knotgym.runs.executors import cores
+
+    count = workers or cores()
+    if core_seconds / count > _LONG:
+        progress.say(
+            f"this would take about {duration(core_seconds / count)} with {count} workers; Ctrl-C"
+            " stops it"
+        )
+
+
+def compile_first(progress: Progress) -> None:
+    """Have the labeller compiled, which takes a while the first time, before others wait for it."""
+    from knotgym.topology.crossing_kernel import scan
+
+    if not any(Path(scan.stats.cache_path).glob("crossing_kernel.scan-*.nbi")):
+        from knotgym.rope import Rope
+        from knotgym.topology.crossings import label
+
+        progress.stage("compiling, in the first run only")
+        label(Rope().loop())
+    progress.stage("starting")

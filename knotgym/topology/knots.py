@@ -25,6 +25,7 @@ UNKNOT = "0_1"
 UNKNOWN = "unknown"
 ALEXANDER_DECIDES = 10
 JONES_DECIDES = 24
+LISTED_NX = 6  # codes with more crossings are too many for codes_of
 
 # Every knot of at most 7 crossings, composites included. The polynomials differ, so a diagram of at
 # most 7 crossings is told by its own.

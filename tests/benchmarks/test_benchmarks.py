@@ -242,3 +242,10 @@ def test_walks_from_both_starts_are_measured(tmp_path: Path) -> None:
     found = figures("stationary", tmp_path, "--ropes", 2, "--actions", 20, "--every", 20)
     (row,) = found["rows"]
     assert row["coil"]["radius"][0] < row["circle"]["radius"][0]
+
+
+@pytest.mark.clients
+def test_the_adapters_race_their_likes(tmp_path: Path) -> None:
+    pytest.importorskip("stable_baselines3")
+    rates = figures("adapters", tmp_path, "--envs", 2, "--steps", 1, "--repeats", 1)
+    assert {*rates["steps_a_second"]["state"]} == {"sb3_vec_env", "DummyVecEnv", "SubprocVecEnv"}

@@ -3,12 +3,14 @@ what is there.
 """
 
 import shutil
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import av
 import cv2
 import h5py
 import numpy as np
@@ -22,8 +24,15 @@ from knotgym.datasets.gallery import contact_sheet, write_gallery
 from knotgym.datasets.state_card import growth, summary
 from knotgym.datasets.state_verification import state_faults
 from knotgym.datasets.states import States, read_states, write_states
-from knotgym.rendering.picture import draw
-from knotgym.rendering.video import FRAMES_PER_SECOND, UnknownFilm, captioned, write_film
+from knotgym.rendering.picture import draw, project
+from knotgym.rendering.video import (
+    FRAMES_PER_SECOND,
+    UnknownFilm,
+    captioned,
+    film_frame,
+    write_film,
+)
+from knotgym.rope import Rope
 
 from ..small_job import knotgym
 
@@ -52,7 +61,7 @@ def film_length(path: Path) -> int:
 # Films.
 
 
-@pytest.mark.parametrize("name", ["a.gif", "a.mp4", "A.GIF"])
+@pytest.mark.parametrize("name", ["a.gif", "a.mp4", "a.webm", "A.GIF"])
 def test_a_film_has_the_frames_it_was_given(tmp_path: Path, name: str) -> None:
     write_film(tmp_path / name, FRAMES)
     assert [path.name for path in tmp_path.iterdir()] == [name]
@@ -60,7 +69,7 @@ def test_a_film_has_the_frames_it_was_given(tmp_path: Path, name: str) -> None:
         assert film_length(tmp_path / name) == len(FRAMES)
 
 
-@pytest.mark.parametrize("name", ["a.gif", "a.mp4"])
+@pytest.mark.parametrize("name", ["a.gif", "a.mp4", "a.webm"])
 def test_a_film_shows_what_it_was_given(tmp_path: Path, name: str) -> None:
     write_film(tmp_path / name, FRAMES)
     film = cv2.VideoCapture(str(tmp_path / name))
@@ -74,9 +83,38 @@ def test_a_film_runs_as_fast_as_the_rope(tmp_path: Path) -> None:
         assert film.info["duration"] == 1000 // FRAMES_PER_SECOND
 
 
+@pytest.mark.parametrize(("name", "codec"), [("a.mp4", "h264"), ("a.webm", "vp9")])
+def test_films_are_of_a_kind_that_browsers_play(tmp_path: Path, name: str, codec: str) -> None:
+    write_film(tmp_path / name, FRAMES)
+    with av.open(str(tmp_path / name)) as film:
+        stream = film.streams.video[0]
+        assert (stream.codec_context.name, stream.codec_context.pix_fmt) == (codec, "yuv420p")
+        assert stream.average_rate == FRAMES_PER_SECOND
+
+
+def test_a_film_that_needs_pyav_names_the_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(UnknownFilm, match=r"pip install 'knotgym\[video\]'"):
+        write_film(tmp_path / "a.mp4", FRAMES)
+    write_film(tmp_path / "a.gif", FRAMES)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.gif"]
+
+
+def test_a_frame_shows_the_pull_and_says_the_plain_loop() -> None:
+    loop = Rope().loop()
+    plain = film_frame(loop, loop, "step 0 of 1")
+    pulled = film_frame(loop, loop, "step 0 of 1", (0, np.array([0.0, 1.0, 0.0])))
+    moved = np.argwhere((pulled != plain).any(axis=2))
+    at = 3 * project(loop[:1], center=loop.mean(axis=0))[0]
+    assert moved[:, 1].max() < 384  # on the rope's half
+    assert abs(moved[:, 0].max() - at[1]) < 8 and at[1] - moved[:, 0].min() > 60  # upwards, +y
+
+
 @pytest.mark.parametrize("name", ["a.avi", "a", "a.gif.txt"])
 def test_another_kind_of_film_is_refused_and_not_written(tmp_path: Path, name: str) -> None:
-    with pytest.raises(UnknownFilm, match="a video ends in .gif or .mp4"):
+    with pytest.raises(UnknownFilm, match="a video ends in .gif, .mp4 or .webm"):
         write_film(tmp_path / name, FRAMES)
     assert list(tmp_path.iterdir()) == []
 
@@ -255,7 +293,7 @@ def test_states_without_provenance_cannot_be_replayed(
     [
         ("--row 8", "row 8 is not there; there are 8, from 0"),
         ("--row -1", "greater than or equal to 0"),
-        ("--out {}/a.avi", "a video ends in .gif or .mp4"),
+        ("--out {}/a.avi", "a video ends in .gif, .mp4 or .webm"),
     ],
 )
 def test_a_replay_of_what_cannot_be_is_refused(

@@ -138,12 +138,12 @@ def out_of_reach(every: dict[int, int]) -> list[str]:
     return [str(goal) for goal in goals if FLAT not in graph.distances(goal).far]
 
 
-def test_the_graph_that_ships_leads_to_codes_of_up_to_four_crossings() -> None:
-    assert out_of_reach({1: 2, 2: 8, 3: 46, 4: 344}) == []
+def test_the_graph_that_ships_leads_to_codes_of_up_to_three_crossings() -> None:
+    assert out_of_reach({1: 2, 2: 8, 3: 46}) == []
 
 
 @pytest.mark.slow
-def test_the_graph_that_ships_leads_to_every_code_of_up_to_three_crossings() -> None:
+def test_the_graph_that_ships_leads_to_every_thirtieth_code_of_four_crossings() -> None:
     assert out_of_reach({1: 1, 2: 1, 3: 1, 4: 30}) == []
 
 

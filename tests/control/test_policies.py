@@ -101,29 +101,99 @@ def test_a_mixed_policy_with_one_share_is_that_policy(states_path: str) -> None:
         assert policy.name(0) == name
 
 
-def away(
-    observation: NDArray[np.float32], info: dict[str, object], rng: np.random.Generator
-) -> list[float]:
-    return [0.0, 0.0, 0.0, 1.0, float(observation.shape == (600,)), 7.0]
+class Counter:
+    """Pulls a little harder at every step of an episode: a policy with a memory."""
+
+    def reset(self, generator: np.random.Generator) -> None:
+        self.pulls = 0
+
+    def act(self, observation: NDArray[np.float32]) -> list[float]:
+        self.pulls += 1
+        return [0, 0, 0, self.pulls / 10, float(observation.shape == (600,)), 0]
 
 
-def nothing(observation: object, info: object, rng: object) -> float:
-    return float("nan")
+class Own:
+    """A module of the user's."""
+
+    counter, made = Counter, Counter()
+    three = 3
+
+    @staticmethod
+    def informed(observation: object, info: dict[str, object], rng: object) -> list[float]:
+        return [0, 0, 0, float("gauss_code" in info), 0, 0]
+
+    @staticmethod
+    def brief(observation: object) -> list[float]:
+        return [0, 0, 0, 0.5, 0, 0]
+
+    @staticmethod
+    def far(observation: object) -> list[float]:
+        return [0, 0, 0, 0, 0, 7.0]
+
+    @staticmethod
+    def nothing(observation: object) -> float:
+        return float("nan")
+
+    @staticmethod
+    def two(observation: object, info: object) -> list[float]:
+        return [0.0] * 6
+
+    @staticmethod
+    def faulty(observation: object) -> list[float]:
+        raise KeyError("no such weight")
 
 
-def test_a_function_of_the_user_is_a_policy_and_its_actions_are_cut(
-    states_path: str, monkeypatch: pytest.MonkeyPatch
+@pytest.fixture
+def own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "own", Own)
+
+
+@pytest.mark.parametrize(
+    ("name", "pull"), [("informed", 1), ("brief", 0.5), ("counter", 0.1), ("made", 0.1)]
+)
+def test_functions_and_objects_of_the_user_are_policies(
+    states_path: str, own: None, name: str, pull: float
 ) -> None:
-    own = type(
-        "own", (), {"away": staticmethod(away), "nothing": staticmethod(nothing), "three": 3}
+    actions = act_once(PolicyConfig(policy=f"own:{name}"), states_path, 0)
+    assert actions[0, 0, 3] == np.float32(pull)
+
+
+def test_every_episode_has_an_object_of_its_own(states_path: str, own: None) -> None:
+    episodes = EpisodeBatch(
+        TaskConfig(task="unknot", nx=1, states=states_path, observation="state"), 2
     )
-    monkeypatch.setitem(__import__("sys").modules, "own_policies", own)
-    actions = act_once(PolicyConfig(policy="own_policies:away"), states_path, 0)
-    assert actions[0, 0].tolist() == [0, 0, 0, 1, 1, 1]
-    with pytest.raises(InvalidPolicy, match="6 finite numbers"):
-        act_once(PolicyConfig(policy="own_policies:nothing"), states_path, 0)
-    with pytest.raises(InvalidPolicy, match="must be a function"):
-        make_policy(PolicyConfig(policy="own_policies:three"))
+    policy = make_policy(PolicyConfig(policy="own:made"))
+    for index in (0, 1):
+        episodes.begin(index, np.random.default_rng(index))
+        policy.begin(episodes, index, np.random.default_rng(index))
+    policy.act(episodes, np.array([0]))
+    assert policy.act(episodes, np.array([0, 1])).actions[:, 3].tolist() == pytest.approx(
+        [0.2, 0.1]
+    )
+    policy.begin(episodes, 0, np.random.default_rng(2))
+    assert policy.act(episodes, np.array([0])).actions[0, 3] == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("far", "must give 6 finite numbers in .* got .*7.0"),
+        ("nothing", "must give 6 finite numbers"),
+        ("faulty", "own:faulty raised KeyError: 'no such weight' .test_policies.py, line"),
+    ],
+)
+def test_what_a_policy_does_wrong_is_one_line_that_names_it(
+    states_path: str, own: None, name: str, says: str
+) -> None:
+    with pytest.raises(InvalidPolicy, match=says) as refused:
+        act_once(PolicyConfig(policy=f"own:{name}"), states_path, 0)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["three", "two"])
+def test_what_is_no_policy_is_refused_before_it_acts(own: None, name: str) -> None:
+    with pytest.raises(InvalidPolicy, match="must be a function of"):
+        make_policy(PolicyConfig(policy=f"own:{name}"))
 
 
 def test_a_function_is_found_in_the_folder_where_the_command_is_typed(
@@ -176,7 +246,7 @@ def test_a_registered_policy_is_made_by_its_name(
     assert config.short == "restless" and policy_names()[-1] == "restless"
     expected = act_once(PolicyConfig(policy="random"), states_path, 0)
     assert np.array_equal(act_once(config, states_path, 0), expected)
-    with pytest.raises(InvalidPolicy, match="mixed, restless, module:function"):
+    with pytest.raises(InvalidPolicy, match="mixed, restless, module:name"):
         PolicyConfig(policy="genius")
 
 

@@ -36,6 +36,8 @@ from knotgym.datasets.trajectory import (
     relabelled,
 )
 from knotgym.loaders import arrays
+from knotgym.rendering.observations import stacked
+from knotgym.rendering.picture import PictureConfig
 from knotgym.tasks import TaskConfig
 
 ID = "knotgym/tie-nx2/random-v0"
@@ -310,6 +312,51 @@ def test_merging_gives_the_same_bytes_whatever_the_shards(
         assert sha(again / "data" / name) == sha(root / ID / "data" / name)
 
 
+def as_version_2(path: Path) -> Path:
+    """The same file as it was written before, `rope/*` in every episode."""
+    with h5py.File(path, "r+") as file:
+        file.attrs["format_version"] = 2
+        for name in [name for name in file if name.startswith("episode_")]:
+            group = file[name]
+            for once in ("start_qpos", "goal_points"):
+                group[f"rope/{once}"] = group.attrs[once]
+                del group.attrs[once]
+            group.move("infos/points", "rope/points")
+    return path
+
+
+def test_a_file_of_format_version_2_is_read_and_merged_into_the_same_bytes(
+    tmp_path: Path, task: TaskConfig, episodes: list[Episode]
+) -> None:
+    few = dict(enumerate(episodes[:2]))
+    new = write(tmp_path / "new.h5", task, few)
+    old = as_version_2(write(tmp_path / "old.h5", task, few))
+    reader = EpisodeReader(old)
+    assert [one.digest() for one in reader] == [one.digest() for one in episodes[:2]]
+    drawn = reader.observations(0, slice(0, 2), picture=PictureConfig(size=16))
+    assert drawn["pixels"].shape == (2, 16, 32, 3)
+    merged = [tmp_path / "from-new.h5", tmp_path / "from-old.h5"]
+    merge_episodes([new], merged[0])
+    merge_episodes([old], merged[1])
+    assert sha(merged[0]) == sha(merged[1])
+
+
+@pytest.mark.parametrize("stored", ["pixels", "both"])
+def test_stacked_pictures_are_stored_read_and_drawn_alike(
+    tmp_path: Path, task: TaskConfig, episodes: list[Episode], stored: str
+) -> None:
+    stack = replace(task, observation=stored, layout="stacked", image_size=16)
+    path = write(tmp_path / "a.h5", stack, {0: episodes[-1]})
+    beside = write(tmp_path / "b.h5", replace(stack, layout="beside"), {0: episodes[-1]})
+    for goal_step in (None, 1):
+        seen = [
+            EpisodeReader(one).observations(0, observation="pixels", goal_step=goal_step)
+            for one in (path, beside)
+        ]
+        assert seen[0].shape[1:] == (16, 16, 6) and np.array_equal(seen[0], stacked(seen[1]))
+    assert verify_episodes(path, frames=None) == []
+
+
 def test_merging_closes_gaps_in_the_numbers(
     tmp_path: Path, task: TaskConfig, episodes: list[Episode]
 ) -> None:
@@ -411,6 +458,19 @@ def test_a_truncated_file_is_refused(tmp_path: Path, root: Path) -> None:
         EpisodeReader(tmp_path / "a.h5")
 
 
+def test_a_file_from_before_there_were_views_has_one_and_no_depth(
+    tmp_path: Path, root: Path
+) -> None:
+    old = tmp_path / "old.h5"
+    old.write_bytes((root / ID / "data" / "main_data.hdf5").read_bytes())
+    with h5py.File(old, "a") as file:
+        said = json.loads(file.attrs["task"])
+        assert said.pop("views") == ["top"] and said.pop("depth") is False
+        file.attrs["task"], file.attrs["format_version"] = json.dumps(said), 2
+    assert EpisodeReader(old).task == EpisodeReader(root / ID).task
+    assert not any("observations" in fault for fault in verify_episodes(old, pyknotid=False))
+
+
 def test_another_format_is_refused(tmp_path: Path) -> None:
     h5py.File(tmp_path / "a.h5", "w").close()
     with pytest.raises(InvalidEpisodeFile, match="format 'none'"):
@@ -433,7 +493,7 @@ def test_minari_iterates_what_was_written(
     for read, episode in zip(dataset.iterate_episodes(), episodes, strict=True):
         for name in ("actions", "rewards", "terminations", "truncations"):
             assert np.array_equal(getattr(read, name), getattr(episode, name))
-        assert sorted(read.infos) == sorted([*INFOS, "goal_gauss_code"])
+        assert sorted(read.infos) == sorted([*INFOS, "goal_gauss_code", "points"])
         goals = [text.decode() for text in read.infos["goal_gauss_code"]]
         assert goals == [episode.goal_gauss_code] * (len(episode) + 1)
         for name in INFOS:
@@ -587,11 +647,11 @@ def set_last(name: str, value: Any) -> Callable[[h5py.Group], None]:
         (set_last("infos/bead", -7), "step 20: bead is -7"),
         (set_last("rewards", 1.0), "step 19: rewards is 1.0, should be -5.0"),
         (set_last("truncations", False), "step 19: truncations is False"),
-        (set_last("rope/points", np.nan), "points holds a number that isn't finite"),
+        (set_last("infos/points", np.nan), "points holds a number that isn't finite"),
         (set_last("observations/pixels", 7), "step 20: the stored pixels"),
         (set_last("observations/state", 7.0), "step 20: the stored state"),
         (
-            lambda group: group["rope/start_qpos"].write_direct(np.ones(421)),
+            lambda group: group.attrs.modify("start_qpos", np.ones(421)),
             "step 0: the rope doesn't lie",
         ),
         (lambda group: group.attrs.modify("policy", "expert"), "digest"),

@@ -235,4 +235,7 @@ def test_states_of_before_name_the_dataset_that_held_both_splits(tmp_path: Path)
         file.attrs["format_version"] = 1
         del file["source/dataset"]
     old: Any = read_states(tmp_path / "states.h5")
-    assert old.source["dataset"].tolist() == [demonstrations_id(nx) for nx in old.nx]
+    assert old.source["dataset"].tolist() == [
+        "knotgym/unknot-nx1/demonstrations-v0",  # as that of nx 0 was called then
+        demonstrations_id(old.nx[1]),
+    ]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from knotgym.control.action_sequence import NO_ACTIONS, step_ropes
+from knotgym.datasets.spread import bare_stretch
 from knotgym.generate.states import candidates
 from knotgym.generate.states.archive import Archive, Elite
 from knotgym.generate.states.candidates import (
@@ -19,7 +20,7 @@ from knotgym.generate.states.candidates import (
 from knotgym.quality import Limits, measure
 from knotgym.rope import Rope
 from knotgym.simulation import Simulation
-from knotgym.topology.crossings import label
+from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.reference_labeller import pyknotid_code
 from knotgym.topology.symmetry import mirror_images
@@ -115,12 +116,26 @@ def test_the_last_steps_have_no_force(followed: Made) -> None:
         assert not candidate.actions[-task.config.rest :, 3:].any()
 
 
-def test_it_starts_as_the_plain_loop(followed: Made) -> None:
-    for _, candidate in followed:
-        assert (
-            label(candidate.points[0]).nx == 0
-            and np.linalg.norm(candidate.points[0][:, :2], axis=1).std() < 1e-3
-        )
+def test_it_starts_as_a_loop_a_circle_where_a_sequence_leads_to_its_code(followed: Made) -> None:
+    for task, candidate in followed:
+        off = np.linalg.norm(candidate.points[0][:, :2], axis=1).std()
+        assert label(candidate.points[0]).nx == 0 and (off < 1e-3 or not task.code.nx)
+
+
+def test_crossings_of_one_elite_come_to_lie_all_along_the_rope(
+    searched: Archive, rope: Rope
+) -> None:
+    code = searched.known_chiralities(GaussCode.parse("1+,1-"))[0]
+    elite, simulation = searched.leading_to(code)[0], Simulation(1, rope)
+    places = []
+    for k in range(40):
+        symmetry = candidates._symmetry(simulation, elite, code, np.random.default_rng(k))
+        simulation.restore(elite.state[None], [0])
+        crossings = find_crossings(symmetry.configuration(simulation.points[0]))
+        assert crossings.code == code
+        places += [crossings.over_place[0], crossings.under_place[0]]
+    bare = bare_stretch(np.array(places), 100)
+    assert bare is not None and bare < 15
 
 
 def test_the_seed_of_a_task_goes_with_the_candidate(made: Made) -> None:
@@ -161,7 +176,10 @@ def test_another_seed_gives_another_candidate(followed: Made) -> None:
 
 
 def test_a_sequence_that_misses_the_code_is_rejected_for_it(searched: Archive, rope: Rope) -> None:
-    nowhere = Elite(GaussCode.parse("1+a,1-a"), 0, False, NO_ACTIONS, np.zeros(1), 0.0)
+    simulation, curl = Simulation(1, rope), rope.from_curve(curled(1))
+    simulation.lay(rope.qpos(curl)[None])
+    state = simulation.states()[0]
+    nowhere = Elite(label(curl), 0, False, NO_ACTIONS, state, 0.0)
     candidate = make_candidate(
         CandidateTask(
             SMALL.candidate, mirror_images(nowhere.code)[0], (nowhere,), rope.loop(), (0,)

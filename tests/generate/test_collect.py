@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import h5py
 import numpy as np
 import pytest
 
@@ -33,6 +34,7 @@ from ..small_job import knotgym
 
 FORK = multiprocessing.get_context("forkserver")
 FORK.set_forkserver_preload(["knotgym.cli.main", "knotgym.generate.episodes.collect"])
+VIEWS_ID = "tests/views-v0"
 QUIET = RunOptions(workers=1, quiet=True)
 RESUMED = replace(QUIET, resume=True)
 
@@ -135,6 +137,52 @@ def test_minari_does_with_a_dataset_all_that_it_does(
     check_minari(tmp_path, name, monkeypatch)
 
 
+@pytest.fixture(scope="module")
+def many_views(tmp_path_factory: pytest.TempPathFactory, states_path: str) -> Path:
+    """The root of a dataset of three views with depth, made by the command."""
+    root = tmp_path_factory.mktemp("views")
+    ended = knotgym(
+        *("collect", "--task", "tie", "--nx", 1, "--policy", "scripted", "--episodes", 2),
+        *("--states", states_path, "--horizon", 2, "--image-size", 16, "--observation", "pixels"),
+        *("--views", "top,left,front", "--depth", "--id", VIEWS_ID),
+        *("--workers", 1, "--quiet", "--out", root),
+    )
+    assert ended == 0
+    return root
+
+
+def test_minari_does_it_with_three_views_and_depth(
+    many_views: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    check_minari(many_views, VIEWS_ID, monkeypatch)
+    reader = EpisodeReader(many_views / VIEWS_ID)
+    assert reader.task.views == ("top", "left", "front") and reader.task.depth
+    assert reader.observations(0).shape == (3, 48, 32, 4)
+    metadata = json.loads((many_views / VIEWS_ID / "data/metadata.json").read_text())
+    assert json.loads(metadata["env_spec"])["kwargs"]["views"] == ["top", "left", "front"]
+
+
+@pytest.mark.parametrize("place", [(1, 40, 3, 0), (1, 8, 24, 3)])  # the front view; a depth
+def test_a_changed_pixel_of_a_side_view_or_of_the_depth_is_found(
+    many_views: Path, tmp_path: Path, place: tuple[int, int, int, int]
+) -> None:
+    spoilt = tmp_path / "spoilt.h5"
+    spoilt.write_bytes((many_views / VIEWS_ID / "data/main_data.hdf5").read_bytes())
+    with h5py.File(spoilt, "a") as file:
+        file["episode_1/observations"][place] ^= 1
+    faults = verify_episodes(spoilt, pyknotid=False)
+    assert len(faults) == 1 and "episode 1: step 1: the stored pixels isn't what" in faults[0]
+
+
+def test_views_that_are_not_there_are_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert knotgym("collect", "--views", "top,below", "--out", tmp_path / "out") == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "views must be a list of top, left, front" in said
+    assert not (tmp_path / "out").exists()
+
+
 def test_minari_does_it_with_hindsight_too(
     states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -208,6 +256,8 @@ def test_a_killed_run_leaves_nothing_under_its_name_and_resumes_to_the_same_byte
         "1",
         "--policy",
         "scripted",
+        "--id",
+        "knotgym/unknot-nx1/scripted-v0",
         "--states",
         states_path,
         "--horizon",
@@ -244,6 +294,8 @@ def test_ten_kills_at_random_moments_leave_nothing_half_written_and_change_no_by
         "1",
         "--policy",
         "scripted",
+        "--id",
+        "knotgym/unknot-nx1/scripted-v0",
         "--states",
         states_path,
         "--horizon",

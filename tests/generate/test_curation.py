@@ -8,8 +8,10 @@ from numpy.typing import NDArray
 
 from knotgym.datasets.near_duplicates import NEAR, distances
 from knotgym.datasets.states import States
-from knotgym.generate.states.curation import is_near_duplicate
+from knotgym.generate.states.curation import is_near_duplicate, most_unlike
 from knotgym.reset_noise import noised
+from knotgym.rope import Rope
+from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import codes_of, knot_type
 
 EIGHT = list(codes_of("0_1", 2))
@@ -98,3 +100,30 @@ def test_another_code_is_no_near_duplicate(states: States) -> None:
 
 def test_the_first_state_is_a_duplicate_of_nothing(states: States) -> None:
     assert not is_near_duplicate(states.points[0], [])
+
+
+def ellipses(rope: Rope, *long: float) -> list[NDArray[np.float64]]:
+    return [rope.from_curve(rope.loop() * (one, 1.0, 1.0)) for one in long]
+
+
+def test_the_set_is_of_the_states_most_unlike_each_other(rope: Rope) -> None:
+    loops = ellipses(rope, 1.0, 1.1, 1.2, 2.0, 3.5)
+    assert most_unlike(loops, [GaussCode()] * 5, {GaussCode(): 3}, 3) == [0, 3, 4]
+
+
+def test_the_same_curve_from_another_base_bead_is_no_other_state(rope: Rope) -> None:
+    long, wider = ellipses(rope, 3.0, 2.6)
+    states = [long, np.roll(long, 30, axis=0), wider]
+    assert most_unlike(states, [GaussCode()] * 3, {GaussCode(): 3}, 2) == [0, 2]
+
+
+def test_codes_keep_their_shares_and_chiralities_take_turns(rope: Rope) -> None:
+    loops = ellipses(rope, 1.0, 1.3, 1.6, 2.0, 2.5, 3.0)
+    codes = [GaussCode.parse(text) for text in ["1+a,1-a"] * 4 + ["1+c,1-c", "1-a,1+a"]]
+    shares = {codes[0].plain: 2, codes[5].plain: 2}
+    chosen = most_unlike(loops, codes, shares, 4)
+    assert 4 in chosen and 5 in chosen and len(chosen) == 3
+
+
+def test_no_more_are_chosen_than_there_are() -> None:
+    assert most_unlike([], [], {GaussCode(): 3}, 3) == []

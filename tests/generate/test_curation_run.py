@@ -196,6 +196,28 @@ def test_a_code_that_has_its_share_gets_no_more(finished: CurationRun) -> None:
     assert kept.points is one.points and not job.rejected[1]
 
 
+def test_a_code_wanted_more_than_once_gets_states_to_choose_from() -> None:
+    job = CurationRun.begin(config(nx=(1, 3), count=4, choice=3))
+    assert set(job.needed(1).values()) == {6} and set(job.needed(3).values()) == {1}
+    assert (job.short(1), job.lacking(1), job.short(3), job.lacking(3)) == (4, 12, 4, 4)
+    few = CurationRun.begin(config(nx=(1,), count=4, choice=3, most_spare=4))
+    assert few.lacking(1) == 8
+
+
+def test_the_choice_grows_after_the_set_and_ends_where_the_attempts_are_spent(
+    finished: CurationRun, searched: Archive
+) -> None:
+    job = CurationRun.begin(config(nx=(0, 1), count=2, choice=3), archive=searched)
+    job.accepted[1] = list(finished.accepted[1])
+    assert job.short(1) == 0 and {nx for nx, _ in curation._tasks(job, {})} == {0}
+    loop = replace(finished.accepted[1][0], code=GaussCode(chirality=""))
+    job.accepted[0] = [loop, loop]
+    assert {nx for nx, _ in curation._tasks(job, {})} == {0} and not job.done()
+    assert [one.code for one in job.chosen(0)] == [loop.code] * 2
+    job.tried[0][GaussCode()] = 2 * job.config.attempts
+    assert job.done()
+
+
 def test_orders_are_for_codes_that_lack_states(searched: Archive) -> None:
     job = CurationRun.begin(config(nx=(1, 2), wave=20), archive=searched)
     tasks: list[tuple[int, CandidateTask]] = curation._tasks(job, {})
@@ -227,7 +249,7 @@ def test_what_cannot_be_accepted_ends_with_a_line_that_says_so() -> None:
 
 
 def test_a_job_stops_after_its_cycles_with_what_there_is() -> None:
-    job = done(CurationRun.begin(config(nx=(0, 1), count=40, cycles=2, wave=4)))
+    job = done(CurationRun.begin(config(nx=(0, 1), count=40, cycles=2, wave=2)))
     assert job.cycle == len(job.growth) == 2 and 0 < len(job.accepted[1]) < 40
     assert job.growth[-1]["accepted"] == {
         str(nx): len(candidates) for nx, candidates in job.accepted.items()
@@ -260,7 +282,7 @@ def test_more_is_searched_while_wanted_codes_are_unknown(finished: CurationRun) 
         curation._rounds(CurationRun.begin(config(nx=(3,), every_code=1))) == 1 + SMALL.more_rounds
     )
     assert (
-        curation._rounds(finished) == 1
+        curation._rounds(finished) == 0
         and curation._rounds(CurationRun.begin(config(nx=(0,)))) == 0
     )
 

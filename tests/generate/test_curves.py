@@ -5,7 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from knotgym.generate.states.curves import KNOTS, InvalidCurveFile, knot_curve, knot_of
+from knotgym.datasets.spread import spread_of
+from knotgym.generate.states.curves import (
+    KNOTS,
+    InvalidCurveFile,
+    LoopConfig,
+    knot_curve,
+    knot_of,
+    plain_loop,
+)
+from knotgym.quality import Limits, measure
 from knotgym.rope import InvalidCurve, Rope
 from knotgym.topology.crossings import label
 from knotgym.topology.knots import knot_type
@@ -21,6 +30,21 @@ def test_a_named_curve_is_certified_as_what_it_is_named(knot: str) -> None:
 @pytest.mark.parametrize("knot", list(KNOTS))
 def test_a_named_curve_becomes_a_rope(rope: Rope, knot: str) -> None:
     assert knot_type(label(rope.from_curve(knot_curve(knot)))) == knot
+
+
+def test_plain_loops_are_legible_and_unlike_each_other(rope: Rope) -> None:
+    rng = np.random.default_rng(0)
+    loops = [plain_loop(rope, LoopConfig(), Limits(), rng) for _ in range(12)]
+    for points in loops:
+        assert label(points).nx == 0 and not Limits().faults(measure(points), 0)
+    spread = spread_of(np.stack(loops))
+    assert spread.shape is not None and spread.shape[0] > 0.06
+
+
+def test_a_plain_loop_that_cannot_be_drawn_is_the_circle(rope: Rope) -> None:
+    strict = Limits(crossing_angle=91.0)
+    points = plain_loop(rope, LoopConfig(draws=2), strict, np.random.default_rng(0))
+    assert np.array_equal(points, rope.loop())
 
 
 def test_a_curve_is_read_from_text_from_csv_and_from_npy(tmp_path: Path) -> None:

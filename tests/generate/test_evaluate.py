@@ -14,6 +14,7 @@ from knotgym.generate.episodes.evaluate import (
     EvaluateConfig,
     InvalidEvaluation,
     evaluate,
+    film,
     report,
     run,
     show,
@@ -139,11 +140,21 @@ def test_a_film_shows_every_state_of_its_episodes(
         quiet=True,
         console=Console(),
     )
-    film = cv2.VideoCapture(str(tmp_path / name))
+    reel = cv2.VideoCapture(str(tmp_path / name))
     frames = []
-    while (read := film.read())[0]:
+    while (read := reel.read())[0]:
         frames.append(read[1])
     assert len(frames) >= 3 and np.ptp(frames[0]) > 0
+
+
+def test_a_film_shows_every_view_in_colours(states_path: str) -> None:
+    task = TaskConfig(
+        task="unknot", nx=1, states=states_path, horizon=1, views=("top", "left"), depth=True
+    )
+    _, episodes = evaluate(config(states_path, episodes=1, filmed=1, task=task), InProcess())
+    frames = film(episodes[0], task)
+    height, width, channels = frames[0].shape
+    assert height > 2 * 384 and (width, channels) == (2 * 384, 3)
 
 
 @pytest.mark.parametrize("settings", [{"episodes": 0}, {"seed": -1}, {"nx": ()}, {"policies": ()}])

@@ -52,6 +52,9 @@ from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry
 
 from ..conftest import curled
+from ..small_job import knotgym
+
+ROOT = Path(__file__).parents[2]
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed"
@@ -369,11 +372,21 @@ def test_a_loader_without_its_library_names_the_extra(
 
 
 def test_a_checkouts_own_folder_is_not_mistaken_for_hugging_faces_library(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(sys.modules, "datasets", tables)
-    with pytest.raises(MissingExtra, match="checkout"):
-        load(folder, kind="huggingface")
+    (tmp_path / "datasets.py").write_text("def load_dataset(*_, **__): return 'theirs'\n")
+    monkeypatch.setattr(sys, "path", [str(ROOT), str(tmp_path)])
+    monkeypatch.delitem(sys.modules, "datasets", raising=False)
+    assert load(folder, kind="huggingface") == "theirs"
+    monkeypatch.delitem(sys.modules, "datasets")
+    assert sys.path == [str(ROOT), str(tmp_path)]
+
+
+def test_a_gallery_is_drawn_of_pictures(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert knotgym("dataset", "gallery", folder, "--out", tmp_path / "g.png") == 0
+    assert "pictures" in capsys.readouterr().out and (tmp_path / "g.png").is_file()
 
 
 def test_an_unknown_kind_or_split_is_refused(folder: Path) -> None:

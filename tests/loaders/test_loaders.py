@@ -46,6 +46,7 @@ no_torchrl = pytest.mark.skipif(
 EPISODES = [((7 * k * k + 3 * k) % 23 + 1, k % 3 != 0) for k in range(49)] + [(70, False)]
 TASK = TaskConfig(task="tie", observation="state", horizon=100)
 SMALL = PictureConfig(size=16)
+VIEWS = PictureConfig(size=16, views=("top", "left", "front"), depth=True)
 
 
 def coded(k: int) -> Episode:
@@ -99,8 +100,8 @@ STEPS = np.concatenate([np.arange(length) for length, _ in EPISODES])
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The 50 episodes, from writer through shards and merging, as state observations, compact, and
-    as small pictures.
+    """The 50 episodes, from writer through shards and merging, as state observations and compact;
+    nine of them as small pictures, as symbols, and as pictures of three views with depth.
     """
     room = tmp_path_factory.mktemp("coded")
     for k in range(3):
@@ -115,6 +116,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ) as writer:
         for episode in ALL[:9]:
             writer.add(episode)
+    merge_episodes([room / "both.h5"], room / "symbolic.h5", store="symbolic")
+    seen = replace(TASK, observation="pixels", image_size=16, views=VIEWS.views, depth=True)
+    with EpisodeWriter(room / "views.h5", seen) as writer:
+        for episode in ALL[:9]:
+            # from the side, beads a kilometre apart take minutes to draw
+            writer.add(replace(episode, points=np.clip(episode.points, -0.3, 0.3)))
+    merge_episodes([room / "views.h5"], room / "unseen.h5", store="none")
     return room
 
 
@@ -205,15 +213,40 @@ def test_hindsight_to_every_code_gives_one_segment_a_code(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("relabel", [None, "last"])
-def test_symbols_load_stored_or_made_from_vertices(
-    folder: Path, tmp_path: Path, relabel: str | None
-) -> None:
-    merge_episodes([folder / "both.h5"], tmp_path / "symbolic.h5", store="symbolic")
-    stored = arrays(tmp_path / "symbolic.h5", relabel=relabel)
+def test_symbols_load_stored_or_made_from_vertices(folder: Path, relabel: str | None) -> None:
+    stored = arrays(folder / "symbolic.h5", relabel=relabel)
     made = arrays(folder / "both.h5", observation="symbolic", relabel=relabel)
     for name in ("observations", "next_observations"):
         assert stored[name].dtype == np.int16 and stored[name].shape[1:] == (2, 64)
         assert np.array_equal(stored[name], made[name])
+
+
+@pytest.mark.parametrize("relabel", [None, "last"])
+def test_views_and_depth_load_stored_or_drawn(folder: Path, relabel: str | None) -> None:
+    stored = arrays(folder / "views.h5", relabel=relabel)
+    drawn = arrays(folder / "unseen.h5", picture=VIEWS, relabel=relabel)
+    for name in ("observations", "next_observations"):
+        assert stored[name].dtype == np.uint8 and stored[name].shape[1:] == (48, 32, 4)
+        assert np.array_equal(stored[name], drawn[name])
+
+
+@no_torch
+@pytest.mark.parametrize("kind", ["transitions", "episodes", "frames"])
+@pytest.mark.parametrize(
+    ("name", "shape", "dtype"),
+    [("symbolic.h5", (2, 64), "torch.int16"), ("views.h5", (48, 32, 4), "torch.uint8")],
+)
+def test_torch_gives_symbols_views_and_depth_as_stored(
+    folder: Path, kind: str, name: str, shape: tuple[int, ...], dtype: str
+) -> None:
+    found, item = Transitions(folder / name), torch_dataset(folder / name, kind=kind)[5]
+    if kind == "episodes":
+        seen, right = item["observations"], found.observations(5)
+    else:
+        segment, step = found.place(5) if kind == "transitions" else found.frame_place(5)
+        seen, right = item["observation"], found.observations(segment, step)[0]
+    assert tuple(seen.shape)[-len(shape) :] == shape and str(seen.dtype) == dtype
+    assert np.array_equal(seen.numpy(), right)
 
 
 def test_a_transition_knows_its_segment_and_step(folder: Path) -> None:
@@ -373,6 +406,16 @@ def test_d3rlpy_pictures_are_channels_first(folder: Path) -> None:
 
 @clients
 @no_d3rlpy
+def test_d3rlpy_takes_symbols_views_and_depth(folder: Path) -> None:
+    for name, shape in (("symbolic.h5", (2, 64)), ("views.h5", (4, 48, 32))):
+        buffer, right = to_d3rlpy(folder / name), Transitions(folder / name).observations(2)
+        seen = buffer.transition_picker(buffer.episodes[2], 1).observation
+        assert seen.shape == shape and seen.dtype == right.dtype
+        assert np.array_equal(seen, right[1] if len(shape) == 2 else np.moveaxis(right[1], -1, 0))
+
+
+@clients
+@no_d3rlpy
 @pytest.mark.parametrize("algorithm", ["BC", "IQL"])
 def test_d3rlpy_trains_an_epoch(folder: Path, tmp_path: Path, algorithm: str) -> None:
     import d3rlpy
@@ -408,6 +451,17 @@ def test_a_tensordict_holds_every_transition(path: Path) -> None:
         held["next", "done"].numpy()[:, 0], right["terminals"] | right["timeouts"]
     )
     assert np.array_equal(held["episode"].numpy(), OWNERS) and not held["done"].any()
+
+
+@clients
+@no_torchrl
+@pytest.mark.parametrize("name", ["symbolic.h5", "views.h5"])
+def test_a_tensordict_takes_symbols_views_and_depth(folder: Path, name: str) -> None:
+    held, right = to_tensordict(folder / name), arrays(folder / name)
+    for part in ("observation", ("next", "observation")):
+        column = right["next_observations" if isinstance(part, tuple) else "observations"]
+        assert held[part].numpy().dtype == column.dtype
+        assert np.array_equal(held[part].numpy(), column)
 
 
 @clients

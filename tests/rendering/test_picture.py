@@ -58,7 +58,7 @@ def test_compiled_polygons_are_those_of_plain_arithmetic_bit_for_bit(config: Pic
         )
         placed, side = _placed(rope, config), config.size * config.supersampling
         made = polygons(*placed, side), plain_polygons.polygons(*placed, side)
-        for part in (0, 1):
+        for part in (0, 1, 2):
             ours, plain = made[0][part], made[1][part]
             assert ours.dtype == plain.dtype and np.array_equal(ours, plain)
 
@@ -584,6 +584,15 @@ def test_mujoco_shows_the_over_strand_too() -> None:
         ]
     )
     assert not np.any(shown == "under")
+
+
+@gl
+def test_both_renderers_draw_the_same_views() -> None:
+    config = PictureConfig(views=("top", "left", "front"))
+    opencv = draw_many(curves()[:8], config)
+    mujoco = draw_many(curves()[:8], dataclasses.replace(config, renderer="mujoco"))
+    mean, far, wrong, overlap = differences(opencv, mujoco)
+    assert mean < 4.0 and far < 0.01 and wrong < 0.002 and overlap > 0.95
 
 
 @gl

@@ -6,6 +6,7 @@ cluster's workers in test_engines.
 """
 
 import contextlib
+import functools
 import importlib.util
 import json
 import os
@@ -14,7 +15,7 @@ import shutil
 import signal
 import subprocess
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -41,10 +42,12 @@ COLLECT = (
     10,
     "--episodes",
     16,
+    "--id",
+    "knotgym/unknot-nx1/random-v0",
 )
 IMAGES = ("images", "--nx", "0,1", "--count", 12)
 COMMANDS = [
-    pytest.param(GENERATE, id="generate"),
+    pytest.param(("generate", "--nx", 0, "--count", 1), id="generate"),
     pytest.param(COLLECT, id="collect"),
     pytest.param(IMAGES, id="images", marks=with_arrow),
 ]
@@ -55,6 +58,8 @@ RESUMABLE = [
     pytest.param(IMAGES, id="images", marks=[with_arrow, pytest.mark.slow]),
 ]
 RESUMED = "goes on from the last cycle"
+
+Unbroken = Callable[[tuple[object, ...]], dict[str, str]]
 
 
 def made(folder: Path) -> dict[str, str]:
@@ -69,14 +74,18 @@ def made(folder: Path) -> dict[str, str]:
 
 
 @pytest.fixture(scope="module")
-def unbroken(tmp_path_factory: pytest.TempPathFactory, curated: Path) -> dict[str, dict[str, str]]:
-    """What each command leaves when nothing goes wrong."""
-    out = {"generate": made(curated)}
-    for command, *words in (COLLECT, *([IMAGES] if importlib.util.find_spec("pyarrow") else [])):
+def unbroken(tmp_path_factory: pytest.TempPathFactory, curated: Path) -> Unbroken:
+    """What a command leaves when nothing goes wrong, made when it is first asked for."""
+
+    @functools.cache
+    def left(command: tuple[object, ...]) -> dict[str, str]:
+        if command == GENERATE:
+            return made(curated)
         folder = tmp_path_factory.mktemp("unbroken") / "a"
-        assert knotgym(command, *words, "--workers", 1, "--quiet", "--out", folder) == 0
-        out[str(command)] = made(folder)
-    return out
+        assert knotgym(*command, "--workers", 1, "--quiet", "--out", folder) == 0
+        return made(folder)
+
+    return left
 
 
 @contextlib.contextmanager
@@ -107,7 +116,7 @@ def run(*words: object, **options: object) -> "subprocess.CompletedProcess[str]"
 
 @pytest.mark.parametrize("command", RESUMABLE)
 def test_a_full_disk_is_one_line_and_room_makes_it_go_on(
-    command: tuple[object, ...], unbroken: dict[str, dict[str, str]], tmp_path: Path
+    command: tuple[object, ...], unbroken: Unbroken, tmp_path: Path
 ) -> None:
     disk = tmp_path / "disk"
     with mounted(disk, 0.25):
@@ -127,13 +136,12 @@ def test_a_full_disk_is_one_line_and_room_makes_it_go_on(
         ] == []
         remounted(disk, "size=128m")
         assert run(*command, "--workers", 1, "--quiet", "--out", out, "--resume").returncode == 0
-        assert made(out) == unbroken[str(command[0])]
+        assert made(out) == unbroken(command)
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_limit_on_files_is_one_line(
     command: tuple[object, ...],
-    unbroken: dict[str, dict[str, str]],
     tmp_path: Path,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
@@ -170,7 +178,7 @@ def test_a_second_run_is_refused(
 
 @pytest.mark.parametrize("command", RESUMABLE)
 def test_a_stale_lock_is_not_in_the_way(
-    command: tuple[object, ...], unbroken: dict[str, dict[str, str]], tmp_path: Path
+    command: tuple[object, ...], unbroken: Unbroken, tmp_path: Path
 ) -> None:
     folder = final_folder(command, tmp_path)
     with held(folder.parent / f".{folder.name}.partial"):
@@ -178,7 +186,7 @@ def test_a_stale_lock_is_not_in_the_way(
     lock = folder.parent / f".{folder.name}.partial" / "lock"
     assert lock.is_file()  # left by a process that is gone
     assert knotgym(*command, "--workers", 1, "--quiet", "--out", tmp_path / "a") == 0
-    assert made(tmp_path / "a") == unbroken[str(command[0])]
+    assert made(tmp_path / "a") == unbroken(command)
 
 
 def final_folder(command: tuple[object, ...], room: Path) -> Path:
@@ -200,7 +208,7 @@ def children(process: int) -> list[int]:
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc")
 def test_a_worker_that_dies_is_one_line_and_the_rest_is_kept(
-    unbroken: dict[str, dict[str, str]], tmp_path: Path
+    unbroken: Unbroken, tmp_path: Path
 ) -> None:
     words = typed(*COLLECT, "--workers", 2, "--quiet", "--out", tmp_path / "a")
     broken = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -218,7 +226,7 @@ def test_a_worker_that_dies_is_one_line_and_the_rest_is_kept(
         and error == f"knotgym: a worker died, perhaps for want of memory; --resume {RESUMED}\n"
     )
     assert knotgym(*COLLECT, "--workers", 1, "--quiet", "--out", tmp_path / "a", "--resume") == 0
-    assert made(tmp_path / "a") == unbroken["collect"]
+    assert made(tmp_path / "a") == unbroken(COLLECT)
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -319,9 +327,7 @@ def interrupted(command: tuple[object, ...], out: Path, sign: str, count: int) -
     going.wait()
 
 
-def test_spoilt_shards_of_a_collection_are_made_anew(
-    unbroken: dict[str, dict[str, str]], tmp_path: Path
-) -> None:
+def test_spoilt_shards_of_a_collection_are_made_anew(unbroken: Unbroken, tmp_path: Path) -> None:
     interrupted(COLLECT, tmp_path / "a", "episodes-*.json", 2)
     first, second = (
         next(tmp_path.rglob(f"episodes-00000{k}.{kind}")) for k, kind in ((0, "h5"), (1, "json"))
@@ -329,12 +335,12 @@ def test_spoilt_shards_of_a_collection_are_made_anew(
     spoil(first)
     second.write_text("{")
     assert knotgym(*COLLECT, "--workers", 1, "--quiet", "--out", tmp_path / "a", "--resume") == 0
-    assert made(tmp_path / "a") == unbroken["collect"]
+    assert made(tmp_path / "a") == unbroken(COLLECT)
 
 
 @with_arrow
 def test_spoilt_walks_and_shards_of_pictures_are_made_anew(
-    unbroken: dict[str, dict[str, str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    unbroken: Unbroken, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from knotgym.generate.images import image_recipe as images
 
@@ -347,6 +353,6 @@ def test_spoilt_walks_and_shards_of_pictures_are_made_anew(
     spoil(next(tmp_path.rglob("*.npz")))
     spoil(next(tmp_path.rglob("*.parquet")))
     assert knotgym(*IMAGES, "--workers", 1, "--quiet", "--out", tmp_path / "a", "--resume") == 0
-    assert made(tmp_path / "a") == unbroken["images"] and [
+    assert made(tmp_path / "a") == unbroken(IMAGES) and [
         path.name for path in tmp_path.iterdir()
     ] == ["a"]

@@ -9,16 +9,15 @@ outlive a kill.
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rich.console import Console
-
 from knotgym.atomic_files import atomic_write, sha256
-from knotgym.configuration import as_json
+from knotgym.configuration import as_json, differences
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import rollout
 from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
@@ -27,7 +26,7 @@ from knotgym.datasets.states import minari_root, ships, states_file
 from knotgym.errors import KnotgymError
 from knotgym.rope import RopeConfig
 from knotgym.runs.engine import Batch, run
-from knotgym.runs.progress import Status
+from knotgym.runs.progress import Progress, Status, tell_if_long
 from knotgym.runs.run_options import RunOptions
 from knotgym.tasks import TaskConfig
 
@@ -73,9 +72,7 @@ class CollectConfig:
         if self.seed < 0:
             raise InvalidCollection(f"seed must be at least 0, got {self.seed}")
         if not self.dataset_id:
-            name = self.policy.short + ("" if self.task.split == "train" else f"-{self.task.split}")
-            made = f"knotgym/{self.task.task}-nx{self.task.nx}/{name}-v0"
-            object.__setattr__(self, "dataset_id", made)
+            object.__setattr__(self, "dataset_id", plain_id(self.task, self.policy))
 
     @property
     def stored_task(self) -> TaskConfig:
@@ -85,6 +82,34 @@ class CollectConfig:
         if ships(self.task.states):
             return self.task
         return replace(self.task, states=self.dataset_id)
+
+
+def plain_id(task: TaskConfig, policy: PolicyConfig, *marks: str) -> str:
+    """The id of a dataset by its task and policy, and by marks of what else is its own."""
+    split = "" if task.split == "train" else task.split
+    name = "-".join([policy.short, *filter(None, (split, *marks))])
+    return f"knotgym/{task.task}-nx{task.nx}/{name}-v0"
+
+
+def distinct_id(task: TaskConfig, policy: PolicyConfig, seed: int) -> str:
+    """As `plain_id`, with marks for whatever isn't as in a plain collection: a set of states by its
+    name or, of a file, by its content; the seed; the rules by a digest.
+    """
+    states = ""
+    if task.states not in (None, "readable"):
+        file = states_file(task.states)
+        states = str(task.states) if ships(task.states) else ""
+        if file.is_file() and not states:
+            states = f"states{sha256(file)[:8]}"
+    plain = TaskConfig(task=task.task, nx=task.nx, split=task.split, states=task.states)
+    plain = replace(plain, observation=task.observation, image_size=task.image_size)
+    rules = list(differences(as_json(plain), as_json(task)))
+    if policy.policy in ("noisy-expert", "mixed", "expert"):
+        usual = PolicyConfig(policy=policy.policy)
+        rules += differences(as_json(usual), as_json(policy))
+    told = "; ".join(rules).encode()
+    digest = f"rules{hashlib.sha256(told).hexdigest()[:8]}" if rules else ""
+    return plain_id(task, policy, states, f"seed{seed}" if seed else "", digest)
 
 
 class _EpisodeFile(NamedTuple):
@@ -131,7 +156,7 @@ def collect(
     out: Path | None,
     options: RunOptions,
     *,
-    console: Console | None = None,
+    progress: Progress | None = None,
 ) -> Path:
     """Make the dataset and return its folder.
 
@@ -140,7 +165,7 @@ def collect(
         out: the root under which Minari would find the id; None for Minari's own.
         options: how it is done. The episodes of a shard go to a folder NAME-shard-2-of-8 with
             main_data.hdf5 and collection.json; Minari doesn't list it.
-        console: to show progress on.
+        progress: to show it on.
 
     Raises:
         Occupied, InvalidRun: as of `runs.engine.run`.
@@ -148,7 +173,11 @@ def collect(
     """
     root = Path(out) if out is not None else minari_root()
     folder = options.shard.folder(root / config.dataset_id)
-    return run(EpisodeRecipe(config, options), folder, options, console)
+    recipe = EpisodeRecipe(config, options)
+    if progress is not None:
+        spent = config.policy.core_seconds * len(recipe.numbers)
+        tell_if_long(progress, spent, options.workers)
+    return run(recipe, folder, options, progress)
 
 
 class EpisodeRecipe:
@@ -200,11 +229,12 @@ class EpisodeRecipe:
         def absorb(file: _EpisodeFile, tally: Tally) -> None:
             self.tally += tally
 
-        yield Batch(play, [file for file in self.files if finished[file.path] is None], absorb)
+        left = [file for file in self.files if finished[file.path] is None]
+        yield Batch(play, left, absorb, "playing files of a few episodes")
 
     def status(self) -> Status:
         facts = {"reached the goal": f"{self.tally.succeeded}"}
-        return Status(self.tally.played, len(self.numbers), "episodes", facts)
+        return Status(self.tally.played, len(self.numbers), "episodes", facts, even=True)
 
     def finish(self, folder: Path, request: dict[str, Any]) -> Path:
         paths = [file.path for file in self.files]

@@ -17,10 +17,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.table import Table
 
 import knotgym
-from knotgym.atomic_files import atomic_write
+from knotgym.atomic_files import atomic_write, require_writable
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import Rollout, rollout
 from knotgym.datasets.trajectory import Episode
@@ -28,8 +27,11 @@ from knotgym.episode_batch import OWN, SHIPPED, state_origins
 from knotgym.errors import KnotgymError
 from knotgym.runs.executors import executor
 from knotgym.runs.pools import Pool
+from knotgym.runs.progress import Progress, compile_first, tell_if_long
+from knotgym.runs.tables import narrow_table
 from knotgym.tasks import TaskConfig
 
+_SETUP = ("policy", "task", "split", "nx")  # columns
 SIDE_BY_SIDE = 8  # episodes of one piece of work
 
 
@@ -149,7 +151,9 @@ def wilson(successes: int, trials: int, z: float = 1.959963984540054) -> tuple[f
     )
 
 
-def evaluate(config: EvaluateConfig, pool: Pool) -> tuple[list[Result], list[Episode]]:
+def evaluate(
+    config: EvaluateConfig, pool: Pool, progress: Progress | None = None
+) -> tuple[list[Result], list[Episode]]:
     """Play every setup; the results in the order of `config.setups`, and the filmed episodes."""
     setups = list(config.setups())
     starts = range(0, config.episodes, SIDE_BY_SIDE)
@@ -166,8 +170,13 @@ def evaluate(config: EvaluateConfig, pool: Pool) -> tuple[list[Result], list[Epi
     ]
     played = iter(pool.map(_play, pieces))
     results, films = [], []
-    for policy, task in setups:
-        episodes = [one for _ in starts for one in next(played)]
+    for number, (policy, task) in enumerate(setups, 1):
+        episodes: list[_Played] = []
+        for _ in starts:
+            if progress is not None:
+                done = (number - 1) * config.episodes + len(episodes)
+                progress.stage("episodes", done, len(setups) * config.episodes)
+            episodes += next(played)
         results.append(_result(policy, task, episodes))
         films += [one.episode for one in episodes if one.episode is not None]
     return results, films
@@ -190,51 +199,44 @@ def report(config: EvaluateConfig, results: Sequence[Result]) -> dict[str, Any]:
 
 
 def show(results: Sequence[Result], console: Console) -> None:
-    """A row for each setup, and the matrix if there are several."""
-    table = Table(
-        "policy",
-        "task",
-        "split",
-        "nx",
-        "success",
-        "95 % interval",
-        "steps",
-        "return",
-        "planned actions",
-        "planning s",
+    """A row for each setup, and the matrix if there are several; no wider than 80 columns."""
+    reached = any(one.steps is not None for one in results)
+    table = narrow_table(
+        (*_SETUP, "success", "95 % interval", *(["steps"] if reached else []), "return"),
+        left=_SETUP[:3],
     )
     for one in results:
-        steps = "" if one.steps is None else f"{one.steps:.1f}"
-        interval = f"{100 * one.low:.1f} to {100 * one.high:.1f} %"
-        effort = (
-            (f"{one.planned_actions:.0f}", f"{one.planning_seconds:.2f}")
-            if one.planned_actions
-            else ("", "")
-        )
         table.add_row(
             one.policy,
             one.task,
             one.split,
             str(one.nx),
             f"{100 * one.success_rate:.1f} %",
-            interval,
-            steps,
+            f"{100 * one.low:.1f} to {100 * one.high:.1f} %",
+            *(["" if one.steps is None else f"{one.steps:.1f}"] if reached else []),
             f"{one.mean_return:.2f}",
-            *effort,
         )
     console.print(table)
+    for one in results:
+        if one.planned_actions:
+            console.print(
+                f"{one.policy}, {one.task} nx {one.nx}, {one.split}: planned with"
+                f" {one.planned_actions:.0f} actions, {one.planning_seconds:.2f} s an episode",
+                highlight=False,
+            )
     for task, nx in dict.fromkeys(
         (one.task, one.nx)
         for one in results
         if {one.start_states, one.goal_states} == {OWN, SHIPPED}
     ):
         console.print(
-            f"{task} nx {nx}: the state file has no plain loops; those that ship are used."
+            f"{task} nx {nx}: the state file has no plain loops; those that ship are used.",
+            highlight=False,
         )
     columns = list(dict.fromkeys(one.nx for one in results))
     if len(columns) > 1:
-        matrix = Table(
-            "policy", "task", "split", *(f"nx {nx}" for nx in columns), title="success, %"
+        matrix = narrow_table(
+            (*_SETUP[:3], *(f"nx {nx}" for nx in columns)), title="success, %", left=_SETUP[:3]
         )
         for key in dict.fromkeys((one.policy, one.task, one.split) for one in results):
             cells = {
@@ -254,28 +256,36 @@ def run(
     video: Path | None,
     quiet: bool,
     console: Console,
+    progress: Progress | None = None,
 ) -> list[Result]:
     """Evaluate, show, and write what was asked for.
 
     Raises:
         InvalidEvaluation: fewer than 0 workers.
-        UnknownFilm: the video is neither .mp4 nor .gif.
+        Unwritable: nothing can be written where `out` or `video` are.
+        UnknownFilm: the video is of no kind that can be written here.
         InvalidSetting: the state file lacks what a task needs.
     """
     if workers < 0:
         raise InvalidEvaluation(f"workers must be at least 0, got {workers}")
     if video is not None:
-        from knotgym.rendering.video import UnknownFilm, write_film
+        from knotgym.rendering.video import require_film, write_film
 
-        if video.suffix.lower() not in (".mp4", ".gif"):
-            raise UnknownFilm(f"a video ends in .gif or .mp4, got {str(video)!r}")
+        require_film(video)
         config = config if config.filmed else replace(config, filmed=2)
+    for path in (out, video):
+        if path is not None:
+            require_writable(path)
     for policy in config.policies:
         make_policy(policy)  # refuses what isn't there before any work is done
     for _, task in config.setups():
         state_origins(task)  # so does this
+    if progress is not None:
+        spent = sum(policy.core_seconds for policy, _ in config.setups()) * config.episodes
+        tell_if_long(progress, spent, workers)
+        compile_first(progress)
     with executor(workers) as pool:
-        results, films = evaluate(config, pool)
+        results, films = evaluate(config, pool, progress)
     if not quiet:
         show(results, console)
     if out is not None:
@@ -283,31 +293,37 @@ def run(
             temporary.write_text(
                 json.dumps(report(config, results), indent=1) + "\n", encoding="utf-8"
             )
+        if not quiet:
+            told = f"{out}: {len(results)} results of {config.episodes} episodes each"
+            console.print(told, soft_wrap=True, highlight=False)
     if video is not None:
-        write_film(video, [frame for episode in films for frame in film(episode, config.task)])
+        frames = [frame for episode in films for frame in film(episode, config.task)]
+        write_film(video, frames)
+        if not quiet:
+            console.print(f"{video}: {len(films)} episodes", soft_wrap=True, highlight=False)
     return results
 
 
 def film(episode: Episode, task: TaskConfig) -> list[NDArray[np.uint8]]:
-    """The frames of an episode, its codes and the policy's reasons below: uint8 (height, width, 3)
-    each.
+    """The frames of an episode in all its views, with each pull, why it was chosen, and both codes:
+    uint8 (height, width, 3) each.
     """
-    from knotgym.rendering.observations import observe, picture_config
-    from knotgym.rendering.video import captioned
+    from knotgym.rendering.observations import picture_config
+    from knotgym.rendering.video import film_frame
 
-    frames = observe(episode.points, episode.goal_points, "pixels", picture_config(task))
-    steps, moves = len(episode), episode.move
-    out = []
-    for k, frame in enumerate(frames):
+    steps, moves, picture = len(episode), episode.move, picture_config(replace(task, depth=False))
+    frames = []
+    for k, points in enumerate(episode.points):
         move = "" if moves is None else str(moves[k])
         reached = "  reached" if episode.is_success[k] else ""
-        lines = [
-            f"{episode.policy}  step {k} of {steps}  {move}{reached}",
-            f"code {episode.gauss_code[k]}",
-            f"goal {episode.goal_gauss_code}",
-        ]
-        out.append(captioned(frame, lines, scale=max(1, 384 // task.image_size)))
-    return out + out[-1:] * 4
+        heading = f"{episode.policy}  step {k} of {steps}  {move}{reached}"
+        pull = (
+            (int(episode.bead[k + 1]), episode.force[k + 1] / task.rope.max_force)
+            if k < steps
+            else None
+        )
+        frames.append(film_frame(points, episode.goal_points, heading, pull, picture))
+    return frames + frames[-1:] * 4
 
 
 def _play(piece: _Piece) -> list[_Played]:

@@ -18,7 +18,6 @@ from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
 
 from knotgym.atomic_files import atomic_write
 from knotgym.configuration import as_json
@@ -36,11 +35,13 @@ from knotgym.generate.images.seed_states import SeedStates, seed_states
 from knotgym.generate.images.selection import Chooser, ChosenFrame
 from knotgym.generate.images.walks import WALKS, Frames, Unit, Walk, make_walks
 from knotgym.runs.engine import Batch, run
-from knotgym.runs.progress import Status
+from knotgym.runs.progress import Progress, Status, tell_if_long
 from knotgym.runs.run_options import NotEnough, RunOptions
 from knotgym.streams import Stream, generator
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import codes_of
+
+CORE_SECONDS = 0.13  # a picture, as 20,000 took 22 minutes on two cores
 
 
 def make_images(
@@ -50,7 +51,7 @@ def make_images(
     *,
     archive: Path | None = None,
     states: Path | None = None,
-    console: Console | None = None,
+    progress: Progress | None = None,
 ) -> Path:
     """Make labelled pictures in the new folder `out`, or in that of the shard, and return it.
 
@@ -60,7 +61,7 @@ def make_images(
         options: how it is done.
         archive: to set out from, or
         states: to set out from; without either, from the states that ship.
-        console: to show progress on.
+        progress: to show it on.
 
     Raises:
         Occupied, InvalidRun: as of `runs.engine.run`.
@@ -69,7 +70,10 @@ def make_images(
     """
     arrow()
     recipe = ImageRecipe(config, options, seed_states(config.nx, archive, states))
-    return run(recipe, options.shard.folder(out), options, console)
+    if progress is not None:
+        wanted = sum(recipe.wanted.values())
+        tell_if_long(progress, CORE_SECONDS * wanted, options.workers)
+    return run(recipe, options.shard.folder(out), options, progress)
 
 
 class ImageRecipe:
@@ -128,7 +132,7 @@ class ImageRecipe:
         def absorb(file: TableFile, path: Path) -> None:
             self.written.append(path)
 
-        yield Batch(write_table_file, files, absorb)
+        yield Batch(write_table_file, files, absorb, "drawing")
 
     def _choose(self, folder: Path) -> Iterator[Batch]:
         """Make waves of walks and choose among their frames until every quota is full."""
@@ -146,7 +150,8 @@ class ImageRecipe:
             ) -> None:
                 self._consider(_load(path), quota_of, gave)
 
-            yield Batch(_walked, self._units(walks, quota_of, folder), absorb)
+            units = self._units(walks, quota_of, folder)
+            yield Batch(_walked, units, absorb, "walking and choosing")
             idle = 0 if len(self.chooser.chosen) > chosen else idle + 1
             wave += 1
             if idle == self.config.idle:

@@ -9,8 +9,8 @@ from knotgym.generate.images.selection import SelectionConfig
 from knotgym.generate.images.walks import WalkConfig
 from knotgym.rendering.appearance import AppearanceConfig
 from knotgym.streams import Stream, generator
-from knotgym.tasks import MAX_NX
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.knots import LISTED_NX
 
 
 class InvalidImagesConfig(KnotgymError, ValueError):
@@ -60,11 +60,11 @@ class ImagesConfig:
     def __post_init__(self) -> None:
         if (
             not self.nx
-            or any(not 0 <= nx <= MAX_NX for nx in self.nx)
+            or any(not 0 <= nx <= LISTED_NX for nx in self.nx)
             or len(set(self.nx)) != len(self.nx)
         ):
             raise InvalidImagesConfig(
-                f"nx takes different numbers of crossings from 0 to {MAX_NX}, got"
+                f"nx takes different numbers of crossings from 0 to {LISTED_NX}, got"
                 f" {', '.join(map(str, self.nx)) or 'none'}"
             )
         if self.test_nx is None:
@@ -73,7 +73,7 @@ class ImagesConfig:
         if (
             not set(self.held_nx) <= set(self.nx)
             or not rest
-            or min(self.held_nx, default=MAX_NX + 1) <= max(rest)
+            or min(self.held_nx, default=LISTED_NX + 1) <= max(rest)
         ):
             raise InvalidImagesConfig(
                 f"test-nx takes the largest of the nx asked for, {sorted(self.nx)}, and not all of"

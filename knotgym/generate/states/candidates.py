@@ -1,7 +1,8 @@
 """Candidates: one concrete rope state that shows one Gauss code, made from an elite by a symmetry.
 
 A fresh plain loop, noised, turned, renumbered, is led through the elite's action sequence, made
-legible by a random walk and a hill climb, left to come to rest, and judged. What comes out is a
+legible by a random walk and a hill climb, left to come to rest, and judged. A state without
+crossings begins as a loop of another shape, which is stirred. What comes out is a
 state with everything that makes it again bit for bit, or the reason why it was rejected.
 """
 
@@ -18,18 +19,19 @@ from numpy.typing import NDArray
 from knotgym.configuration import check_numbers
 from knotgym.control.action_sequence import NO_ACTIONS, ActionSequence, resting, step_ropes
 from knotgym.generate.states.archive import Elite
+from knotgym.generate.states.curves import LoopConfig, plain_loop
 from knotgym.generate.states.hill_climb import HillClimbConfig, hill_climb
 from knotgym.generate.states.search import readings
 from knotgym.quality import Limits, Quality, measure, noise_survival
 from knotgym.reset_noise import noised
-from knotgym.rope import Array, Rope, RopeConfig
+from knotgym.rope import Array, Rope, RopeConfig, base_shifts
 from knotgym.simulation import Simulation
 from knotgym.simulation_pool import simulation_of
 from knotgym.streams import generator_of
 from knotgym.topology.crossings import find_crossings, label, label_many
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.reference_labeller import pyknotid_code
-from knotgym.topology.symmetry import Symmetry, mirrorings
+from knotgym.topology.symmetry import Symmetry, mirrorings, shifted_base
 
 ONE = np.array([0])  # the rope that is led; the others try what may make it legible
 
@@ -48,8 +50,14 @@ class CandidateConfig:
         jitter: of sequences that hold nearly, at most (see `ActionSequence.jittered`).
         walk_steps: random steps after the sequence at most, so that two candidates of one elite
             lie differently; one that changes the code is taken back.
-        loop_walk_steps: the same for plain loops, which have no sequence.
+        loop: the shape that a plain loop begins as, which no sequence leads to.
+        loop_walk_steps: `walk_steps` of plain loops.
         walk_force: of a random step, from and to, in units of the largest.
+        walk_hold: steps that one bead is pulled one way, at most; what is pulled for longer folds
+            the rope, what is pulled for one step dents it.
+        walk_slope: largest sine of such a pull's slope.
+        loop_enough: `hill_climb.enough` of plain loops, which have no crossing to be read: opened
+            further, they are circles again.
         rounds: of hill climb and rest, at most.
         rest: steps of no force at the end; the rope is slower than 1 mm/s after two.
         gain: objective by which a candidate must be better than the archive to go back into it.
@@ -63,9 +71,13 @@ class CandidateConfig:
     start_noise: float = 0.0
     best_share: float = 0.5
     jitter: float = 0.04
-    walk_steps: int = 3
-    loop_walk_steps: int = 12
+    walk_steps: int = 6
+    loop: LoopConfig = LoopConfig()
+    loop_walk_steps: int = 6
     walk_force: tuple[float, float] = (0.3, 1.0)
+    walk_hold: int = 20
+    walk_slope: float = 0.5
+    loop_enough: float = 1.0
     rounds: int = 2
     rest: int = 3
     gain: float = 0.05
@@ -76,10 +88,10 @@ class CandidateConfig:
     def __post_init__(self) -> None:
         check_numbers(
             self,
-            counts=("rounds", "rest"),
+            counts=("rounds", "rest", "walk_hold"),
             whole=("walk_steps", "loop_walk_steps", "longest"),
-            non_negative=("start_noise", "jitter", "gain", "reset_noise"),
-            shares=("best_share",),
+            non_negative=("start_noise", "jitter", "gain", "reset_noise", "loop_enough"),
+            shares=("best_share", "walk_slope"),
             ranges=("walk_force",),
         )
 
@@ -145,14 +157,15 @@ def _made(task: CandidateTask, simulation: Simulation) -> Candidate:
     elite = task.elites[int(rng.integers(len(task.elites)))]
     if rng.random() < config.best_share:
         elite = min(task.elites, key=lambda elite: elite.objective)
-    symmetry = _symmetry(elite, task.code, rng)
-    start_qpos = rope.qpos(symmetry.configuration(noised(task.start, config.start_noise, rng)))
+    symmetry = _symmetry(simulation, elite, task.code, rng)
+    start = task.start if task.code.nx else plain_loop(rope, config.loop, config.limits, rng)
+    start_qpos = rope.qpos(symmetry.configuration(noised(start, config.start_noise, rng)))
     simulation.lay(start_qpos[None], ONE)
     sequence = ActionSequence(
         symmetry.beads(elite.sequence.beads, config.rope.beads).astype(np.int16),
         symmetry.vectors(elite.sequence.forces.astype(np.float64)).astype(np.float32),
     )
-    if not elite.exact:
+    if symmetry.reverse or symmetry.base_shift:
         sequence = sequence.jittered(rng.uniform(0, config.jitter), rng)
     if _follow(simulation, sequence) is None:
         return _rejected("simulation failed", task, rope)
@@ -169,7 +182,7 @@ def _made(task: CandidateTask, simulation: Simulation) -> Candidate:
     crossings = find_crossings(last)
     quality = measure(last, crossings)
     elites: tuple[Elite, ...] = ()
-    if crossings.code == task.code and _is_better(quality, sequence, task):
+    if task.code.nx and crossings.code == task.code and _is_better(quality, sequence, task):
         elites = _from_start(simulation, task, symmetry, sequence)
     quality = replace(quality, noise_survival=noise_survival(last, config.reset_noise, rng))
     return Candidate(
@@ -251,14 +264,14 @@ def _make_legible(
             sequence = rest
         else:  # what shows the code in motion alone may be made legible in motion
             simulation.restore(state, ONE)
-    if task.code.nx:
-        walk_steps = int(rng.integers(config.walk_steps + 1))
-    else:
-        walk_steps = config.loop_walk_steps
-    state, walked = _random_walk(simulation, walk_steps, config.walk_force, rng)
+    walk_steps = config.walk_steps if task.code.nx else config.loop_walk_steps
+    state, walked = _random_walk(simulation, int(rng.integers(walk_steps + 1)), config, rng)
+    climb = config.hill_climb
+    if not task.code.nx:
+        climb = replace(climb, enough=config.loop_enough)
     sequence += walked
     for _ in range(config.rounds):
-        state, climbed = hill_climb(simulation, state, config.limits, config.hill_climb, rng)
+        state, climbed = hill_climb(simulation, state, config.limits, climb, rng)
         sequence += climbed + rest
         simulation.restore(state[None], ONE)
         _follow(simulation, rest)
@@ -272,25 +285,34 @@ def _make_legible(
 
 
 def _random_walk(
-    simulation: Simulation, steps: int, force: tuple[float, float], rng: np.random.Generator
+    simulation: Simulation, steps: int, config: CandidateConfig, rng: np.random.Generator
 ) -> tuple[Array, ActionSequence]:
     """Move rope 0 about at random without changing what it shows.
+
+    A bead is pulled one way until the pull is over or would change the code.
 
     Returns:
         The integration state reached, and the actions that led there.
     """
     code, sequence, state = label(simulation.points[0]), NO_ACTIONS, simulation.states(ONE)
+    left = 0
     for _ in range(steps):
-        bead = rng.integers(simulation.rope.config.beads, size=1)
-        heading, strength = rng.uniform(-np.pi, np.pi), rng.uniform(*force)
-        direction = np.array([[np.cos(heading), np.sin(heading), 0.0]])
-        forces = (strength * direction).astype(np.float32)
+        if not left:
+            left = int(rng.integers(1, config.walk_hold + 1))
+            bead = rng.integers(simulation.rope.config.beads, size=1)
+            heading, strength = rng.uniform(-np.pi, np.pi), rng.uniform(*config.walk_force)
+            slope = rng.uniform(-config.walk_slope, config.walk_slope)
+            level = np.sqrt(1 - slope**2)
+            direction = np.array([[level * np.cos(heading), level * np.sin(heading), slope]])
+            forces = (strength * direction).astype(np.float32)
+        left -= 1
         _, held = step_ropes(simulation, bead, forces, ONE)
         if held.all() and label(simulation.points[0]) == code:
             state = simulation.states(ONE)
             sequence += ActionSequence(bead.astype(np.int16), forces)
         else:
             simulation.restore(state, ONE)
+            left = 0
     return state[0], sequence
 
 
@@ -319,13 +341,29 @@ def _from_start(
     return tuple(reading.elite(from_start, state) for reading in shown)
 
 
-def _symmetry(elite: Elite, code: GaussCode, rng: np.random.Generator) -> Symmetry:
-    """A random symmetry that takes what the elite shows to `code`."""
-    fitting = [symmetry for shown, symmetry in mirrorings(elite.code) if shown == code]
-    symmetry = fitting[rng.integers(len(fitting))]
+def _symmetry(
+    simulation: Simulation, elite: Elite, code: GaussCode, rng: np.random.Generator
+) -> Symmetry:
+    """A random symmetry that makes the elite's rope show `code`.
+
+    Among them are the walks that start at another sub-chain, or run the other way, where they show
+    it: the crossings then lie elsewhere along the rope.
+    """
+    simulation.restore(elite.state[None], ONE)
+    crossings = find_crossings(simulation.points[0])
+    fitting = []
+    for base_shift in base_shifts(simulation.rope.config):
+        forwards = shifted_base(crossings, base_shift)
+        for reverse in (False, True):
+            walked = forwards.reversed() if reverse else forwards
+            shift = -base_shift if reverse else base_shift
+            fitting += [
+                replace(symmetry, reverse=reverse, base_shift=shift)
+                for shown, symmetry in mirrorings(walked)
+                if shown == code
+            ]
     turn = float(rng.uniform(-np.pi, np.pi))
-    base_shift = -elite.base_shift if elite.reverse else elite.base_shift
-    return replace(symmetry, turn=turn, reverse=elite.reverse, base_shift=base_shift)
+    return replace(fitting[rng.integers(len(fitting))], turn=turn)
 
 
 def _rejected(fault: str, task: CandidateTask, rope: Rope) -> Candidate:

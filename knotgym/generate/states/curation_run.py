@@ -16,7 +16,7 @@ from typing import Any
 from knotgym.generate.states.archive import Archive, Elite
 from knotgym.generate.states.candidates import Candidate, CandidateTask, make_candidate
 from knotgym.generate.states.code_frequencies import empirical_shares
-from knotgym.generate.states.curation import is_near_duplicate
+from knotgym.generate.states.curation import is_near_duplicate, most_unlike
 from knotgym.generate.states.curves import knot_curve
 from knotgym.generate.states.generate_config import GenerateConfig, InvalidGenerateConfig
 from knotgym.generate.states.search import SearchConfig, new_archive, search_round
@@ -42,7 +42,7 @@ class CurationRun:
         knot: the certified type of the rope's knot.
         existing: nx -> how many codes, without chirality, there are.
         shares: nx -> code -> states wanted of it at most.
-        accepted: nx -> candidates, in the order of acceptance.
+        accepted: nx -> candidates, in the order of acceptance; the set is chosen from them.
         rejected: nx -> reason -> how many.
         tried: nx -> code -> candidates made.
         targeted: code -> targeted searches for it.
@@ -114,6 +114,42 @@ class CurationRun:
             else len(self.shard.share(self.config.count))
         )
 
+    def needed(self, nx: int) -> dict[GaussCode, int]:
+        """How many accepted states of each code there are to be, those to choose from included."""
+        shares, choice = self.shares[nx], self.config.choice
+        spare = self.config.most_spare // max(1, len(shares))
+        return {
+            code: min(choice * share, share + spare) if share > 1 else share
+            for code, share in shares.items()
+        }
+
+    def lacking(self, nx: int) -> int:
+        """Accepted states that there are to be yet."""
+        needed = self.needed(nx)
+        beyond = sum(needed.values()) - sum(self.shares[nx].values())
+        return self.wanted(nx) + beyond - self._within(nx, needed)
+
+    def short(self, nx: int) -> int:
+        """States that the set lacks yet."""
+        return self.wanted(nx) - self._within(nx, self.shares[nx])
+
+    def _within(self, nx: int, most: dict[GaussCode, int]) -> int:
+        have = Counter(candidate.code.plain for candidate in self.accepted[nx])
+        return sum(min(count, most[code]) for code, count in have.items())
+
+    def chosen(self, nx: int) -> list[Candidate]:
+        """The set: of what is accepted the states most unlike each other, codes as even as before,
+        in the order of acceptance.
+        """
+        accepted = self.accepted[nx]
+        rows = most_unlike(
+            [one.points[-1] for one in accepted],
+            [one.code for one in accepted],
+            self.shares[nx],
+            self.wanted(nx),
+        )
+        return [accepted[row] for row in rows]
+
     def wanted_codes(self, nx: int) -> int:
         """Codes with nx crossings to have a choice among: all for `every_code`, else a quarter more
         than states.
@@ -131,10 +167,15 @@ class CurationRun:
     def done(self) -> bool:
         """Whether everything asked for is there, or the cycles allowed are over."""
         config = self.config
-        return (
-            all(len(self.accepted[nx]) >= self.wanted(nx) for nx in config.nx)
-            or 0 < config.cycles <= self.cycle
-        )
+        return all(self.has_enough(nx) for nx in config.nx) or 0 < config.cycles <= self.cycle
+
+    def has_enough(self, nx: int) -> bool:
+        """Whether the set is there, and what it is chosen from too, or the attempts at it spent."""
+        return self.lacking(nx) <= 0 or (self.short(nx) <= 0 and self._spent(nx))
+
+    def _spent(self, nx: int) -> bool:
+        tried = sum(self.tried[nx].values())
+        return max(tried, 8 * self.cycle) >= self.config.attempts * self.wanted(nx)
 
     def batches(self) -> Iterator[Batch]:
         """The work of one cycle after the other until all is there, absorbed into this run.
@@ -173,7 +214,7 @@ class CurationRun:
                     if elite.exact:
                         fresh[target.goal] = elite
 
-            yield Batch(reach, _targets(self, search), absorb)
+            yield Batch(reach, _targets(self, search), absorb, "searching for codes not met")
         tasks = _tasks(self, fresh)
         nx_of = iter([nx for nx, _ in tasks])
 
@@ -181,26 +222,27 @@ class CurationRun:
             self.actions += candidate.steps
             _judge(self, next(nx_of), candidate)
 
-        yield Batch(make_candidate, [task for _, task in tasks], judge)
+        yield Batch(make_candidate, [task for _, task in tasks], judge, "choosing")
 
     def _require_hope(self) -> None:
         """Raise NotEnough where the attempts allowed for some nx are spent."""
         for nx in self.config.nx:
-            have, wanted = len(self.accepted[nx]), self.wanted(nx)
-            tried = sum(self.tried[nx].values())
-            spent = max(tried, 8 * self.cycle) >= self.config.attempts * wanted
-            if have < wanted and spent and not self.done():
+            short, tried, wanted = self.short(nx), sum(self.tried[nx].values()), self.wanted(nx)
+            if short > 0 and self._spent(nx) and not self.done():
                 raise NotEnough(
-                    f"{have} of {wanted} states with nx = {nx} accepted in {tried} attempts; use"
-                    " --resume and more --attempts"
+                    f"{wanted - short} of {wanted} states with nx = {nx} accepted in {tried}"
+                    " attempts; use --resume and more --attempts"
                 )
 
 
 def _rounds(run: CurationRun) -> int:
     """Rounds of the search in the next cycle.
 
-    One, and up to `more_rounds` more the more of the codes that lack states aren't known either.
+    One, and up to `more_rounds` more the more of the codes that lack states aren't known either;
+    none where only the choice is to grow.
     """
+    if all(run.short(nx) <= 0 for nx in run.config.nx):
+        return 0
     missing = [0.0]
     for nx in run.config.nx:
         shown = {candidate.code.plain for candidate in run.accepted[nx]}
@@ -221,7 +263,7 @@ def _targets(run: CurationRun, search: SearchConfig) -> list[Target]:
         have = Counter(candidate.code.plain for candidate in run.accepted[nx])
         uncertain = [code for code in shares if _is_target(run, nx, code, have[code], search)]
         sure = len(shares) - len(uncertain)
-        if not nx or len(run.accepted[nx]) >= run.wanted(nx) or sure >= run.wanted_codes(nx):
+        if not nx or run.short(nx) <= 0 or sure >= run.wanted_codes(nx):
             continue
         index_of = {code: index for index, code in enumerate(shares)}
         for code in uncertain:
@@ -308,7 +350,8 @@ def _tasks(run: CurationRun, fresh: dict[GaussCode, Elite]) -> list[tuple[int, C
     """
     config, start = run.config, start_of(run.config)
     wave: list[tuple[int, CandidateTask]] = []
-    open_nx = [nx for nx in config.nx if len(run.accepted[nx]) < run.wanted(nx)]
+    open_nx = [nx for nx in config.nx if run.short(nx) > 0]  # the set first, then the choice
+    open_nx = open_nx or [nx for nx in config.nx if not run.has_enough(nx)]
     for nx in open_nx:
         lacking = _lacking(run, nx)
         index_of = {code: index for index, code in enumerate(run.shares[nx])}
@@ -338,11 +381,9 @@ def _lacking(run: CurationRun, nx: int) -> list[GaussCode]:
     ranked = [codes[k] for k in order]
     if not run.config.every_code:
         ranked = ranked[: run.wanted_codes(nx) + 2 * run.cycle]
-    have = Counter(candidate.code.plain for candidate in run.accepted[nx])
+    have, needed = Counter(one.code.plain for one in run.accepted[nx]), run.needed(nx)
     lacking = [
-        code
-        for code in ranked
-        if have[code] < run.shares[nx][code] and run.archive.known_chiralities(code)
+        code for code in ranked if have[code] < needed[code] and run.archive.known_chiralities(code)
     ]
     return sorted(lacking, key=lambda code: run.tried[nx][code])
 
@@ -360,7 +401,8 @@ def _judge(run: CurationRun, nx: int, candidate: Candidate) -> None:
         run.archive.offer(elite, run.config.search.archive)
     candidate = replace(candidate, elites=())
     same = sum(one.code.plain == candidate.code.plain for one in run.accepted[nx])
+    most = run.config.choice * run.shares[nx].get(candidate.code.plain, 0)
     if reasons:
         run.rejected[nx].update(reasons)
-    elif same < run.shares[nx][candidate.code.plain] and len(run.accepted[nx]) < run.wanted(nx):
+    elif same < most:
         run.accepted[nx].append(candidate)

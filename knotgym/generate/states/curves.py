@@ -1,16 +1,21 @@
-"""Closed curves that begin a rope as a knot: a few by formula, any other from a file."""
+"""Closed curves that begin a rope: knots, a few by formula, any other from a file; and plain loops
+of any shape.
+"""
 
 from __future__ import annotations
 
 import os
 import warnings
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from knotgym.configuration import check_numbers
 from knotgym.errors import KnotgymError
-from knotgym.rope import Array, Rope
+from knotgym.quality import Limits, measure
+from knotgym.rope import Array, InvalidCurve, Rope
 from knotgym.topology.crossings import label
 from knotgym.topology.knots import knot_type
 
@@ -19,6 +24,45 @@ _SAMPLES = 600
 
 class InvalidCurveFile(KnotgymError, ValueError):
     """A file that holds no closed curve, or a name that no formula is known for."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopConfig:
+    """How plain loops are shaped: as sums of waves round the loop, drawn at random.
+
+    Attributes:
+        waves: the shortest of which goes so often round the loop.
+        falling: power by which a shorter wave is weaker, from and to; one draw a loop. The weaker,
+            the rounder.
+        height: of waves along z, of those along x and y, from and to; one draw a loop.
+        draws: at most; then it is a circle.
+    """
+
+    waves: int = 3
+    falling: tuple[float, float] = (0.0, 3.0)
+    height: tuple[float, float] = (0.0, 0.5)
+    draws: int = 400
+
+    def __post_init__(self) -> None:
+        check_numbers(self, counts=("waves", "draws"), ranges=("falling", "height"))
+
+
+def plain_loop(rope: Rope, config: LoopConfig, limits: Limits, rng: np.random.Generator) -> Array:
+    """A bent, long, folded or tilted loop without crossings, legible: float64 (beads, 3)."""
+    turn = np.linspace(0, 2 * np.pi, _SAMPLES, endpoint=False)
+    wave = np.arange(1, config.waves + 1)
+    phase = wave[:, None] * turn
+    falling, height = rng.uniform(*config.falling), rng.uniform(*config.height)
+    scale = wave[:, None] ** -falling * np.array([1.0, 1.0, height])
+    for _ in range(config.draws):
+        cosines, sines = rng.normal(size=(2, config.waves, 3)) * scale
+        try:
+            points = rope.from_curve(np.cos(phase).T @ cosines + np.sin(phase).T @ sines)
+        except InvalidCurve:
+            continue
+        if not label(points).nx and not limits.faults(measure(points), 0):
+            return points
+    return rope.loop()
 
 
 def torus_knot(p: int, q: int) -> Array:

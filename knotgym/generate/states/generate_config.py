@@ -11,7 +11,7 @@ from knotgym.generate.states.candidates import CandidateConfig
 from knotgym.generate.states.code_frequencies import FrequencyConfig
 from knotgym.generate.states.search import SearchSettings
 from knotgym.rope import RopeConfig
-from knotgym.tasks import MAX_NX
+from knotgym.topology.knots import LISTED_NX
 
 
 class InvalidGenerateConfig(KnotgymError, ValueError):
@@ -33,6 +33,9 @@ class GenerateConfig:
         knot: type of the rope's knot; "0_1" starts from the plain loop, any other name or file as
             `curves.knot_curve`.
         seed: of everything.
+        choice: accepted states, for each state wanted, that a code has to choose the most unlike
+            from (`curation.most_unlike`). A code wanted once gets no candidates for that.
+        most_spare: of them, beyond those wanted, in each crossing number.
         attempts: candidates tried, for each state wanted, before giving up.
         cycles: of search and a wave of candidates, after which what there is is enough; 0 to go on
             until all wanted is there.
@@ -55,6 +58,8 @@ class GenerateConfig:
     train_share: float = 0.5
     knot: str = "0_1"
     seed: int = 0
+    choice: int = 6
+    most_spare: int = 80
     attempts: int = 100
     cycles: int = 0
     wave: int = 48
@@ -69,17 +74,17 @@ class GenerateConfig:
     def __post_init__(self) -> None:
         if (
             not self.nx
-            or any(not 0 <= nx <= MAX_NX for nx in self.nx)
+            or any(not 0 <= nx <= LISTED_NX for nx in self.nx)
             or len(set(self.nx)) != len(self.nx)
         ):
             raise InvalidGenerateConfig(
-                f"nx takes different numbers of crossings from 0 to {MAX_NX}, got"
+                f"nx takes different numbers of crossings from 0 to {LISTED_NX}, got"
                 f" {', '.join(map(str, self.nx)) or 'none'}"
             )
-        for name in ("count", "attempts", "wave", "stuck"):
+        for name in ("count", "choice", "attempts", "wave", "stuck"):
             if getattr(self, name) < 1:
                 raise InvalidGenerateConfig(f"{name} must be at least 1, got {getattr(self, name)}")
-        for name in ("every_code", "cycles", "more_rounds", "targets"):
+        for name in ("every_code", "most_spare", "cycles", "more_rounds", "targets"):
             if getattr(self, name) < 0:
                 raise InvalidGenerateConfig(f"{name} must be at least 0, got {getattr(self, name)}")
         if self.balance not in ("even", "empirical"):

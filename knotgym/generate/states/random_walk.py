@@ -24,10 +24,9 @@ from knotgym.quality import Quality, measure, noise_survival
 from knotgym.rope import Array, Rope, RopeConfig
 from knotgym.simulation_pool import simulation_of
 from knotgym.streams import Stream, generator, key
-from knotgym.tasks import MAX_NX
 from knotgym.topology.crossings import find_crossings
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import is_unknot
+from knotgym.topology.knots import LISTED_NX, is_unknot
 from knotgym.topology.reference_labeller import pyknotid_code
 
 RESET_NOISE = 0.015  # of the environments
@@ -111,11 +110,11 @@ class RandomWalkConfig:
         )
         if (
             not self.nx
-            or any(not 0 <= nx <= MAX_NX for nx in self.nx)
+            or any(not 0 <= nx <= LISTED_NX for nx in self.nx)
             or len(set(self.nx)) != len(self.nx)
         ):
             raise InvalidGenerateConfig(
-                f"nx takes different numbers of crossings from 0 to {MAX_NX}, got"
+                f"nx takes different numbers of crossings from 0 to {LISTED_NX}, got"
                 f" {', '.join(map(str, self.nx)) or 'none'}"
             )
         if self.start not in STARTS:

@@ -18,7 +18,6 @@ from zipfile import BadZipFile
 
 import mujoco
 import numpy as np
-from rich.console import Console
 
 import knotgym
 from knotgym.atomic_files import atomic_write, sha256
@@ -42,7 +41,7 @@ from knotgym.quality import UNITS, Quality
 from knotgym.rendering.picture import draw_many
 from knotgym.rope import Rope
 from knotgym.runs.engine import CHECKPOINT, Batch, run
-from knotgym.runs.progress import Status
+from knotgym.runs.progress import Progress, Status
 from knotgym.runs.run_options import InvalidRun, NotEnough, RunOptions
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import codes_of, knot_type
@@ -51,7 +50,7 @@ _RUN, _ACCEPTED = "walks.json", "accepted.npz"
 
 
 def walk_states(
-    config: RandomWalkConfig, out: Path, options: RunOptions, *, console: Console | None = None
+    config: RandomWalkConfig, out: Path, options: RunOptions, *, progress: Progress | None = None
 ) -> Path:
     """Make states as random play meets them in the new folder `out`, and return it.
 
@@ -59,7 +58,7 @@ def walk_states(
         config: what is wanted.
         out: the folder.
         options: how it is done; there are no shards of it.
-        console: to show progress on.
+        progress: to show it on.
 
     Raises:
         Occupied, InvalidRun: as of `runs.engine.run`.
@@ -67,7 +66,7 @@ def walk_states(
     """
     if not options.shard.is_whole:
         raise InvalidRun("random walks are made in one run: leave out --shard")
-    return run(RandomWalkRecipe(config), out, options, console)
+    return run(RandomWalkRecipe(config), out, options, progress)
 
 
 class RandomWalkRecipe:
@@ -102,6 +101,7 @@ class RandomWalkRecipe:
                     WalkUnit(config, self.walked + k * config.batch) for k in range(config.wave)
                 ],
                 absorb=self._absorb,
+                name="walking",
             )
             yield CHECKPOINT
 

@@ -202,8 +202,8 @@ def search_round(archive: Archive, config: SearchConfig, chunk: int = 16) -> Ite
             if len(sequence) <= config.longest:
                 archive.offer(discovery.reading.elite(sequence, discovery.state), config.archive)
 
-    yield Batch(confirm, replays, absorb_replay)
-    yield Batch(play, units, absorb_unit)
+    yield Batch(confirm, replays, absorb_replay, "searching, what was found acted out again")
+    yield Batch(play, units, absorb_unit, "searching")
     archive.growth.append({"round": number, "actions": actions, "classes": len(archive.niches)})
 
 

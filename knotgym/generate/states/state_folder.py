@@ -45,13 +45,14 @@ POLICY = "demonstrations"
 def states_of(run: CurationRun) -> States:
     """The accepted candidates as rows, by nx and then in the order of acceptance."""
     config = run.config
-    candidates = [(nx, candidate) for nx in config.nx for candidate in run.accepted[nx]]
+    chosen = {nx: run.chosen(nx) for nx in config.nx}
+    candidates = [(nx, candidate) for nx in config.nx for candidate in chosen[nx]]
     longest = max(len(candidate.actions) for _, candidate in candidates)
     splits: list[str] = []
     for nx in config.nx:
         rng = generator(Stream.SPLIT, config.seed, nx)
         splits += split(
-            [candidate.code for candidate in run.accepted[nx]],
+            [candidate.code for candidate in chosen[nx]],
             config.split_by,
             config.train_share,
             rng,
@@ -82,7 +83,7 @@ def states_of(run: CurationRun) -> States:
             ),
             "seed": np.array([candidate.seed for _, candidate in candidates], dtype=np.int64),
             "policy": np.array([POLICY] * len(candidates)),
-            **demonstrations_of(crossings, np.array(splits)),
+            **demonstrations_of(crossings, np.array(splits), run.knot),
             "step": np.array(
                 [len(candidate.actions) for _, candidate in candidates], dtype=np.int64
             ),
@@ -96,7 +97,9 @@ def states_of(run: CurationRun) -> States:
     )
 
 
-def demonstrations_of(nx: NDArray[np.int64], splits: NDArray[np.str_]) -> dict[str, NDArray[Any]]:
+def demonstrations_of(
+    nx: NDArray[np.int64], splits: NDArray[np.str_], knot: str
+) -> dict[str, NDArray[Any]]:
     """The columns that say which demonstration leads to each state.
 
     Each nx and split has a dataset, its episodes in the order of the states.
@@ -104,11 +107,14 @@ def demonstrations_of(nx: NDArray[np.int64], splits: NDArray[np.str_]) -> dict[s
     Args:
         nx: int64 (n,), of the states.
         splits: str (n,), of the states.
+        knot: that they all are.
 
     Returns:
         "dataset", str (n,), and "trajectory", int64 (n,), the episode there.
     """
-    ids = [demonstrations_id(*key) for key in zip(nx.tolist(), splits.tolist(), strict=True)]
+    ids = [
+        demonstrations_id(*one, knot=knot) for one in zip(nx.tolist(), splits.tolist(), strict=True)
+    ]
     return {
         "dataset": np.array(ids, dtype=np.str_),
         "trajectory": np.array(
@@ -173,18 +179,18 @@ def write_trajectories(run: CurationRun, states: States, folder: Path, carried: 
     """
     for nx, name in product(run.config.nx, STATE_SPLITS):
         splits = states.split[states.nx == nx].tolist()
-        candidates = list(compress(run.accepted[nx], [one == name for one in splits]))
+        candidates = list(compress(run.chosen(nx), [one == name for one in splits]))
         if not candidates:
             continue
         shard = folder / f"nx{nx}.h5"
-        with EpisodeWriter(shard, demonstration_task(nx, name)) as writer:
+        with EpisodeWriter(shard, demonstration_task(nx, name, run.knot)) as writer:
             for candidate in candidates:
                 writer.add(episode_of(candidate))
-        publish_demonstrations(nx, name, [shard], len(candidates), folder, carried)
+        publish_demonstrations(nx, name, run.knot, [shard], len(candidates), folder, carried)
         shard.unlink()
 
 
-def demonstration_task(nx: int, split: str) -> TaskConfig:
+def demonstration_task(nx: int, split: str, knot: str) -> TaskConfig:
     """The task that the ways to states with nx crossings in a split are episodes of."""
     # a loop has nothing to tie: its episodes are those of an unknot task whose goal is shown from
     # the start
@@ -194,12 +200,18 @@ def demonstration_task(nx: int, split: str) -> TaskConfig:
         split=split,
         observation="both",
         horizon=HORIZON,
-        states=demonstrations_id(nx, split),
+        states=demonstrations_id(nx, split, knot),
     )
 
 
 def publish_demonstrations(
-    nx: int, split: str, sources: Sequence[Any], count: int, root: Path, states: Path
+    nx: int,
+    split: str,
+    knot: str,
+    sources: Sequence[Any],
+    count: int,
+    root: Path,
+    states: Path,
 ) -> None:
     """Write `count` ways from the episodes of `sources`, one source after another, below `root`.
 
@@ -207,7 +219,7 @@ def publish_demonstrations(
     that the environment recovered from it resets from the very states that the ways lead to.
     """
     metadata = MinariMetadata(
-        dataset_id=demonstrations_id(nx, split),
+        dataset_id=demonstrations_id(nx, split, knot),
         algorithm_name=POLICY,
         description=(
             f"The ways to {count} curated rope states with {nx} crossings, those of the {split}"
@@ -222,7 +234,7 @@ def publish_demonstrations(
         root,
         concatenate=True,
         states=states,
-        task=demonstration_task(nx, split),
+        task=demonstration_task(nx, split, knot),
     )
 
 

@@ -18,7 +18,6 @@ from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
-from rich.console import Console
 
 from knotgym.atomic_files import atomic_write, sha256
 from knotgym.configuration import as_json
@@ -30,11 +29,15 @@ from knotgym.generate.states.curation_run import CurationRun
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.quality import Quality
 from knotgym.runs.engine import Batch, run
-from knotgym.runs.progress import Status
+from knotgym.runs.progress import Progress, Status, tell_if_long
 from knotgym.runs.run_options import RunOptions
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.knots import codes_of
 
 _RUN = "run.json"
+CORE_SECONDS = (
+    8.0  # a state, as all 57 codes up to nx 3 took 4 minutes on two cores; more from nx 4
+)
 
 
 class SpoiltCheckpoint(KnotgymError, ValueError):
@@ -53,7 +56,7 @@ def generate(
     options: RunOptions,
     *,
     archive: Path | None = None,
-    console: Console | None = None,
+    progress: Progress | None = None,
 ) -> Path:
     """Make curated states in the new folder `out`, or in that of the shard, and return it.
 
@@ -62,7 +65,7 @@ def generate(
         out: the folder of the whole run.
         options: how it is done.
         archive: of another run, to go on from.
-        console: to show progress on.
+        progress: to show it on.
 
     Raises:
         Occupied, InvalidRun: as of `runs.engine.run`.
@@ -70,7 +73,13 @@ def generate(
         NotEnough: the attempts allowed were spent.
     """
     recipe = StateRecipe(config, options, archive)
-    return run(recipe, options.shard.folder(out), options, console)
+    if progress is not None:
+        wanted = sum(
+            config.every_code * len(codes_of("0_1", nx)) if config.every_code else config.count
+            for nx in config.nx
+        )
+        tell_if_long(progress, CORE_SECONDS * wanted / options.shard.of, options.workers)
+    return run(recipe, options.shard.folder(out), options, progress)
 
 
 class StateRecipe:
@@ -177,7 +186,9 @@ class StateRecipe:
             "rejected": common or "none",
             "environment steps": f"{state.steps()}",
         }
-        total = sum(state.wanted(nx) for nx in config.nx)
+        total = len(accepted) + sum(
+            0 if state.has_enough(nx) else state.lacking(nx) for nx in config.nx
+        )
         return Status(len(accepted), total, "states accepted", facts)
 
     def finish(self, folder: Path, request: dict[str, Any]) -> Path:
@@ -185,8 +196,8 @@ class StateRecipe:
         return folder
 
     def summary(self) -> str:
-        status = self.status()
-        return f"{status.done} states of {status.facts['distinct codes']} codes"
+        chosen = [one for nx in self.config.nx for one in self.run.chosen(nx)]
+        return f"{len(chosen)} states of {len({one.code.plain for one in chosen})} codes"
 
 
 def _counted(pairs: list[list[Any]]) -> Counter[GaussCode]:

@@ -1,0 +1,27 @@
+"""Environments turned into what trainers expect.
+
+`sb3_vec_env` is a Stable-Baselines3 `VecEnv` over one batched simulation, `goal_env` an environment
+whose goals hindsight may change, `OGBenchEnv` what the ids `knotgym/tie-nx2-v0` and the like make
+for OGBench's agents. The names below are imported when they are first used.
+"""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from knotgym.adapters.goal_environment import GoalEnv, goal_env
+    from knotgym.adapters.ogbench_environment import OGBenchEnv
+    from knotgym.adapters.sb3 import sb3_vec_env
+else:
+    from knotgym.lazy_exports import lazy_exports
+
+    __getattr__, __dir__ = lazy_exports(
+        __name__,
+        {
+            "GoalEnv": "knotgym.adapters.goal_environment",
+            "OGBenchEnv": "knotgym.adapters.ogbench_environment",
+            "goal_env": "knotgym.adapters.goal_environment",
+            "sb3_vec_env": "knotgym.adapters.sb3",
+        },
+    )
+
+__all__ = ["GoalEnv", "OGBenchEnv", "goal_env", "sb3_vec_env"]

@@ -1,0 +1,126 @@
+"""A Stable-Baselines3 VecEnv over one batched simulation; imported only by who has that library."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from stable_baselines3.common.vec_env import VecEnv
+
+from knotgym.adapters.goal_environment import Goals
+from knotgym.env import action_space, observation_space, task_config
+from knotgym.episode_batch import EpisodeBatch
+from knotgym.tasks import InvalidSetting
+
+Indices = int | Iterable[int] | None
+
+
+class BatchedVecEnv(VecEnv):
+    """See `sb3_vec_env`.
+
+    Attributes:
+        episodes: the ropes.
+        goals: what they achieved and shall achieve, or None.
+    """
+
+    def __init__(
+        self, task: str, num_envs: int, threads: int, goals: bool, settings: dict[str, Any]
+    ) -> None:
+        if num_envs < 1:
+            raise InvalidSetting(f"num_envs must be at least 1, got {num_envs}")
+        config = task_config(task, {**({"failure_reward": 0.0} if goals else {}), **settings})
+        self.render_mode = "rgb_array"
+        self.num_envs = num_envs
+        self.episodes = EpisodeBatch(config, num_envs, threads)
+        self.goals = Goals(self.episodes) if goals else None
+        beads = self.episodes.simulation.rope.config.beads
+        space = self.goals.space if self.goals else observation_space(config, beads)
+        self._rngs = [np.random.default_rng() for _ in range(num_envs)]
+        self._actions: NDArray[np.float32] = np.zeros((num_envs, 6), np.float32)
+        super().__init__(num_envs, space, action_space())
+
+    def reset(self) -> Any:
+        """Start every episode over, with the seeds and options given before."""
+        for i, (seed, options) in enumerate(zip(self._seeds, self._options, strict=True)):
+            if seed is not None:
+                self._rngs[i] = np.random.default_rng(seed)
+            self._begin(i, options)
+        self._reset_seeds()
+        self._reset_options()
+        return self._stacked([self._observation(i) for i in range(self.num_envs)])
+
+    def step_async(self, actions: NDArray[np.float32]) -> None:
+        """Take note of the actions."""
+        self._actions = actions
+
+    def step_wait(self) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """Take them."""
+        rewards, terminated, truncated = self.episodes.step(self._actions, np.arange(self.num_envs))
+        dones = terminated | truncated
+        seen, infos = [], []
+        for i in range(self.num_envs):
+            info = {
+                **self.episodes.info(i),
+                "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
+            }
+            if dones[i]:
+                info["terminal_observation"] = self._observation(i)
+                self._begin(i)
+            infos.append(info)
+            seen.append(self._observation(i))
+        return self._stacked(seen), rewards.astype(np.float32), dones, infos
+
+    def close(self) -> None:
+        """There is nothing to close."""
+
+    def get_images(self) -> Sequence[NDArray[np.uint8]]:
+        """One picture a rope, uint8 (size, 2 size, 3)."""
+        return [self.episodes.rgb(i) for i in range(self.num_envs)]
+
+    def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
+        """An attribute of the ropes, the same for all."""
+        return [getattr(self, attr_name)] * len(self._which(indices))
+
+    def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
+        """Set an attribute of all ropes; they have none of their own."""
+        if len(self._which(indices)) < self.num_envs:
+            raise InvalidSetting(f"{attr_name} is the same for all ropes: set it without indices")
+        setattr(self, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Call `compute_reward`, the one method there is, as `HerReplayBuffer` does."""
+        method = getattr(self, method_name)
+        return [method(*method_args, **method_kwargs) for _ in self._which(indices)]
+
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: Indices = None) -> list[bool]:
+        """No rope is in any wrapper."""
+        return [False] * len(self._which(indices))
+
+    def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
+        """As `Goals.reward`; `info` isn't asked."""
+        if self.goals is None:
+            raise InvalidSetting("there are no goals to compute rewards of: ask for goals=True")
+        return self.goals.reward(achieved_goal, desired_goal)
+
+    def _begin(self, index: int, options: dict[str, Any] | None = None) -> None:
+        self.episodes.begin(index, self._rngs[index], options)
+        if self.goals is not None:
+            self.goals.begin(index)
+        self.reset_infos[index] = self.episodes.info(index)
+
+    def _observation(self, index: int) -> Any:
+        if self.goals is not None:
+            return self.goals.observation(index)
+        return self.episodes.observation(index)
+
+    def _stacked(self, each: list[Any]) -> Any:
+        if isinstance(each[0], dict):
+            return {name: np.stack([seen[name] for seen in each]) for name in each[0]}
+        return np.stack(each)
+
+    def _which(self, indices: Indices) -> Sequence[int]:
+        return list(self._get_indices(indices))

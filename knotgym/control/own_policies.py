@@ -1,0 +1,132 @@
+"""Policies of the user's own: module:name is a function, an object, or a class of such objects.
+
+    def act(observation): ...
+    def act(observation, info, generator): ...
+
+    class Recurrent:
+        def reset(self): ...                    # or reset(generator); an episode begins
+        def act(self, observation): ...         # or act(observation, info, generator)
+
+Each gives six numbers in [-1, 1]. Episodes are played side by side, so every episode has a copy of
+an object to itself; a class is called once, without arguments, for the object that is copied. Every
+draw comes from the episode's generator.
+"""
+
+from __future__ import annotations
+
+import copy
+import importlib
+import inspect
+import os
+import sys
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.control.policy import Choice, InvalidPolicy, UnplannedPolicy, checked
+from knotgym.episode_batch import EpisodeBatch
+from knotgym.errors import one_line
+
+_PROTOCOL = (
+    "must be a function of (observation) or of (observation, info, generator), or an object with"
+    " reset and act"
+)
+
+
+class OwnPolicy(UnplannedPolicy):
+    """A function of the user's, or an object with a copy for each episode.
+
+    Raises:
+        InvalidPolicy: it is neither.
+    """
+
+    def __init__(self, given: Any, name: str) -> None:
+        super().__init__(name)
+        reset_takes: int | None = None
+        if inspect.isclass(given):
+            with _theirs(name):
+                given = given()
+        if callable(getattr(given, "act", None)) and callable(getattr(given, "reset", None)):
+            takes, reset_takes = _takes(given.act, (3, 1)), _takes(given.reset, (1, 0))
+            if reset_takes is None:
+                raise InvalidPolicy(
+                    f"policy {name}: its reset must take nothing, or the episode's generator"
+                )
+        else:
+            takes = _takes(given, (3, 1)) if callable(given) else None
+        if takes is None:
+            raise InvalidPolicy(f"policy {name} {_PROTOCOL}")
+        self._given, self._takes, self._reset_takes = given, takes, reset_takes
+        self._own: dict[int, Any] = {}  # by episode
+
+    def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
+        super().begin(episodes, index, rng)
+        self._own[index] = self._given
+        if self._reset_takes is not None:
+            with _theirs(self._name):
+                own = copy.deepcopy(self._given)
+                own.reset(*[rng][: self._reset_takes])
+            self._own[index] = own
+
+    def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
+        actions = []
+        for index in ids.tolist():
+            own = self._own[index]
+            function = own if self._reset_takes is None else own.act
+            seen = (episodes.observation(index), episodes.info(index), self._rngs[index])
+            with _theirs(self._name):
+                actions.append(function(*seen[: self._takes]))
+        return checked(actions, episodes, ids, self._name)
+
+
+def load_own(module: str, name: str) -> Any:
+    """What a module calls `name`.
+
+    Raises:
+        InvalidPolicy: there is no such thing, or the module raises.
+    """
+    if os.getcwd() not in sys.path:
+        # a user's file lies where the command is typed; last, so that it hides nothing
+        sys.path.append(os.getcwd())
+    try:
+        return getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError, SyntaxError) as error:
+        raise InvalidPolicy(f"no policy {module}:{name}: {error}") from error
+    except Exception as error:
+        raise _said(f"{module}:{name}", error) from error
+
+
+@contextmanager
+def _theirs(name: str) -> Iterator[None]:
+    """Code of the user's: what it raises is told in one line, as its own."""
+    try:
+        yield
+    except Exception as error:
+        raise _said(name, error) from error
+
+
+def _said(name: str, error: Exception) -> InvalidPolicy:
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    place = f"{Path(frame.filename).name}, line {frame.lineno}"
+    said = f"{type(error).__name__}: {one_line(error)}"
+    return InvalidPolicy(f"policy {name} raised {said} ({place})")
+
+
+def _takes(function: Callable[..., Any], counts: tuple[int, ...]) -> int | None:
+    """The first of these numbers of arguments that a function can be called with."""
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):  # a builtin doesn't say
+        return counts[-1]
+    for count in counts:
+        try:
+            signature.bind(*range(count))
+        except TypeError:
+            continue
+        return count
+    return None

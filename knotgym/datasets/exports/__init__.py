@@ -1,0 +1,1 @@
+"""Episodes in other houses' forms."""

@@ -1,0 +1,45 @@
+"""The forms that episodes can be exported to, by name."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from typing import Any
+
+from knotgym.errors import KnotgymError
+
+# each takes a dataset and where to write
+FORMS = {
+    "compact": "knotgym.datasets.minari_dataset:compact",
+    "lerobot": "knotgym.datasets.exports.lerobot_export:to_lerobot",
+    "ogbench": "knotgym.datasets.exports.ogbench_export:to_ogbench",
+}
+
+
+class UnknownForm(KnotgymError, ValueError):
+    """Nothing is exported to a form of this name."""
+
+    def __init__(self, form: str) -> None:
+        super().__init__(f"no form {form!r} to export to; there is {', '.join(FORMS)}")
+
+
+class NothingToExport(KnotgymError, ValueError):
+    """A dataset lacks what a form is made of, or something is there already."""
+
+
+def export(source: Any, out: str | os.PathLike[str], form: str = "compact") -> None:
+    """Write a dataset of episodes in another form.
+
+    Args:
+        source: what `EpisodeReader` takes.
+        out: a file for "compact", a folder for the others.
+        form: one of FORMS.
+
+    Raises:
+        UnknownForm: there is no such form.
+        NothingToExport: the dataset can't be put into it, or `out` is there.
+    """
+    if form not in FORMS:
+        raise UnknownForm(form)
+    module, _, function = FORMS[form].partition(":")
+    getattr(importlib.import_module(module), function)(source, out)

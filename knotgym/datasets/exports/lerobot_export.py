@@ -1,0 +1,266 @@
+"""Episodes as a LeRobot dataset, format v3.0.
+
+    {out}/meta/info.json, stats.json, tasks.parquet, episodes/chunk-000/file-000.parquet
+    {out}/data/chunk-000/file-000.parquet ...       one row a step, pictures as PNG, lossless
+
+A row is what was seen, the action taken, and what it led to (`next.reward`, `next.done`,
+`next.success`). The last state of an episode, which no action leaves, is in no row.
+The task of an episode is the goal's Gauss code, "" for the plain loop.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.atomic_files import atomic_write
+from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.exports.forms import NothingToExport
+from knotgym.datasets.image_table import arrow, encode
+
+VERSION = "v3.0"
+FRAMES_PER_SECOND = 5  # an action lasts 0.192 s; LeRobot takes whole numbers
+_FILE_BYTES = 100 * 2**20  # a data file is closed once it holds so much
+_CHUNK = 1000  # files in a folder
+_PLACE = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+_NAMES = {"pixels": "observation.image", "state": "observation.environment_state"}
+
+
+def to_lerobot(source: Any, out: str | os.PathLike[str]) -> None:
+    """Write the dataset; it appears whole or not at all.
+
+    Args:
+        source: what `EpisodeReader` takes.
+        out: the folder to make.
+
+    Raises:
+        NothingToExport: no episode, `out` is there, or its observations have no place in the form.
+        MissingArrow: pyarrow isn't installed.
+    """
+    reader, folder = EpisodeReader(source), Path(out)
+    task = reader.task
+    if folder.exists():
+        raise NothingToExport(f"{folder} is there already; choose another --out")
+    plain = task.layout == "beside" and not task.depth
+    if not len(reader) or task.observation == "symbolic" or not plain:
+        raise NothingToExport(
+            "LeRobot's form takes episodes of pixels, state or both, in layout beside and without"
+            f" depth; {reader.path} has {len(reader)} of {task.observation} in layout {task.layout}"
+        )
+    looks = [name for name in _NAMES if task.observation in (name, "both")]
+    with atomic_write(folder) as temporary:
+        _Writer(reader, looks, temporary).write()
+    reader.close()
+
+
+class _Writer:
+    """Writes a dataset, episode by episode; statistics are summed up on the way."""
+
+    def __init__(self, reader: EpisodeReader, looks: list[str], folder: Path) -> None:
+        self.reader, self.looks, self.folder = reader, looks, folder
+        self.tasks: dict[str, int] = {}
+        self.episodes: list[dict[str, Any]] = []
+        self.sums: dict[str, _Sums] = {}
+        self.files = 0
+        beads, size = 100 * 6, reader.task.image_size
+        height = len(reader.task.views) * size
+        image = {"dtype": "image", "shape": [height, 2 * size, 3]}
+        shown = {
+            "pixels": {**image, "names": ["height", "width", "channels"]},
+            "state": _feature("float32", beads),
+        }
+        self.features = {
+            **{_NAMES[look]: shown[look] for look in looks},
+            "action": _feature("float32", 6, ["x", "y", "z", "fx", "fy", "fz"]),
+            "next.reward": _feature("float32"),
+            "next.done": _feature("bool"),
+            "next.success": _feature("bool"),
+            "gauss_code": _feature("string"),
+            "timestamp": _feature("float32"),
+            **{
+                name: _feature("int64")
+                for name in ("frame_index", "episode_index", "index", "task_index")
+            },
+        }
+
+    def write(self) -> None:
+        """Write everything."""
+        parquet, waiting, size = arrow("pyarrow.parquet"), [], 0
+        schema = _schema(self.features)
+        for k in range(len(self.reader)):
+            table = arrow().table(self._columns(k), schema=schema)
+            waiting.append(table)
+            size += table.nbytes
+            if size >= _FILE_BYTES or k == len(self.reader) - 1:
+                place = {"chunk_index": self.files // _CHUNK, "file_index": self.files % _CHUNK}
+                path = self.folder / "data" / _PLACE.format(**place)
+                path.parent.mkdir(parents=True, exist_ok=True)
+                parquet.write_table(arrow().concat_tables(waiting), path)
+                waiting, size, self.files = [], 0, self.files + 1
+        self._write_meta()
+
+    def _columns(self, k: int) -> list[Any]:
+        """The columns of an episode, in the order of the features; notes it down."""
+        length = int(self.reader.lengths[k])
+        goal = str(self.reader.group(k).attrs["goal_gauss_code"])
+        number = self.tasks.setdefault(goal, len(self.tasks))
+        first = self.episodes[-1]["dataset_to_index"] if self.episodes else 0
+        steps = np.arange(length)
+        column = {
+            "action": self.reader.column(k, "actions"),
+            "next.reward": self.reader.column(k, "rewards").astype(np.float32),
+            "next.done": self.reader.column(k, "terminations")
+            | self.reader.column(k, "truncations"),
+            "next.success": self.reader.column(k, "is_success")[1:],
+            "gauss_code": self.reader.column(k, "gauss_code")[:-1],
+            "timestamp": (steps / FRAMES_PER_SECOND).astype(np.float32),
+            "frame_index": steps,
+            "episode_index": np.full(length, k),
+            "index": first + steps,
+            "task_index": np.full(length, number),
+        }
+        for look in self.looks:
+            column[_NAMES[look]] = self.reader.observations(k, slice(0, length), observation=look)
+        for name, values in column.items():
+            if values.dtype.kind != "U":
+                self.sums.setdefault(name, _Sums()).add(values)
+        self.episodes.append(
+            {
+                "episode_index": k,
+                "tasks": [goal],
+                "length": length,
+                "data/chunk_index": self.files // _CHUNK,
+                "data/file_index": self.files % _CHUNK,
+                "dataset_from_index": first,
+                "dataset_to_index": first + length,
+                "meta/episodes/chunk_index": 0,
+                "meta/episodes/file_index": 0,
+            }
+        )
+        return [_stored(column[name]) for name in self.features]
+
+    def _write_meta(self) -> None:
+        parquet, pa = arrow("pyarrow.parquet"), arrow()
+        episodes = self.folder / "meta" / "episodes" / _PLACE.format(chunk_index=0, file_index=0)
+        episodes.parent.mkdir(parents=True)
+        parquet.write_table(pa.Table.from_pylist(self.episodes), episodes)
+        tasks = pa.table({"task_index": [*self.tasks.values()], "task": [*self.tasks]})
+        index = json.dumps(
+            {
+                "index_columns": ["task"],
+                "column_indexes": [],
+                "columns": [
+                    _pandas_column("task_index", "int64"),
+                    _pandas_column("task", "unicode", "object"),
+                ],
+            }
+        )
+        parquet.write_table(
+            tasks.replace_schema_metadata({"pandas": index}), self.folder / "meta/tasks.parquet"
+        )
+        total = len(self.episodes)
+        info = {
+            "codebase_version": VERSION,
+            "robot_type": "knotgym",
+            "total_episodes": total,
+            "total_frames": self.episodes[-1]["dataset_to_index"],
+            "total_tasks": len(self.tasks),
+            "chunks_size": _CHUNK,
+            "data_files_size_in_mb": _FILE_BYTES >> 20,
+            "video_files_size_in_mb": 200,
+            "fps": FRAMES_PER_SECOND,
+            "splits": {self.reader.task.split: f"0:{total}"},
+            "data_path": f"data/{_PLACE}",
+            "video_path": None,
+            "features": self.features,
+        }
+        stats = {name: sums.stats() for name, sums in self.sums.items()}
+        for name, said in (("info", info), ("stats", stats)):
+            path = self.folder / "meta" / f"{name}.json"
+            path.write_text(json.dumps(said, indent=1), encoding="utf-8")
+
+
+class _Sums:
+    """Least, greatest, mean and spread of each component of a feature, of pictures each channel."""
+
+    def __init__(self) -> None:
+        self.count, self.frames = 0, 0
+        self.total = self.squares = self.least = self.most = np.zeros(0)
+        self.shape: tuple[int, ...] = (1,)
+
+    def add(self, values: NDArray[Any]) -> None:
+        """Take in values (T,), (T, n) or pictures uint8 (T, height, width, 3)."""
+        numbers = values.reshape(-1, values.shape[-1] if values.ndim > 1 else 1).astype(np.float64)
+        if values.ndim == 4:
+            numbers, self.shape = numbers / 255, (-1, 1, 1)  # as LeRobot shows pictures
+        else:
+            self.shape = (-1,)
+        found = numbers.min(axis=0), numbers.max(axis=0)
+        if not self.count:
+            self.least, self.most = found
+            self.total = self.squares = np.zeros(numbers.shape[1])
+        self.least = np.minimum(self.least, found[0])
+        self.most = np.maximum(self.most, found[1])
+        self.total = self.total + numbers.sum(axis=0)
+        self.squares = self.squares + (numbers**2).sum(axis=0)
+        self.count, self.frames = self.count + len(numbers), self.frames + len(values)
+
+    def stats(self) -> dict[str, Any]:
+        """As LeRobot's stats.json says them."""
+        mean = self.total / self.count
+        std = np.sqrt(np.maximum(self.squares / self.count - mean**2, 0))
+        each = {"min": self.least, "max": self.most, "mean": mean, "std": std}
+        return {
+            **{name: value.reshape(self.shape).tolist() for name, value in each.items()},
+            "count": [self.frames],
+        }
+
+
+def _feature(dtype: str, length: int = 1, names: list[str] | None = None) -> dict[str, Any]:
+    return {"dtype": dtype, "shape": [length], "names": names}
+
+
+def _stored(values: NDArray[Any]) -> Any:
+    """A column as pyarrow takes it, pictures as PNG."""
+    if values.ndim == 4:
+        return [{"bytes": encode(picture), "path": None} for picture in values]
+    if values.ndim == 2:
+        pa = arrow()
+        return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
+    return values
+
+
+def _schema(features: dict[str, dict[str, Any]]) -> Any:
+    """The pyarrow schema of data files, with Hugging Face's features in its metadata."""
+    pa, fields = arrow(), []
+    told: dict[str, dict[str, Any]] = {}
+    for name, feature in features.items():
+        dtype, length = feature["dtype"], feature["shape"][0]
+        if dtype == "image":
+            kind = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+            told[name] = {"_type": "Image"}
+        else:
+            one: dict[str, Any] = {"dtype": dtype, "_type": "Value"}
+            kind = pa.bool_() if dtype == "bool" else pa.type_for_alias(dtype)
+            told[name] = one
+            if length > 1:
+                kind = pa.list_(kind, length)
+                told[name] = {"feature": one, "length": length, "_type": "Sequence"}
+        fields.append((name, kind))
+    metadata = {"huggingface": json.dumps({"info": {"features": told}})}
+    return pa.schema(fields, metadata=metadata)
+
+
+def _pandas_column(name: str, pandas_type: str, numpy_type: str = "") -> dict[str, Any]:
+    return {
+        "name": name,
+        "field_name": name,
+        "pandas_type": pandas_type,
+        "numpy_type": numpy_type or pandas_type,
+        "metadata": None,
+    }

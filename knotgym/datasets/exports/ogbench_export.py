@@ -1,0 +1,108 @@
+"""Episodes as OGBench's data files, for its agents and its reader.
+
+    {out}/{name}-train.npz      nine episodes of ten
+    {out}/{name}-val.npz        every tenth
+    {out}/{name}.npz            the first again, under the name that its agents look for
+
+Arrays of an episode of T actions have T + 1 rows, one after another:
+
+    observations    float32 (300,), the rope's vertices, or uint8 (size, size, 3): never the goal
+    actions         float32 (6,); no action leaves the last state, there stand zeros
+    terminals       bool, true in the last row
+
+A name is task, crossings and policy, `tie-nx2-expert-v0`, with "visual-" before it for pictures;
+less the policy it is the id of the environment, see `adapters.ogbench_environment`.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.atomic_files import atomic_write
+from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.exports.forms import NothingToExport
+from knotgym.datasets.minari_dataset import metadata_of
+
+_TENTH = 10  # every tenth episode is for validation
+_LOOKS = {"pixels": "visual-", "state": ""}
+
+
+def to_ogbench(source: Any, out: str | os.PathLike[str]) -> None:
+    """Write the files; of a dataset of both pictures and vertices, those of either.
+
+    Args:
+        source: what `EpisodeReader` takes.
+        out: the folder they go to; OGBench's own is ~/.ogbench/data.
+
+    Raises:
+        NothingToExport: fewer than two episodes, neither pictures nor vertices, or a file is there.
+    """
+    reader, folder = EpisodeReader(source), Path(out)
+    shown = reader.task.observation
+    looks = [name for name in _LOOKS if shown in (name, "both")]
+    if len(reader) < 2 or not looks:
+        raise NothingToExport(
+            "OGBench has a training and a validation file, of pictures or of vertices: it takes 2"
+            f" episodes of pixels, state or both; {reader.path} has {len(reader)} of {shown}"
+        )
+    names = {look: _LOOKS[look] + _name(source, reader) for look in looks}
+    files = [f"{name}{end}.npz" for name in names.values() for end in ("-train", "-val", "")]
+    there = [file for file in files if (folder / file).exists()]
+    if there:
+        raise NothingToExport(f"{folder / there[0]} is there already; choose another --out")
+    last = min(_TENTH, len(reader)) - 1
+    parts = {
+        end: [k for k in range(len(reader)) if (k % _TENTH == last) == (end == "-val")]
+        for end in ("-train", "-val")
+    }
+    for look, name in names.items():
+        for end, episodes in parts.items():
+            with atomic_write(folder / f"{name}{end}.npz") as temporary:
+                arrays: dict[str, Any] = _rows(reader, episodes, look)
+                with temporary.open("wb") as file:
+                    np.savez_compressed(file, **arrays)
+        with atomic_write(folder / f"{name}.npz") as temporary:
+            try:
+                os.link(folder / f"{name}-train.npz", temporary)
+            except OSError:  # a file system without hard links
+                shutil.copyfile(folder / f"{name}-train.npz", temporary)
+    reader.close()
+
+
+def _rows(reader: EpisodeReader, episodes: list[int], look: str) -> dict[str, NDArray[Any]]:
+    """The arrays of some episodes, one after another."""
+    ends = np.cumsum([int(reader.lengths[k]) + 1 for k in episodes])
+    observations: NDArray[Any] | None = None
+    actions = np.zeros((ends[-1], 6), dtype=np.float32)
+    terminals = np.zeros(ends[-1], dtype=bool)
+    terminals[ends - 1] = True
+    for k, end in zip(episodes, ends, strict=True):
+        start = end - int(reader.lengths[k]) - 1
+        rope = _rope_alone(reader.observations(k, observation=look), reader.task.layout)
+        if observations is None:
+            observations = np.empty((ends[-1], *rope.shape[1:]), rope.dtype)
+        observations[start:end] = rope
+        actions[start : end - 1] = reader.column(k, "actions")
+    assert observations is not None  # there is an episode in either part
+    return {"observations": observations, "actions": actions, "terminals": terminals}
+
+
+def _rope_alone(seen: NDArray[Any], layout: str) -> NDArray[Any]:
+    """The rope's half of states (T + 1, 6 beads) or pictures (T + 1, size, ...)."""
+    axis = 1 if seen.ndim == 2 else (2 if layout == "beside" else 3)
+    return np.split(seen, 2, axis=axis)[0]
+
+
+def _name(source: Any, reader: EpisodeReader) -> str:
+    """Task, crossings, policy and version; the policy without dashes, which OGBench goes by."""
+    metadata, task = metadata_of(source), reader.task
+    told = metadata.dataset_id if metadata else f"{reader.group(0).attrs['policy']}-v0"
+    policy, _, version = told.rpartition("/")[2].rpartition("-")
+    return f"{task.task}-nx{task.nx}-{re.sub(r'[^0-9A-Za-z_]', '_', policy)}-{version}"

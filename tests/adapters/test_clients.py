@@ -1,0 +1,156 @@
+"""The lines of docs/clients.md, and clients' own readers; run with -m clients, each where it is
+installed.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.episode_verification import replay
+from knotgym.datasets.episode_writer import EpisodeWriter
+from knotgym.datasets.minari_dataset import MinariMetadata, publish
+from knotgym.env import KnotEnv
+from knotgym.loaders import arrays
+from knotgym.tasks import TaskConfig
+
+from ..datasets.test_episodes import record
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs/clients.md").read_text(encoding="utf-8")
+ID = "knotgym/unknot-nx2/expert-v0"
+NEEDS = {
+    "Minari": "minari",
+    "TorchRL": "torchrl",
+    "d3rlpy": "d3rlpy",
+    "Stable-Baselines3": "stable_baselines3",
+    "OGBench": "ogbench",
+    "LeRobot": "lerobot",
+    "tianshou": "tianshou",
+    "CleanRL": "gymnasium",
+}
+SECTIONS = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", PAGE, re.S | re.M))
+TASK = TaskConfig(task="unknot", observation="both", horizon=6, image_size=32)
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A home whose Minari folder has the dataset that the page's lines take."""
+    home = tmp_path_factory.mktemp("home")
+    env = KnotEnv(**vars(TASK))
+    with EpisodeWriter(home / "a.h5", TASK) as writer:
+        for seed in range(4):
+            writer.add(record(env, seed)[0])
+    told = MinariMetadata(dataset_id=ID, algorithm_name="expert", description="Few.")
+    publish([home / "a.h5"], told, home / "minari")
+    return home
+
+
+def test_the_page_has_lines_for_every_client_of_its_table() -> None:
+    table = re.findall(r"^\| \[(.+?)\]", PAGE, re.M)
+    assert table == [*NEEDS] == [*SECTIONS]
+    assert all("```python" in text for text in SECTIONS.values())
+
+
+@pytest.mark.clients
+@pytest.mark.parametrize("client", [*NEEDS])
+def test_the_lines_of_the_page_run(client: str, room: Path) -> None:
+    pytest.importorskip(NEEDS[client])
+    environment = {
+        **{name: value for name, value in os.environ.items() if name != "PYTHONPATH"},
+        "HOME": str(room),
+        "MINARI_DATASETS_PATH": str(room / "minari"),
+    }
+    commands = [
+        [sys.executable, "-m", *shlex.split(line.replace("~", str(room)))]
+        for line in re.findall(r"^    (knotgym .+)$", SECTIONS[client], re.M)
+    ]
+    blocks = re.findall(r"```python\n(.*?)```", SECTIONS[client], re.S)
+    for words in [*commands, *([sys.executable, "-c", block] for block in blocks)]:
+        ended = subprocess.run(words, cwd=room, env=environment, capture_output=True, text=True)
+        assert ended.returncode == 0, ended.stderr[-2000:]
+
+
+@pytest.mark.clients
+def test_every_loaders_rows_are_those_of_a_replay(room: Path) -> None:
+    reader = EpisodeReader(room / "minari" / ID)
+    assert replay(list(reader), reader.task) == [None] * 4
+
+
+@pytest.mark.clients
+@pytest.mark.parametrize("numeric", [True, False])
+def test_torchrl_steps_as_the_environment_does(numeric: bool) -> None:
+    envs = pytest.importorskip("torchrl.envs")
+    settings: dict[str, Any] = {"nx": 2, "observation": "state", "numeric_infos": numeric}
+    theirs = envs.GymEnv("knotgym/Tie-v0", **settings)
+    theirs.set_seed(3)
+    rollout = theirs.rollout(4)
+    env = KnotEnv("tie", **settings)
+    env.reset(seed=3)
+    rows = [env.reset()[0]]  # TorchRL's set_seed resets once, its rollout again
+    rows += [env.step(action)[0] for action in rollout["action"].numpy()]
+    assert np.array_equal(rollout["observation"].numpy(), np.array(rows[:-1]))
+    assert np.array_equal(rollout["next", "observation"].numpy(), np.array(rows[1:]))
+
+
+@pytest.mark.clients
+def test_torchrl_reads_last_infos_of_the_batch() -> None:
+    envs = pytest.importorskip("torchrl.envs")
+    batch = gym.make_vec(
+        "knotgym/Tie-v0",
+        num_envs=3,
+        observation="state",
+        horizon=4,
+        numeric_infos=True,
+        autoreset_mode="same_step",
+    )
+    rollout = envs.GymWrapper(batch).rollout(6, break_when_any_done=False)
+    assert rollout["next", "truncated"].sum() == 3
+    assert rollout["next", "goal_gauss_code"].shape == (3, 6, 64)
+
+
+@pytest.mark.clients
+def test_torchrls_reader_of_minari_files_takes_them(
+    room: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = pytest.importorskip("torchrl.data.datasets")
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(room / "minari"))
+    held = data.MinariExperienceReplay(
+        ID, batch_size=2, root=room / "torchrl", load_from_local_minari=True
+    )
+    assert len(held) == int(EpisodeReader(room / "minari" / ID).lengths.sum())
+
+
+@pytest.mark.clients
+def test_tianshou_steps_as_the_environment_does() -> None:
+    vector = pytest.importorskip("tianshou.env")
+    settings: dict[str, Any] = {"nx": 2, "layout": "stacked", "image_size": 16}
+    envs = vector.DummyVectorEnv([lambda: gym.make("knotgym/Tie-v0", **settings)] * 2)
+    env, rng = KnotEnv("tie", **settings), np.random.default_rng(0)
+    assert len(envs) == 2
+    seen, right = envs.reset(seed=3)[0], env.reset(seed=3)[0]
+    for _ in range(3):
+        assert np.array_equal(seen[0], right) and seen[0].shape == (16, 16, 6)
+        actions = rng.uniform(-1, 1, (2, 6)).astype(np.float32)
+        seen, right = envs.step(actions)[0], env.step(actions[0])[0]
+
+
+@pytest.mark.clients
+def test_d3rlpy_buffers_of_pictures_are_those_of_the_arrays(room: Path) -> None:
+    pytest.importorskip("d3rlpy")
+    from knotgym.loaders import to_d3rlpy
+
+    buffer = to_d3rlpy(room / "minari" / ID, observation="pixels")
+    right = arrays(room / "minari" / ID, observation="pixels")
+    seen = np.concatenate([one.observations[: one.transition_count] for one in buffer.episodes])
+    assert np.array_equal(np.moveaxis(seen, 1, -1), right["observations"])

@@ -1,0 +1,126 @@
+"""Stable-Baselines3 over one batched simulation; run with -m clients where it is installed."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+
+from knotgym.adapters import goal_env, sb3_vec_env
+from knotgym.env import KnotEnv
+from knotgym.errors import MissingExtra
+from knotgym.tasks import InvalidSetting
+
+SMALL: dict[str, Any] = {"nx": 1, "horizon": 4, "image_size": 36}
+
+
+def test_a_missing_library_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
+    monkeypatch.setitem(sys.modules, "stable_baselines3.common.vec_env", None)
+    monkeypatch.delitem(sys.modules, "knotgym.adapters.batched_vec_env", raising=False)
+    with pytest.raises(MissingExtra, match="isn't installed; install it: pip install stable-base"):
+        sb3_vec_env("tie")
+
+
+@pytest.mark.clients
+@pytest.mark.parametrize("observation", ["pixels", "state", "both", "symbolic", "goals"])
+def test_steps_are_those_of_its_own_class_over_single_environments(
+    states_path: str, observation: str
+) -> None:
+    library = pytest.importorskip("stable_baselines3.common.vec_env")
+    goals = observation == "goals"
+    settings = {**SMALL, "states": states_path, "observation": "state" if goals else observation}
+    batched = sb3_vec_env("unknot", 3, goals=goals, **settings)
+    make = goal_env if goals else KnotEnv
+    singles = library.DummyVecEnv([lambda: make("unknot", **settings)] * 3)
+    assert batched.observation_space == singles.observation_space
+    rng, rows, ended = np.random.default_rng(0), 0, 0
+    for each in (batched, singles):
+        each.seed(7)
+    ours, theirs = batched.reset(), singles.reset()
+    for _ in range(12):
+        assert equal(ours, theirs)
+        actions = rng.uniform(-1, 1, (3, 6)).astype(np.float32)
+        (ours, *told), (theirs, *right) = batched.step(actions), singles.step(actions)
+        assert equal(told[0], right[0]) and equal(told[1], right[1])
+        for one, other in zip(told[2], right[2], strict=True):
+            assert equal(one, other)
+            ended += "terminal_observation" in one
+        assert equal(batched.reset_infos, singles.reset_infos)
+        rows += 3
+    assert rows == 36 and ended >= 9
+
+
+def equal(one: Any, other: Any) -> bool:
+    """Equal values, however deep."""
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(equal(one[name], other[name]) for name in one)
+    if isinstance(one, list | tuple):
+        return len(one) == len(other) and all(map(equal, one, other))
+    if isinstance(one, np.ndarray):
+        return bool(one.dtype == other.dtype and np.array_equal(one, other))
+    return bool(one == other)
+
+
+@pytest.mark.clients
+def test_her_hands_out_no_success_for_the_code_an_episode_began_with(states_path: str) -> None:
+    sb3 = pytest.importorskip("stable_baselines3")
+    envs = sb3_vec_env("unknot", 2, goals=True, states=states_path, nx=1, observation="state")
+    model = sb3.SAC(
+        "MultiInputPolicy",
+        envs,
+        replay_buffer_class=sb3.HerReplayBuffer,
+        learning_starts=150,
+        train_freq=(40, "step"),
+        gradient_steps=1,
+        seed=0,
+    )
+    model.learn(200)
+    buffer: Any = model.replay_buffer
+    virtual = buffer.sample(2000)
+    paid = virtual.rewards[:, 0].numpy() > 0
+    achieved, desired = (
+        virtual.next_observations[name].numpy() for name in ("achieved_goal", "desired_goal")
+    )
+    assert (achieved[paid] == desired[paid]).all() and (achieved[paid, 0] == 1).all()
+    naive = (achieved[:, 1:] == desired[:, 1:]).all(axis=1)
+    assert paid.sum() < naive.sum()
+
+
+@pytest.mark.clients
+@pytest.mark.parametrize(
+    ("algorithm", "policy", "observation"),
+    [
+        ("PPO", "CnnPolicy", "pixels"),
+        ("PPO", "MultiInputPolicy", "both"),
+        ("SAC", "MlpPolicy", "state"),
+    ],
+)
+def test_its_algorithms_train(
+    states_path: str, algorithm: str, policy: str, observation: str
+) -> None:
+    sb3 = pytest.importorskip("stable_baselines3")
+    from stable_baselines3.common.evaluation import evaluate_policy
+    from stable_baselines3.common.vec_env import VecMonitor
+
+    settings = {**SMALL, "states": states_path, "observation": observation}
+    envs = VecMonitor(sb3_vec_env("tie", 2, **settings))
+    more = {"n_steps": 8, "batch_size": 16} if algorithm == "PPO" else {"learning_starts": 8}
+    model = getattr(sb3, algorithm)(policy, envs, seed=0, **more)
+    model.learn(16)
+    mean, _ = evaluate_policy(model, envs, n_eval_episodes=2)
+    assert -5 <= mean <= 5 and envs.render().shape[2] == 3
+
+
+@pytest.mark.clients
+def test_what_cannot_be_had_is_refused(states_path: str) -> None:
+    pytest.importorskip("stable_baselines3")
+    with pytest.raises(InvalidSetting, match="num_envs must be at least 1, got 0"):
+        sb3_vec_env("tie", 0)
+    envs = sb3_vec_env("tie", 2, states=states_path, nx=1, observation="state")
+    with pytest.raises(InvalidSetting, match="ask for goals=True"):
+        envs.env_method("compute_reward", 0, 0, {})
+    with pytest.raises(InvalidSetting, match="the same for all ropes"):
+        envs.set_attr("tag", 1, indices=[0])

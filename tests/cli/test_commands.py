@@ -1,0 +1,481 @@
+"""The first hour at a terminal: what every command says, and when; names that tell sets apart; what
+is tried before hours of work. Under a pseudo-terminal where a person would look on.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import pty
+import re
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from knotgym.cli import main as cli
+from knotgym.cli import run_commands
+from knotgym.cli.options import default_folder
+from knotgym.cli.summaries import _in_words
+from knotgym.control.policies import PolicyConfig
+from knotgym.generate.episodes.collect import distinct_id
+from knotgym.generate.episodes.evaluate import Result, show
+from knotgym.runs.engine import CHECKPOINT, Batch, run
+from knotgym.runs.executors import InProcess
+from knotgym.runs.progress import Progress, Status, duration, tell_if_long
+from knotgym.runs.run_options import RunOptions
+from knotgym.runs.staging import staging_folder
+from knotgym.tasks import TaskConfig
+
+from ..small_job import knotgym
+
+ROOT = Path(__file__).parents[2]
+ID = "knotgym/tie-nx1/demonstrations-v0"
+WAYS = f"minari/{ID}"
+COMMANDS = {
+    "generate": ("generate", "--nx", 0, "--count", 1, "--workers", 1, "--out", "{}/a"),
+    "collect": (
+        *("collect", "--task", "unknot", "--nx", 1, "--policy", "random", "--episodes", 1),
+        *("--horizon", 2, "--observation", "state", "--workers", 1, "--out", "{}/b"),
+    ),
+    "images": ("images", "--nx", 0, "--count", 2, "--test-nx", "none", "--workers", 1)
+    + ("--test-share", 0, "--code-share", 0, "--out", "{}/c"),
+    "evaluate": ("evaluate", "--episodes", 1, "--horizon", 2, "--workers", 1),
+    "verify": ("dataset", "verify", "{curated}/states.h5"),
+    "merge": ("dataset", "merge", "{curated}", "--out", "{}/m.h5"),
+    "export": ("dataset", "export", "{curated}/" + WAYS, "--out", "{}/e.h5"),
+}
+_END = b"the end of it"
+CLEARED = re.compile(r"\x1b\[[0-9;?]*[a-zA-Z]")
+
+
+def said(capfd: pytest.CaptureFixture[str]) -> list[str]:
+    return capfd.readouterr().err.splitlines()
+
+
+@contextmanager
+def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], str]]:
+    """A pseudo-terminal as standard output; gives all that was written there, and closes it."""
+    master, slave = pty.openpty()
+    seen, whole = bytearray(), threading.Event()
+
+    def read() -> None:
+        while not whole.is_set():
+            seen.extend(os.read(master, 4096))
+            if _END in seen:
+                whole.set()
+
+    threading.Thread(target=read, daemon=True).start()
+    output = os.fdopen(slave, "w", buffering=1, encoding="utf-8")
+    monkeypatch.setattr(sys, "stdout", output)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "80")
+
+    def shown() -> str:
+        output.write(_END.decode())
+        output.flush()
+        assert whole.wait(60)
+        return bytes(seen).decode()
+
+    yield shown
+    output.close()
+    os.close(master)
+
+
+# Progress.
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_terminal_is_told_from_the_first_moment_and_at_the_end(
+    command: str, curated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = [str(word).format(tmp_path, curated=curated) for word in COMMANDS[command]]
+    with monkeypatch.context() as patch, terminal(patch) as shown:
+        assert knotgym(*words) == 0
+        told = CLEARED.sub("", shown())
+    assert "[bold]" not in told and told.startswith(("starting", "\rstarting")), told[:80]
+    result = {
+        "generate": "1 states of 1 codes",
+        "collect": "1 episodes, ",
+        "images": "2 pictures",
+        "evaluate": "return",
+        "verify": "8 labels: no faults",
+        "merge": "m.h5: 8 states",
+        "export": "2 episodes, ",
+    }[command]
+    assert result in told.partition("starting")[2]
+
+
+def test_the_first_line_comes_before_anything_heavy_is_imported(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Entered(Exception):
+        pass
+
+    def enter(progress: Progress) -> Progress:
+        raise Entered
+
+    monkeypatch.setattr(Progress, "__enter__", enter)
+    for name in ("knotgym.generate.states.state_recipe", "knotgym.generate.images.image_recipe"):
+        monkeypatch.setitem(sys.modules, name, None)  # importing it would fail
+    for command in (run_commands.generate, run_commands.images):
+        with pytest.raises(Entered):
+            command()
+
+
+def test_it_ticks_while_a_single_piece_of_work_goes_on() -> None:
+    written = io.StringIO()
+    ticked = threading.Event()
+    clock = iter(range(10**6))
+
+    class Watched(io.StringIO):
+        def write(self, text: str) -> int:
+            done = written.write(text)
+            if "searching 0 of 1" in CLEARED.sub("", text).replace("  ", " "):
+                seen.append(text)
+            if len(seen) > 3:
+                ticked.set()
+            return done
+
+    seen: list[str] = []
+    console = Console(file=Watched(), force_terminal=True, width=80)
+    with Progress(console=console, clock=lambda: float(next(clock))) as progress:
+        progress.stage("searching", 0, 1)
+        batch = Batch(lambda unit: ticked.wait(60), [0], lambda unit, result: None, "searching")
+        list(batch.follow(InProcess()))
+    assert ticked.is_set() and len(set(seen)) > 3  # each with another time
+
+
+def shown(even: bool, *done: int) -> str:
+    """What plain lines say of a run of ten things, looked at every 20 s."""
+    written, now = io.StringIO(), iter(range(0, 10**6, 20))
+    progress = Progress(console=Console(file=written, width=200), clock=lambda: float(next(now)))
+    with progress:
+        for count in done:
+            progress.show(lambda count=count: Status(count, 10, "things", even=even))  # type: ignore[misc]
+    return written.getvalue()
+
+
+def test_the_time_left_is_told_where_it_can_be() -> None:
+    assert "time left, about" in shown(True, 0, 2)
+    assert "time left" not in shown(False, 0, 2) and "time left" not in shown(True, 0, 0)
+
+
+def test_a_time_left_grows_while_nothing_happens() -> None:
+    first, second = re.findall(r"about (\d+) s", shown(True, 0, 8, 8))
+    assert int(second) > int(first)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "told"), [(3000, ""), (9e6, "about 52 days"), (2e9, "32 years")]
+)
+def test_a_job_without_end_says_so_before_it_begins(seconds: float, told: str) -> None:
+    written = io.StringIO()
+    tell_if_long(Progress(console=Console(file=written, width=200)), seconds, 2)
+    assert told in written.getvalue() and bool(told) == bool(written.getvalue())
+    assert duration(59) == "59 s"
+
+
+def test_a_million_states_are_said_to_take_long(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("knotgym.generate.states.state_recipe.run", lambda *_: None)
+    assert knotgym("generate", "--count", 1000000, "--workers", 2, "--out", tmp_path / "a") == 0
+    assert "this would take about 46 days with 2 workers" in capfd.readouterr().out
+
+
+# Before hours of work.
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("generate", "--nx", 0, "--count", 1),
+        ("evaluate", "--episodes", 1),
+        ("dataset", "merge", "{}/x"),
+        ("dataset", "export", "{}/x"),
+    ],
+)
+def test_a_place_that_cannot_be_written_is_refused_at_once(
+    words: tuple[object, ...], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    typed = [str(word).format(tmp_path) for word in words]
+    assert knotgym(*typed, "--out", tmp_path / "file" / "a") == 2
+    (line,) = said(capfd)
+    assert "can't be written" in line and [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+class Empty:
+    """A recipe of nothing."""
+
+    flexible: tuple[str, ...] = ()
+
+    def request(self) -> dict[str, Any]:
+        return {"config": {}, "source": None}
+
+    def begin(self) -> None: ...
+
+    def save(self, folder: Path) -> None: ...
+
+    def load(self, folder: Path) -> bool:
+        return False
+
+    def batches(self, folder: Path) -> Iterator[Batch]:
+        yield CHECKPOINT
+
+    def status(self) -> Status:
+        return Status(0, 0, "things")
+
+    def finish(self, folder: Path, request: dict[str, Any]) -> Path:
+        folder.mkdir()
+        (folder / "manifest.json").write_text(json.dumps(request))
+        return folder
+
+    def summary(self) -> str:
+        return "nothing"
+
+
+def test_resume_on_nothing_and_a_run_over_what_is_left_say_so(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    out, options = tmp_path / "a", RunOptions(workers=1)
+    run(Empty(), out, replace(options, resume=True))
+    assert "there is nothing to resume here, so the run begins" in capfd.readouterr().out
+    staging_folder(out).mkdir()
+    out.joinpath("manifest.json").rename(staging_folder(out) / "request.json")
+    out.rmdir()
+    run(Empty(), out, options)
+    assert "what an interrupted run left goes" in capfd.readouterr().out
+    assert list(tmp_path.iterdir()) == [out]  # and nothing hidden
+
+
+# Names.
+
+
+def test_default_folders_tell_runs_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[str] = []
+    monkeypatch.setattr(
+        "knotgym.generate.states.state_recipe.run",
+        lambda recipe, out, *_: made.append(str(out)),
+    )
+    for words in (
+        "--nx 3 --count 40",
+        "--nx 3 --knot 3_1",
+        "--nx 3 --seed 1",
+        "--nx 3 --split-by code",
+        "--nx 3 --every-code 1",
+    ):
+        assert knotgym("generate", *words.split(), "--quiet") == 0
+    assert made == [
+        f"knotgym-data/{name}"
+        for name in ("nx3", "nx3-3_1", "nx3-seed1", "nx3-by-code", "nx3-every1")
+    ]
+    assert str(default_folder("nx0-4")) == "knotgym-data/nx0-4"
+
+
+def test_default_ids_tell_collections_apart(states_path: str) -> None:
+    plain = TaskConfig(task="tie", nx=3, observation="both")
+    expert = PolicyConfig(policy="expert")
+    assert distinct_id(plain, expert, 0) == "knotgym/tie-nx3/expert-v0"
+    ids = {
+        distinct_id(task, policy, seed)
+        for task, policy, seed in (
+            (plain, expert, 0),
+            (plain, expert, 1),
+            (TaskConfig(task="tie", nx=3, horizon=9), expert, 0),
+            (TaskConfig(task="tie", nx=3, split="test"), expert, 0),
+            (TaskConfig(task="tie", nx=3, states="random-walk"), expert, 0),
+            (TaskConfig(task="tie", nx=3, states=states_path), expert, 0),
+            (plain, PolicyConfig(policy="noisy-expert", noise=0.5), 0),
+        )
+    }
+    assert len(ids) == 7
+    assert all(re.fullmatch(r"knotgym/tie-nx3/[-\w]+-v0", one) for one in ids)
+
+
+def test_several_nx_are_collected_one_after_the_other(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    words = "--task unknot --nx 1,2 --policy random --episodes 1 --observation state --workers 1"
+    assert knotgym("collect", *words.split(), "--quiet", "--out", tmp_path) == 0
+    found = sorted(path.parent.name for path in tmp_path.glob("knotgym/*/random-v0"))
+    assert found == ["unknot-nx1", "unknot-nx2"]
+    assert knotgym("collect", *words.split(), "--id", "a/b-v0", "--out", tmp_path) == 2
+    assert "--id names one dataset" in said(capfd)[0]
+
+
+# Help.
+
+
+def test_flags_have_no_type_and_options_stand_in_groups(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    for words in (["-h"], ["collect", "--help"], ["evaluate", "-h"], ["dataset", "merge", "-h"]):
+        assert knotgym(*words) == 0
+        told = capfd.readouterr().out
+        assert "bool" not in told and "Examples" in told
+        assert all(len(line) <= 80 for line in told.splitlines())
+        if words[0] == "collect":
+            assert all(group in told for group in ("The environment", "Who acts", "How it is run"))
+        if words[0] == "evaluate":
+            assert "--image-size" in told
+
+
+def test_usage_lines_say_what_can_be_typed(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    with pytest.raises(SystemExit):
+        cli.main_generate(["--help"])
+    assert "Usage: knotgym-generate [OPTIONS]" in capfd.readouterr().out
+
+
+def test_the_version_is_told(capfd: pytest.CaptureFixture[str]) -> None:
+    assert knotgym("--version") == 0 and capfd.readouterr().out.startswith("knotgym ")
+
+
+# Tables.
+
+
+def result(policy: str, **settings: Any) -> Result:
+    fields: dict[str, Any] = {
+        **{"task": "convert", "nx": 3, "split": "train", "episodes": 256, "successes": 256},
+        **{"success_rate": 1.0, "low": 0.985, "high": 1.0, "steps": 12.3, "mean_return": 5.0},
+        **{"planned_actions": 0.0, "planning_seconds": 0.0, "simulation_failures": 0},
+        **{"start_states": "own", "goal_states": "own"},
+    }
+    return Result(policy=policy, **{**fields, **settings})
+
+
+def test_results_fit_eighty_columns_heads_whole() -> None:
+    written = io.StringIO()
+    show(
+        [
+            result("noisy-expert", planned_actions=512.0, planning_seconds=1.25),
+            result("my_package.policies:Recurrent"),
+        ],
+        Console(file=written, width=80),
+    )
+    told = written.getvalue()
+    head = told.splitlines()[1]
+    for word in ("policy", "task", "split", "nx", "success", "95 % interval", "steps", "return"):
+        assert word in head
+    assert "98.5 to 100.0 %" in told and "…" not in told and "nan" not in told
+    assert all(len(line) <= 80 for line in told.splitlines())
+    assert "planned with 512 actions, 1.25 s an episode" in told
+
+
+def test_columns_without_a_number_are_gone() -> None:
+    written = io.StringIO()
+    show([result("random", steps=None)], Console(file=written, width=80))
+    assert "steps" not in written.getvalue() and "planned" not in written.getvalue()
+
+
+@pytest.mark.parametrize("name", ["", "minari", WAYS])
+def test_what_show_prints_fits_a_pipe(
+    curated: Path, capfd: pytest.CaptureFixture[str], name: str
+) -> None:
+    assert knotgym("dataset", "show", curated / name) == 0
+    lines = [line for line in capfd.readouterr().out.splitlines() if str(curated) not in line]
+    assert lines and all("{" not in line and "…" not in line for line in lines)
+    tables = [line for line in lines if " candidates made" not in line and "; " not in line]
+    assert max(map(len, tables)) <= 100
+
+
+def test_numbers_and_dicts_are_told_in_words() -> None:
+    assert _in_words(6675.247201946472) == "6675"
+    assert _in_words({"a": 1, "b": {"c": 0.5}}) == "a 1, b c 0.5" and _in_words(None) == ""
+
+
+# Success says something; one folder, one thing.
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("", "8 labels, 8 demonstrations, "),
+        (WAYS, "2 episodes, "),
+        ("states.h5", "8 labels: no faults"),
+    ],
+)
+def test_verify_takes_all_that_a_run_made_and_says_what_it_checked(
+    curated: Path, capfd: pytest.CaptureFixture[str], name: str, told: str
+) -> None:
+    assert knotgym("dataset", "verify", curated / name) == 0
+    last = capfd.readouterr().out.splitlines()[-1]
+    assert told in last and last.endswith("no faults")
+    if not name:
+        assert "checksums" in last
+
+
+@pytest.mark.parametrize(
+    "name", ["", "minari", WAYS, "states.h5", "knotgym/tie-nx1/demonstrations-v0"]
+)
+def test_gallery_draws_whatever_it_is_given(
+    curated: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    name: str,
+) -> None:
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(curated / "minari"))
+    source = name if name.startswith("knotgym/") else curated / name
+    assert knotgym("dataset", "gallery", source, "--out", tmp_path / "g.png") == 0
+    count = {"": "8 states", "states.h5": "8 states", "minari": "8 episodes"}.get(
+        name, "2 episodes"
+    )
+    assert f"g.png: {count}" in capfd.readouterr().out and (tmp_path / "g.png").is_file()
+
+
+def test_export_of_a_run_writes_a_file_for_each_dataset(
+    curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert knotgym("dataset", "export", curated, "--out", tmp_path / "e") == 0
+    assert "8 episodes in 4 files" in capfd.readouterr().out
+    assert sorted(path.name for path in (tmp_path / "e").iterdir()) == [
+        "tie-nx1-demonstrations-test-v0.h5",
+        "tie-nx1-demonstrations-v0.h5",
+        "unknot-nx0-demonstrations-test-v0.h5",
+        "unknot-nx0-demonstrations-v0.h5",
+    ]
+
+
+def test_a_replay_says_that_it_is_the_same_bit_for_bit(
+    curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert knotgym("dataset", "replay", curated, "--row", 5, "--out", tmp_path / "a.gif") == 0
+    told = capfd.readouterr().out
+    assert re.search(r"a\.gif: bit for bit the same, \d+ steps", told)
+
+
+@pytest.mark.parametrize("command", ["show", "verify", "gallery", "export", "replay", "merge"])
+def test_a_path_that_is_not_there_is_no_such_file(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], command: str
+) -> None:
+    more = () if command in ("show", "verify") else ("--out", tmp_path / "a.gif")
+    assert knotgym("dataset", command, tmp_path / "absent", *more) == 2
+    (line,) = said(capfd)
+    assert f"no such file: {tmp_path / 'absent'}" in line and list(tmp_path.iterdir()) == []
+
+
+# The links at the top of a checkout.
+
+
+@pytest.mark.skipif(not (ROOT / "datasets").is_symlink(), reason="a checkout without links")
+@pytest.mark.parametrize("name", ["datasets", "generate", "loaders"])
+def test_a_link_is_not_imported_by_its_bare_name(name: str) -> None:
+    run = subprocess.run(
+        [sys.executable, "-c", f"import {name}"], cwd=ROOT, capture_output=True, text=True
+    )
+    assert run.returncode == 1
+    assert f"import knotgym.{name}" in run.stderr.splitlines()[-1]

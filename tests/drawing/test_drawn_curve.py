@@ -1,0 +1,61 @@
+"""Ropes drawn from codes, checked by the labeller that reads them."""
+
+import numpy as np
+import pytest
+
+from knotgym.drawing.circle_packing import packed
+from knotgym.drawing.drawn_curve import TooManyCrossings, UndrawnCode, drawn_curve
+from knotgym.drawing.planar_map import planar_map
+from knotgym.topology.crossings import label
+from knotgym.topology.diagrams import NotPlanar, drawn, faces
+from knotgym.topology.gauss import GaussCode
+
+TREFOIL = GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c")
+KINKS = GaussCode.parse("1-a,2-c,2+c,1+a,3+a,3-a")
+
+
+def first_drawn(code: GaussCode, seed: int) -> np.ndarray:
+    """The first drawing of a code that isn't too tight."""
+    rng = np.random.default_rng(seed)
+    for _ in range(20):
+        try:
+            return drawn_curve(code, rng)
+        except UndrawnCode:
+            continue
+    raise AssertionError(f"20 drawings of {code.chiral} are too tight")
+
+
+@pytest.mark.parametrize("code", ["", "1+c,1-c", "1-a,2-c,2+c,1+a,3+a,3-a", TREFOIL.chiral])
+def test_a_drawing_shows_its_code_with_its_chirality(code: str) -> None:
+    wanted = GaussCode.parse(code)
+    assert label(first_drawn(wanted, 0)) == wanted
+
+
+def test_a_code_without_chirality_is_drawn_with_one() -> None:
+    assert label(first_drawn(TREFOIL.plain, 0)).plain == TREFOIL.plain
+
+
+def test_the_same_generator_draws_the_same_rope_and_another_does_not() -> None:
+    one, again, other = (first_drawn(KINKS, seed) for seed in (1, 1, 2))
+    assert np.array_equal(one, again) and not np.allclose(one, other, atol=0.01)
+
+
+def test_a_code_that_is_not_planar_is_refused() -> None:
+    with pytest.raises(NotPlanar):
+        drawn_curve(GaussCode.parse("1+,2-,1-,2+"), np.random.default_rng(0))
+
+
+def test_more_crossings_than_a_rope_has_room_for_are_refused() -> None:
+    kinks = GaussCode(tuple(sign * k for k in range(1, 18) for sign in (1, -1)))
+    with pytest.raises(TooManyCrossings, match="16 crossings at most, got a code with 17"):
+        drawn_curve(kinks, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("outer", range(5))
+def test_packed_circles_draw_the_triangulation_without_folds(outer: int) -> None:
+    code = drawn(KINKS)
+    of = planar_map(code, outer)
+    assert len(faces(code)) == len(of.sizes) == 5
+    a, b, c = packed(of.triangles, of.rim, of.nodes)[of.triangles].transpose(1, 2, 0)
+    turn = (b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0]
+    assert turn.min() > 0

@@ -1,0 +1,157 @@
+"""The rope from the side, and its depth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from knotgym.datasets.states import read_states, shipped
+from knotgym.rendering.picture import (
+    PictureConfig,
+    PictureError,
+    crossing_pixels,
+    draw,
+    draw_many,
+)
+from knotgym.rendering.picture_check import shown_strands
+from knotgym.topology.crossings import find_crossings
+
+from .test_picture import curves
+
+ALL = ("top", "left", "front")
+# view -> the world's directions that go right and up in the picture, and towards the camera
+SEEN = {
+    "top": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    "left": ((0, -1, 0), (0, 0, 1), (-1, 0, 0)),
+    "front": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
+}
+
+
+def spread(beads: int = 100) -> NDArray[np.float64]:
+    """A rope that reaches as far in z as in x and y."""
+    at = 2 * np.pi * np.arange(beads) / beads
+    return 0.12 * np.stack([np.cos(at), np.sin(2 * at), np.sin(at + 0.5)], axis=1)
+
+
+@pytest.mark.parametrize("view", ALL)
+def test_a_view_s_axes_are_a_right_handed_frame(view: str) -> None:
+    right, up, nearer = SEEN[view]
+    assert np.cross(right, up).tolist() == list(nearer)
+
+
+@pytest.mark.parametrize("view", ALL)
+def test_a_bead_appears_where_the_view_s_axes_say(view: str) -> None:
+    points, config = spread(), PictureConfig(views=(view,))
+    for bead in (10, 35, 60, 85):
+        colours = np.zeros((100, 3), dtype=np.uint8)
+        colours[bead] = 255
+        light = draw(points, config, colours=colours)[..., 0].astype(float)
+        row, column = (np.indices(light.shape) * light).sum(axis=(1, 2)) / light.sum() + 0.5
+        middle = points[[bead, bead + 1]].mean(axis=0) - points.mean(axis=0)
+        x, y = (config.pixels_per_metre * np.dot(middle, axis) for axis in SEEN[view][:2])
+        # a pixel off where something nearer hides a part of it
+        assert (column, row) == pytest.approx((64 + x, 64 - y), abs=1.0)
+
+
+@pytest.mark.parametrize("camera", ["orthographic", "perspective"])
+@pytest.mark.parametrize("view", ["left", "front"])
+def test_a_side_view_is_the_top_view_of_the_rope_turned(
+    view: str, camera: Literal["orthographic", "perspective"]
+) -> None:
+    config = PictureConfig(camera=camera, depth=True)
+    for points in (*curves()[:4], spread()):
+        turned = points @ np.array(SEEN[view], dtype=np.float64).T
+        assert np.array_equal(draw(points, replace(config, views=(view,))), draw(turned, config))
+
+
+def test_views_stand_one_below_another_in_the_order_asked_for() -> None:
+    single = {view: draw(spread(), PictureConfig(views=(view,))) for view in ALL}
+    for views in (ALL, ("front", "top")):
+        together = draw_many(spread()[None], PictureConfig(views=views))[0]
+        assert np.array_equal(together, np.concatenate([single[view] for view in views]))
+
+
+def test_depth_leaves_the_colours_alone_and_is_0_exactly_where_no_rope_is() -> None:
+    config = PictureConfig(views=ALL, depth=True)
+    for points in curves()[:4]:
+        image = draw(points, config)
+        assert image.shape == (384, 128, 4) and image.dtype == np.uint8
+        assert np.array_equal(image[..., :3], draw(points, replace(config, depth=False)))
+        assert np.array_equal(image[..., 3] > 0, image[..., :3].any(axis=2))
+
+
+def level(nearer: Any) -> Any:
+    """The depth of what is so many metres nearer to the camera than the rope's centre."""
+    return 1 + 254 * (0.5 + nearer / 0.66)
+
+
+def test_a_rope_that_lies_flat_has_the_middle_level() -> None:
+    at = 2 * np.pi * np.arange(100) / 100
+    flat = 0.2 * np.stack([np.cos(at), np.sin(at), 0 * at], axis=1)
+    assert np.unique(draw(flat, PictureConfig(depth=True))[..., 3]).tolist() == [0, 128]
+    edge_on = draw(flat, PictureConfig(depth=True, views=("left",)))[64, :, 3]
+    # the nearer half of the ring hides the other
+    assert edge_on.max() == pytest.approx(level(0.2), abs=1) and edge_on[64] == edge_on.max()
+    assert edge_on[edge_on > 0].min() >= 127
+
+
+def test_at_a_crossing_depth_is_that_of_the_over_strand() -> None:
+    config, off = PictureConfig(depth=True), []
+    for points in curves()[:12]:
+        image, crossings = draw(points, config), find_crossings(points)
+        over = shown_strands(image, crossings, points, config) == "over"
+        column, row = np.floor(crossing_pixels(crossings, points, config)[over]).astype(int).T
+        off.append(image[row, column, 3] - level(crossings.over_z[over] - points[:, 2].mean()))
+    levels = np.concatenate(off)
+    # 3.4 mm are 1.3 levels, rounding is half a one; within a pixel steep strands rise by more
+    assert len(levels) > 10 and levels.min() > -1.8 and np.median(np.abs(levels)) < 1.0
+
+
+@pytest.mark.parametrize("name", ["readable", "random-walk"])
+def test_states_that_ship_lie_inside_the_levels_in_every_view(name: str) -> None:
+    points = read_states(shipped(name), images=False).points
+    assert np.abs(points - points.mean(axis=1, keepdims=True)).max() < 0.33
+
+
+@pytest.mark.parametrize("camera", ["orthographic", "perspective"])
+def test_what_is_farther_off_than_the_levels_reach_has_the_last(
+    camera: Literal["orthographic", "perspective"],
+) -> None:
+    config = PictureConfig(camera=camera, view=0.1, zoom=0.2, depth=True)
+    depth = draw(spread(), config)[..., 3]
+    assert depth.max() == 255 and depth[depth > 0].min() == 1
+
+
+def test_the_strand_shown_is_read_off_the_top_view() -> None:
+    points = curves()[2]
+    crossings, plain = find_crossings(points), PictureConfig()
+    right = shown_strands(draw(points, plain), crossings, points, plain)
+    config = PictureConfig(views=("left", "top"), depth=True)
+    assert np.array_equal(shown_strands(draw(points, config), crossings, points, config), right)
+    sideways = replace(config, views=("left", "front"))
+    with pytest.raises(PictureError, match="only the top view shows the crossings"):
+        shown_strands(draw(points, sideways), crossings, points, sideways)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"views": ()}, "views must be a list of top, left, front"),
+        ({"views": "top"}, "got 'top'"),
+        ({"views": ("top", "below")}, "'below'"),
+        ({"views": ["left", "left"]}, "each at most once"),
+        ({"depth": 1}, "depth must be true or false, got 1"),
+        ({"depth": True, "renderer": "mujoco"}, "depth is drawn by renderer 'opencv'"),
+    ],
+    ids=str,
+)
+def test_views_that_cannot_be_had_are_refused_in_one_line(
+    wrong: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(PictureError, match=message) as caught:
+        PictureConfig(**wrong)
+    assert "\n" not in str(caught.value)
