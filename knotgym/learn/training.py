@@ -88,11 +88,11 @@ def train(
     request = {"config": as_json(config), "data_sha256": data.digest}
     training = ReaderTraining(data.frames, config.steps, config.batch, config.seed)
     _begin(out, request, training, resume)
-    with Progress(console, quiet) as progress:
+    with Progress(quiet, console=console) as progress:
 
         def status() -> Status:
             facts = {"loss": f"{training.losses[-1][1]:.3f}"} if training.losses else {}
-            return Status(training.step, config.steps, "steps of the reader", facts)
+            return Status(training.step, config.steps, "steps of the reader", facts, even=True)
 
         while training.step < config.steps:
             progress.show(status)
