@@ -1,0 +1,184 @@
+"""A run of prompts: several at a time, each transcript kept as soon as it is whole.
+
+Until all are there they stand in a journal in the staging folder, a line each in the order in which
+they ended; `--resume` asks for those that it lacks. What was asked of a model for an episode that
+was not finished is lost, and asked again.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import shutil
+import threading
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import knotgym
+from knotgym.atomic_files import atomic_write, require_writable
+from knotgym.configuration import differences
+from knotgym.prompting.chat import Chat, Stopped
+from knotgym.prompting.prompted_episodes import PromptConfig, flat
+from knotgym.prompting.reading_scores import ReadingScores
+from knotgym.prompting.tally import tally
+from knotgym.prompting.transcripts import FILE, line, read_transcripts
+from knotgym.runs.progress import Progress, Status, compile_first
+from knotgym.runs.run_options import InvalidRun
+from knotgym.runs.staging import Occupied, staging
+
+# may differ when a run is gone on with: they change no question
+_FLEXIBLE = ("timeout", "attempts", "backoff")
+_JOURNAL, _REQUEST = "journal.jsonl", "request.json"
+
+Transcript = dict[str, Any]
+Ask = Callable[[int, Chat], Transcript]  # a number, whom to ask
+
+
+def run(
+    config: PromptConfig,
+    ask: Ask,
+    count: int,
+    out: Path,
+    *,
+    side_by_side: int,
+    resume: bool,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Ask for transcripts 0 to count - 1 and write them to the new folder `out`; the result.
+
+    Raises:
+        Occupied: there is something at `out`, or another run is at it.
+        InvalidRun: what is resumed was asked for differently, or nothing is to be done at a time.
+        InvalidChat, Unanswered: as `Chat`; what is whole stays for `resume`.
+    """
+    if side_by_side < 1:
+        raise InvalidRun(f"at least 1 must be asked for at a time, got {side_by_side}")
+    if out.exists():
+        raise Occupied(f"{out} is there already; choose another --out, or remove it")
+    require_writable(out)
+    compile_first(progress)
+    request = json.loads(json.dumps({"config": flat(config), "count": count}))
+    with staging(out, resume) as folder:
+        _require_same(folder, request)
+        stop = threading.Event()
+        chat = Chat(config.chat, stop)
+        with atomic_write(folder / _REQUEST) as temporary:
+            temporary.write_text(json.dumps(request), encoding="utf-8")
+        journal = folder / _JOURNAL
+        done = _taken_up(journal)
+        left = [number for number in range(count) if number not in done]
+        try:
+            with open(journal, "a", encoding="utf-8") as file:
+                for one in _asked(ask, left, chat, side_by_side, stop):
+                    file.write(line(one))
+                    file.flush()
+                    os.fsync(file.fileno())
+                    done[one["number"]] = one
+                    progress.show(lambda: _status(done, count), last=len(done) == count)
+        finally:
+            stop.set()
+            chat.close()
+        result = _finish(out, request, [done[number] for number in range(count)])
+        shutil.rmtree(folder, ignore_errors=True)
+    return result
+
+
+def _require_same(folder: Path, request: dict[str, Any]) -> None:
+    """Refuse to go on with what was asked for differently."""
+    if not (folder / _REQUEST).is_file():
+        return
+    left = json.loads((folder / _REQUEST).read_text(encoding="utf-8"))
+    there, here = (
+        {**one, "config": {**one["config"], "chat": _fixed(one["config"]["chat"])}}
+        for one in (left, request)
+    )
+    apart = list(differences(there, here))
+    if apart:
+        raise InvalidRun(f"the run to resume was asked for differently: {'; '.join(apart)}")
+
+
+def _fixed(chat: dict[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in chat.items() if name not in _FLEXIBLE}
+
+
+def _taken_up(journal: Path) -> dict[int, Transcript]:
+    """What an interrupted run left, by number; a line that a kill cut goes."""
+    if not journal.is_file():
+        return {}
+    left = {one["number"]: one for one in read_transcripts(journal, cut=True)}
+    with atomic_write(journal) as temporary:
+        temporary.write_text("".join(map(line, left.values())), encoding="utf-8")
+    return left
+
+
+def _asked(
+    ask: Ask, numbers: Iterable[int], chat: Chat, side_by_side: int, stop: threading.Event
+) -> Iterable[Transcript]:
+    """Transcripts as they come. Threads: all they do is wait for the server."""
+    work: queue.SimpleQueue[int] = queue.SimpleQueue()
+    came: queue.SimpleQueue[Transcript | Exception] = queue.SimpleQueue()
+    waiting = 0
+    for number in numbers:
+        work.put(number)
+        waiting += 1
+
+    def labour() -> None:
+        while not stop.is_set():
+            try:
+                number = work.get_nowait()
+            except queue.Empty:
+                return
+            try:
+                came.put(ask(number, chat))
+            except Stopped:
+                return
+            except Exception as error:
+                came.put(error)
+                return
+
+    for _ in range(min(side_by_side, waiting)):
+        # one that waits for a server keeps no interrupted run from ending
+        threading.Thread(target=labour, daemon=True).start()
+    trouble: Exception | None = None
+    while waiting and not (trouble and came.empty()):  # what came beside a trouble isn't lost
+        found = came.get()
+        waiting -= 1
+        if isinstance(found, Exception):
+            trouble = trouble or found
+            stop.set()
+        else:
+            yield found
+    if trouble is not None:
+        raise trouble
+
+
+def _finish(out: Path, request: dict[str, Any], transcripts: list[Transcript]) -> dict[str, Any]:
+    """Write the folder: transcripts in the order of their numbers, and the result."""
+    result: dict[str, Any] = {
+        "version": knotgym.__version__,
+        **tally(transcripts),
+        "settings": request["config"],
+    }
+    if "read" in transcripts[0]:
+        result["scores"] = ReadingScores.of(transcripts).as_json()
+    with atomic_write(out) as folder:
+        folder.mkdir()
+        (folder / FILE).write_text("".join(map(line, transcripts)), encoding="utf-8")
+        text = json.dumps(result, indent=1) + "\n"
+        (folder / "result.json").write_text(text, encoding="utf-8")
+    return result
+
+
+def _status(done: dict[int, Transcript], count: int) -> Status:
+    facts = tally(list(done.values()))
+    successes = {"successes": str(facts["successes"])} if "successes" in facts else {}
+    retried = sum(facts["retries"].values())
+    return Status(
+        len(done),
+        count,
+        "pictures" if "pictures" in facts else "episodes",
+        {**successes, "retries": str(retried)},
+        even=True,
+    )
