@@ -1,14 +1,12 @@
-"""A run of prompts: several at a time, each transcript kept as soon as it is whole.
+"""A run of prompts: several at a time, every reply kept as it comes.
 
-Until all are there they stand in a journal in the staging folder, a line each in the order in which
-they ended; `--resume` asks for those that it lacks. What was asked of a model for an episode that
-was not finished is lost, and asked again.
+Until all are there the replies stand in the staging folder; `--resume` takes them from there and
+asks what is left.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import queue
 import shutil
 import threading
@@ -20,20 +18,21 @@ import knotgym
 from knotgym.atomic_files import atomic_write, require_writable
 from knotgym.configuration import differences
 from knotgym.prompting.chat import Chat, Stopped
+from knotgym.prompting.kept_replies import Asking, KeptReplies
 from knotgym.prompting.prompted_episodes import PromptConfig, flat
 from knotgym.prompting.reading_scores import ReadingScores
 from knotgym.prompting.tally import tally
-from knotgym.prompting.transcripts import FILE, line, read_transcripts
+from knotgym.prompting.transcripts import FILE, line
 from knotgym.runs.progress import Progress, Status, compile_first
 from knotgym.runs.run_options import InvalidRun
 from knotgym.runs.staging import Occupied, staging
 
 # may differ when a run is gone on with: they change no question
 _FLEXIBLE = ("timeout", "attempts", "backoff")
-_JOURNAL, _REQUEST = "journal.jsonl", "request.json"
+_REPLIES, _REQUEST = "replies.jsonl", "request.json"
 
 Transcript = dict[str, Any]
-Ask = Callable[[int, Chat], Transcript]  # a number, whom to ask
+Ask = Callable[[int, Asking], Transcript]  # a number, and how it asks
 
 
 def run(
@@ -51,7 +50,7 @@ def run(
     Raises:
         Occupied: there is something at `out`, or another run is at it.
         InvalidRun: what is resumed was asked for differently, or nothing is to be done at a time.
-        InvalidChat, Unanswered: as `Chat`; what is whole stays for `resume`.
+        InvalidChat, Unanswered: as `Chat`; the replies stay for `resume`.
     """
     if side_by_side < 1:
         raise InvalidRun(f"at least 1 must be asked for at a time, got {side_by_side}")
@@ -66,19 +65,16 @@ def run(
         chat = Chat(config.chat, stop)
         with atomic_write(folder / _REQUEST) as temporary:
             temporary.write_text(json.dumps(request), encoding="utf-8")
-        journal = folder / _JOURNAL
-        done = _taken_up(journal)
-        left = [number for number in range(count) if number not in done]
+        kept, done = KeptReplies(folder / _REPLIES), {}
+        if resume:
+            progress.say(f"{out}: {len(kept)} replies are there")
         try:
-            with open(journal, "a", encoding="utf-8") as file:
-                for one in _asked(ask, left, chat, side_by_side, stop):
-                    file.write(line(one))
-                    file.flush()
-                    os.fsync(file.fileno())
-                    done[one["number"]] = one
-                    progress.show(lambda: _status(done, count), last=len(done) == count)
+            for one in _asked(ask, count, chat, kept, side_by_side, stop):
+                done[one["number"]] = one
+                progress.show(lambda: _status(done, count), last=len(done) == count)
         finally:
             stop.set()
+            kept.close()
             chat.close()
         result = _finish(out, request, [done[number] for number in range(count)])
         shutil.rmtree(folder, ignore_errors=True)
@@ -103,26 +99,20 @@ def _fixed(chat: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in chat.items() if name not in _FLEXIBLE}
 
 
-def _taken_up(journal: Path) -> dict[int, Transcript]:
-    """What an interrupted run left, by number; a line that a kill cut goes."""
-    if not journal.is_file():
-        return {}
-    left = {one["number"]: one for one in read_transcripts(journal, cut=True)}
-    with atomic_write(journal) as temporary:
-        temporary.write_text("".join(map(line, left.values())), encoding="utf-8")
-    return left
-
-
 def _asked(
-    ask: Ask, numbers: Iterable[int], chat: Chat, side_by_side: int, stop: threading.Event
+    ask: Ask,
+    count: int,
+    chat: Chat,
+    kept: KeptReplies,
+    side_by_side: int,
+    stop: threading.Event,
 ) -> Iterable[Transcript]:
     """Transcripts as they come. Threads: all they do is wait for the server."""
     work: queue.SimpleQueue[int] = queue.SimpleQueue()
     came: queue.SimpleQueue[Transcript | Exception] = queue.SimpleQueue()
-    waiting = 0
-    for number in numbers:
+    waiting = count
+    for number in range(count):
         work.put(number)
-        waiting += 1
 
     def labour() -> None:
         while not stop.is_set():
@@ -131,14 +121,14 @@ def _asked(
             except queue.Empty:
                 return
             try:
-                came.put(ask(number, chat))
+                came.put(ask(number, kept.asking(number, chat)))
             except Stopped:
                 return
             except Exception as error:
                 came.put(error)
                 return
 
-    for _ in range(min(side_by_side, waiting)):
+    for _ in range(min(side_by_side, count)):
         # one that waits for a server keeps no interrupted run from ending
         threading.Thread(target=labour, daemon=True).start()
     trouble: Exception | None = None

@@ -19,7 +19,8 @@ from knotgym.configuration import as_json, check_numbers
 from knotgym.episode_batch import EpisodeBatch
 from knotgym.errors import KnotgymError
 from knotgym.prompting.answers import read_actions, read_code
-from knotgym.prompting.chat import Chat, ChatConfig, Reply
+from knotgym.prompting.chat import ChatConfig, Reply
+from knotgym.prompting.kept_replies import Asking
 from knotgym.prompting.prompts import (
     GOAL,
     MODES,
@@ -136,12 +137,8 @@ def now_shown(episodes: EpisodeBatch, config: PromptConfig) -> Shown:
     return shown(episodes.picture(0)[:, :size], f"now-{int(episodes.steps[0])}", above)
 
 
-def play(config: PromptConfig, number: int, chat: Chat) -> dict[str, Any]:
-    """Play episode `number` of a run; its transcript.
-
-    Raises:
-        InvalidChat, Unanswered, Stopped: as `Chat.ask`.
-    """
+def play(config: PromptConfig, number: int, ask: Asking) -> dict[str, Any]:
+    """Play episode `number` of a run, every question put by `ask`; its transcript."""
     episodes, counts, most = begun(config, number), Counts(), config.task.horizon
     goal = goal_shown(episodes)
     before = opening(goal)
@@ -154,7 +151,7 @@ def play(config: PromptConfig, number: int, chat: Chat) -> dict[str, Any]:
     while not done:
         if config.mode != OPEN or not actions:
             now = now_shown(episodes, config)
-            reply = chat.ask(messages(before, window, config.mode, most, now))
+            reply = ask(messages(before, window, config.mode, most, now))
             counts.add(reply)
             told, fault = read_actions(reply.text, most if config.mode == OPEN else 1)
             if reply.refused:
@@ -196,18 +193,18 @@ def play(config: PromptConfig, number: int, chat: Chat) -> dict[str, Any]:
     }
 
 
-def read(config: PromptConfig, number: int, row: Mapping[str, Any], chat: Chat) -> dict[str, Any]:
+def read(config: PromptConfig, number: int, row: Mapping[str, Any], ask: Asking) -> dict[str, Any]:
     """Ask for the code of one picture; its transcript.
 
     Args:
         config: of the run.
         number: of the picture in its split.
         row: of a perception table.
-        chat: whom to ask.
+        ask: puts the question.
     """
     counts, picture = Counts(), Shown(row["image"], "picture")
     parts = reading(picture)
-    reply = chat.ask([message(parts)])
+    reply = ask([message(parts)])
     counts.add(reply)
     code, fault = read_code(reply.text)
     if reply.refused:

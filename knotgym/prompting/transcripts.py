@@ -62,12 +62,8 @@ def transcripts_at(named: str | Path) -> Path | None:
     return inside if inside.is_file() and inside.suffix == ".jsonl" else None
 
 
-def read_transcripts(path: Path, cut: bool = False) -> list[dict[str, Any]]:
+def read_transcripts(path: Path) -> list[dict[str, Any]]:
     """The transcripts of a file.
-
-    Args:
-        path: of the file.
-        cut: leave out a last line without an end, which a kill left.
 
     Raises:
         MissingFile: there is no such file.
@@ -79,10 +75,7 @@ def read_transcripts(path: Path, cut: bool = False) -> list[dict[str, Any]]:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
         raise InvalidTranscript(f"{path} is no text: {one_line(error)}") from error
-    lines = text.split("\n")
-    last = lines.pop()
-    if last and not cut:
-        lines.append(last)
+    lines = text.removesuffix("\n").split("\n")
     return [_checked(one, f"{path}, line {number}") for number, one in enumerate(lines, 1)]
 
 

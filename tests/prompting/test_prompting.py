@@ -20,7 +20,7 @@ from knotgym.prompting.prompt_run import run
 from knotgym.prompting.prompted_episodes import PromptConfig, play, read
 from knotgym.prompting.prompts import first
 from knotgym.prompting.reading_scores import ReadingScores
-from knotgym.prompting.transcripts import InvalidTranscript, line, read_transcripts
+from knotgym.prompting.transcripts import InvalidTranscript, read_transcripts
 from knotgym.runs.progress import Progress
 from knotgym.runs.run_options import InvalidRun
 from knotgym.tasks import TaskConfig
@@ -54,7 +54,7 @@ def always(answer: Answer) -> Callable[[int, Any], Answer]:
 def played(server: ChatServer, states_path: str, mode: str, **more: Any) -> dict[str, Any]:
     with server.serving():
         own = config(server.url, states_path, mode, **more)
-        return play(own, 0, Chat(own.chat))
+        return play(own, 0, Chat(own.chat).ask)
 
 
 def asked(answer: Callable[[int, Any], Answer]) -> tuple[Any, ChatServer]:
@@ -231,21 +231,19 @@ def test_a_run_is_resumed_shown_and_replayed_and_the_key_is_nowhere(
         )
         assert knotgym(*command) == 1
         assert not (tmp_path / "run").exists()
-        journal = tmp_path / ".run.partial" / "journal.jsonl"
-        kept = journal.read_bytes()
-        assert len(read_transcripts(journal)) == 1
-        journal.write_bytes(kept + kept[: len(kept) // 2])  # as a kill leaves it
+        replies = tmp_path / ".run.partial" / "replies.jsonl"
+        assert len(replies.read_text().splitlines()) == 6
+        replies.write_text(replies.read_text() + '[9, 9, "as a kill le')
         broken[0] = False
         before = len(server.requests)
         assert knotgym(*command, "--window", 3, "--resume") == 2  # another run
         assert knotgym(*command, "--resume") == 0
-        assert len(server.requests) == before + 8  # two episodes of four actions
+        assert len(server.requests) == before + 6  # of three episodes of four actions
         assert knotgym(*command, "--resume") == 2  # it is there
     result = json.loads((tmp_path / "run" / "result.json").read_text())
     told = read_transcripts(tmp_path / "run" / "transcripts.jsonl")
-    assert line({**told[0]}).encode() == kept
     assert [one["number"] for one in told] == [0, 1, 2]
-    assert result["answers"] == {"valid": 7, "not finite": 5} and result["episodes"] == 3
+    assert result["answers"] == {"valid": 8, "not finite": 4} and result["episodes"] == 3
     assert (result["prompt_tokens"], result["completion_tokens"]) == (1200, 120)
     assert result["cost"] == pytest.approx(0.00288)
     assert result["settings"]["window"] == 4 and result["settings"]["task"]["horizon"] == 4
@@ -298,7 +296,8 @@ def test_ctrl_c_leaves_what_is_whole(
     said = capfd.readouterr().err
     assert status == 130 and "--resume goes on" in said and said.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == [".run.partial"]
-    assert len(read_transcripts(tmp_path / ".run.partial" / "journal.jsonl")) == 1
+    kept = (tmp_path / ".run.partial" / "replies.jsonl").read_text()
+    assert [json.loads(one)[:2] for one in kept.splitlines()] == [[0, turn] for turn in range(4)]
 
 
 def test_side_by_side_gives_the_same_transcripts(states_path: str, tmp_path: Path) -> None:
@@ -310,7 +309,7 @@ def test_side_by_side_gives_the_same_transcripts(states_path: str, tmp_path: Pat
             out = tmp_path / str(count)
             run(
                 own,
-                lambda number, chat: play(own, number, chat),
+                lambda number, ask: play(own, number, ask),
                 4,
                 out,
                 side_by_side=count,
@@ -334,7 +333,7 @@ def test_a_picture_s_code_is_asked_for_and_scored() -> None:
     with server.serving():
         own = config(server.url, "", "read")
         chat = Chat(own.chat)
-        told = [read(own, k, {**row, "accepted": k == 0}, chat) for k in range(3)]
+        told = [read(own, k, {**row, "accepted": k == 0}, chat.ask) for k in range(3)]
     assert [hashes(one["messages"][0])[1] for one in server.requests] == [told[0]["picture"]] * 3
     assert [one["fault"] for one in told] == ["", "", "no block"]
     scores = ReadingScores.of(told).as_json()
