@@ -27,6 +27,7 @@ PUBLIC = "https://api.openai.com/v1"
 _LONGEST_WAIT = 600.0  # seconds, whatever a server asks for
 _RETRIED = (408, 409, 425, 429)  # and all from 500 on
 _TOLD = 200  # characters of what a server says
+_SECRET = 8  # characters of a key, at least
 
 
 class InvalidChat(KnotgymError, ValueError):
@@ -135,6 +136,10 @@ class Chat:
             )
         if not (self._key.isascii() and self._key.isprintable()):
             raise InvalidChat(f"{KEY} holds letters that no key has")
+        # "EMPTY" and the like, for servers that want no key, are words as others are
+        self._secret = self._key if len(self._key) >= _SECRET else ""
+        if self._secret and any(self._secret in text for text in (config.base_url, config.model)):
+            raise InvalidChat(f"the key belongs into {KEY} alone, not into --base-url or --model")
         self._client = self._openai.OpenAI(
             api_key=self._key or "none",
             base_url=config.base_url,
@@ -222,7 +227,7 @@ class Chat:
         return self._blotted(one_line(error))[:_TOLD]
 
     def _blotted(self, text: str) -> str:
-        return text.replace(self._key, "[key]") if self._key else text
+        return text.replace(self._secret, "[key]") if self._secret else text
 
 
 def retry_after(header: str | None) -> float:

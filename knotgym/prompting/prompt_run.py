@@ -30,6 +30,7 @@ from knotgym.runs.staging import Occupied, staging
 # may differ when a run is gone on with: they change no question
 _FLEXIBLE = ("timeout", "attempts", "backoff")
 _REPLIES, _REQUEST = "replies.jsonl", "request.json"
+_RESULT = "result.json"
 
 Transcript = dict[str, Any]
 Ask = Callable[[int, Asking], Transcript]  # a number, and how it asks
@@ -55,16 +56,16 @@ def run(
     if side_by_side < 1:
         raise InvalidRun(f"at least 1 must be asked for at a time, got {side_by_side}")
     if out.exists():
-        raise Occupied(f"{out} is there already; choose another --out, or remove it")
+        return _finished(out, config, resume, progress)
     require_writable(out)
     compile_first(progress)
-    request = json.loads(json.dumps({"config": flat(config), "count": count}))
+    settings = json.loads(json.dumps(flat(config)))
     with staging(out, resume) as folder:
-        _require_same(folder, request)
+        _require_same(folder, settings)
         stop = threading.Event()
         chat = Chat(config.chat, stop)
         with atomic_write(folder / _REQUEST) as temporary:
-            temporary.write_text(json.dumps(request), encoding="utf-8")
+            temporary.write_text(json.dumps(settings), encoding="utf-8")
         kept, done = KeptReplies(folder / _REPLIES), {}
         if resume:
             progress.say(f"{out}: {len(kept)} replies are there")
@@ -76,27 +77,39 @@ def run(
             stop.set()
             kept.close()
             chat.close()
-        result = _finish(out, request, [done[number] for number in range(count)])
+        result = _finish(out, settings, [done[number] for number in range(count)])
         shutil.rmtree(folder, ignore_errors=True)
     return result
 
 
-def _require_same(folder: Path, request: dict[str, Any]) -> None:
+def _finished(out: Path, config: PromptConfig, resume: bool, progress: Progress) -> dict[str, Any]:
+    """The result of a run that is there, if it was asked for in this way."""
+    made: dict[str, Any] = {}
+    if resume and (out / _RESULT).is_file():
+        made = json.loads((out / _RESULT).read_text(encoding="utf-8"))
+    if not made:
+        raise Occupied(f"{out} is there already; choose another --out, or remove it")
+    _refuse_other(made["settings"], json.loads(json.dumps(flat(config))))
+    progress.say(f"{out} is finished already")
+    return made
+
+
+def _require_same(folder: Path, settings: dict[str, Any]) -> None:
     """Refuse to go on with what was asked for differently."""
     if not (folder / _REQUEST).is_file():
         return
     left = json.loads((folder / _REQUEST).read_text(encoding="utf-8"))
-    there, here = (
-        {**one, "config": {**one["config"], "chat": _fixed(one["config"]["chat"])}}
-        for one in (left, request)
-    )
-    apart = list(differences(there, here))
+    _refuse_other(left, settings)
+
+
+def _refuse_other(there: dict[str, Any], here: dict[str, Any]) -> None:
+    fixed = [
+        {**one, "chat": {name: one["chat"][name] for name in one["chat"] if name not in _FLEXIBLE}}
+        for one in (there, here)
+    ]
+    apart = list(differences(fixed[0], fixed[1]))
     if apart:
         raise InvalidRun(f"the run to resume was asked for differently: {'; '.join(apart)}")
-
-
-def _fixed(chat: dict[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in chat.items() if name not in _FLEXIBLE}
 
 
 def _asked(
@@ -144,12 +157,12 @@ def _asked(
         raise trouble
 
 
-def _finish(out: Path, request: dict[str, Any], transcripts: list[Transcript]) -> dict[str, Any]:
+def _finish(out: Path, settings: dict[str, Any], transcripts: list[Transcript]) -> dict[str, Any]:
     """Write the folder: transcripts in the order of their numbers, and the result."""
     result: dict[str, Any] = {
         "version": knotgym.__version__,
         **tally(transcripts),
-        "settings": request["config"],
+        "settings": settings,
     }
     if "read" in transcripts[0]:
         result["scores"] = ReadingScores.of(transcripts).as_json()
@@ -157,7 +170,7 @@ def _finish(out: Path, request: dict[str, Any], transcripts: list[Transcript]) -
         folder.mkdir()
         (folder / FILE).write_text("".join(map(line, transcripts)), encoding="utf-8")
         text = json.dumps(result, indent=1) + "\n"
-        (folder / "result.json").write_text(text, encoding="utf-8")
+        (folder / _RESULT).write_text(text, encoding="utf-8")
     return result
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import signal
@@ -13,7 +14,8 @@ from typing import Any
 
 import pytest
 
-from knotgym.datasets.image_table import encode
+from knotgym.datasets.image_rows import Row, record
+from knotgym.datasets.image_table import encode, write_rows
 from knotgym.prompting.chat import Chat, ChatConfig, InvalidChat, Unanswered, retry_after
 from knotgym.prompting.first_picture import first_picture
 from knotgym.prompting.prompt_run import run
@@ -21,11 +23,15 @@ from knotgym.prompting.prompted_episodes import PromptConfig, play, read
 from knotgym.prompting.prompts import first
 from knotgym.prompting.reading_scores import ReadingScores
 from knotgym.prompting.transcripts import InvalidTranscript, read_transcripts
+from knotgym.rendering.appearance import AppearanceConfig
+from knotgym.rope import Rope
 from knotgym.runs.progress import Progress
 from knotgym.runs.run_options import InvalidRun
 from knotgym.tasks import TaskConfig
+from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 
+from ..conftest import curled
 from ..small_job import knotgym
 from .chat_server import Answer, ChatServer, hashes, kinds
 
@@ -202,6 +208,17 @@ def test_without_a_key_the_public_server_is_not_asked(monkeypatch: pytest.Monkey
     Chat(ChatConfig(model="m", base_url="http://127.0.0.1:1/v1")).close()
 
 
+def test_a_word_that_stands_for_no_key_is_a_word(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OPENAI_API_KEY", "pull")
+    assert asked(always(PULL))[0].text == PULL
+
+
+def test_a_key_in_the_base_url_is_refused() -> None:
+    with pytest.raises(InvalidChat, match="--base-url") as refused:
+        Chat(ChatConfig(model="m", base_url=f"http://127.0.0.1:1/{KEY}/v1"))
+    assert KEY not in str(refused.value)
+
+
 def test_without_the_client_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "openai", None)
     with pytest.raises(InvalidChat, match=r"pip install 'knotgym\[prompt\]'"):
@@ -239,7 +256,7 @@ def test_a_run_is_resumed_shown_and_replayed_and_the_key_is_nowhere(
         assert knotgym(*command, "--window", 3, "--resume") == 2  # another run
         assert knotgym(*command, "--resume") == 0
         assert len(server.requests) == before + 6  # of three episodes of four actions
-        assert knotgym(*command, "--resume") == 2  # it is there
+        assert knotgym(*command, "--resume") == 0 and knotgym(*command) == 2  # it is there
     result = json.loads((tmp_path / "run" / "result.json").read_text())
     told = read_transcripts(tmp_path / "run" / "transcripts.jsonl")
     assert [one["number"] for one in told] == [0, 1, 2]
@@ -366,3 +383,29 @@ def test_a_line_that_is_no_transcript_is_refused(text: str, said: str, tmp_path:
     (tmp_path / "t.jsonl").write_text(text + "\n")
     with pytest.raises(InvalidTranscript, match=said):
         read_transcripts(tmp_path / "t.jsonl")
+
+
+@pytest.mark.skipif(importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed")
+def test_a_model_reads_the_pictures_of_a_split(rope: Rope, tmp_path: Path) -> None:
+    ropes = [rope.from_curve(curled(nx, 0.3)) for nx in (1, 2, 1)]
+    sources = [{"seed": 0, "family": number, "row": number} for number in range(len(ropes))]
+    rows = [
+        record(Row(points, label(points), "test", source), AppearanceConfig())
+        for points, source in zip(ropes, sources, strict=True)
+    ]
+    write_rows(tmp_path / "table.parquet", rows)
+    server = ChatServer(always(f"<answer>{label(ropes[0])}</answer>"))
+    with server.serving():
+        command = (
+            *("prompt", "--mode", "read", tmp_path / "table.parquet", "--model", "m"),
+            *("--base-url", server.url, "--quiet", "--out", tmp_path / "run"),
+        )
+        assert knotgym(*command, "--episodes", 2) == 0
+        assert knotgym("prompt", "--mode", "open", tmp_path / "table.parquet") == 2
+    result = json.loads((tmp_path / "run" / "result.json").read_text())
+    assert len(server.requests) == result["pictures"] == 2
+    assert {key: score["exact"] for key, score in result["scores"].items() if "nx" in key[:2]} == {
+        "nx 1": 1,
+        "nx 2": 0,
+    }
+    assert knotgym("dataset", "show", tmp_path / "run") == 0
