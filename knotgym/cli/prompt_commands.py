@@ -33,7 +33,7 @@ def prompt(
     pictures: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[PICTURES]", help="Folder of pictures that `knotgym images` made: mode read."
+            metavar="PICTURES", help="Folder of pictures that `knotgym images` made: mode read."
         ),
     ] = None,
     mode: Annotated[
