@@ -321,13 +321,13 @@ def test_side_by_side_gives_the_same_transcripts(states_path: str, tmp_path: Pat
     server = ChatServer(always(PULL))
     texts = []
     with server.serving():
-        own = config(server.url, states_path, "open", episodes=4)
-        for count in (1, 4):
+        own = config(server.url, states_path, "open", episodes=3)
+        for count in (1, 3):
             out = tmp_path / str(count)
             run(
                 own,
                 lambda number, ask: play(own, number, ask),
-                4,
+                3,
                 out,
                 side_by_side=count,
                 resume=False,
