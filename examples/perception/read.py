@@ -10,15 +10,14 @@ from the crossings of the table, and can read codes that it has never seen and m
 it was trained on.
 
 It is trained on crops, every other one at a crossing, reflected, turned by quarters and their
-colours moved along the rope: all of which are exact. Writes `reader.pt`, `report.json` with the
-exact-match accuracy by split, nx and grade, and a page of misread pictures, `confusions.png`. Needs
-the extras torch and huggingface.
+colours moved along the rope: all of which are exact. Writes `reader.pt`, `report.json` with exact
+matches, crossing counts and edit distances by split, nx and grade, and a page of misread pictures,
+`confusions.png`. Needs the extras torch and huggingface.
 """
 
 import argparse
 import json
 import time
-from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +32,7 @@ from torch.nn import functional
 
 from knotgym.datasets.image_table import GRADES
 from knotgym.loaders import images
+from knotgym.prompting.reading_scores import ReadingScores
 from knotgym.topology.gauss import GaussCode
 
 BEADS = 100
@@ -262,38 +262,28 @@ def train(folder: Path, steps: int, batch: int, seed: int) -> Reader:
 
 
 @torch.no_grad()
-def evaluate(net: Reader, folder: Path) -> tuple[dict[str, str], list[Misread]]:
-    """Exact matches, "share of all", by split, nx and grade; and the misread pictures that were
-    accepted.
-    """
-    score: dict[str, list[bool]] = defaultdict(list)
+def evaluate(net: Reader, folder: Path) -> tuple[dict[str, ReadingScores], list[Misread]]:
+    """Scores by split; and the misread pictures that were accepted."""
+    scores: dict[str, ReadingScores] = {}
     missed = []
     for split in SPLITS:
         try:
             data = images(folder, split)
         except ValueError:  # the table has no such split
             continue
+        scores[split] = ReadingScores()
         for first in range(0, len(data), 50):
             rows = range(first, min(first + 50, len(data)))
             pictures = np.stack([data.picture(row) for row in rows])
             for row, picture, read_code in zip(
                 rows, pictures, read(net, torch.from_numpy(pictures)), strict=True
             ):
-                code, got = data.codes[row], str(read_code)
-                nx, accepted = int(data.labels["nx"][row]), bool(data.labels["accepted"][row])
+                code, accepted = data.codes[row], bool(data.labels["accepted"][row])
                 grade = GRADES[int(data.labels["grade"][row])]
-                for key in (
-                    "",
-                    f", nx {nx}",
-                    f", {grade}",
-                    *([", accepted", f", accepted, nx {nx}"] if accepted else []),
-                ):
-                    score[split + key].append(got == code)
-                if accepted and got != code:
-                    missed.append((np.moveaxis(picture, 0, -1), code, got))
-    return {
-        key: f"{100 * np.mean(hits):.1f} % of {len(hits)}" for key, hits in sorted(score.items())
-    }, missed
+                exact = scores[split].add(GaussCode.parse(code), read_code, grade, accepted)
+                if accepted and not exact:
+                    missed.append((np.moveaxis(picture, 0, -1), code, str(read_code)))
+    return scores, missed
 
 
 def main() -> None:
@@ -313,15 +303,20 @@ def main() -> None:
     given.out.mkdir(parents=True, exist_ok=True)
     net = train(given.folder, given.steps, given.batch, given.seed)
     torch.save(net.state_dict(), given.out / "reader.pt")
-    score, missed = evaluate(net, given.folder)
-    report = {"steps": given.steps, "batch": given.batch, "seed": given.seed, "exact match": score}
+    scores, missed = evaluate(net, given.folder)
+    report = {
+        "steps": given.steps,
+        "batch": given.batch,
+        "seed": given.seed,
+        "scores": {split: score.as_json() for split, score in scores.items()},
+    }
     (given.out / "report.json").write_text(json.dumps(report, indent=1))
     if missed:
         page(missed, given.out / "confusions.png")
     else:
         print("nothing was misread, so there is no confusions.png")
-    for key, value in score.items():
-        print(f"{key:28} {value}")
+    for split, score in scores.items():
+        print("\n".join([split, *score.lines()]))
 
 
 if __name__ == "__main__":

@@ -15,7 +15,6 @@ kink's eye is smaller than a pixel.
 """
 
 import argparse
-from collections import Counter
 from pathlib import Path
 
 import cv2
@@ -24,6 +23,7 @@ from misread import Misread, page
 from numpy.typing import NDArray
 
 from knotgym.datasets.image_table import decode, read_rows
+from knotgym.prompting.reading_scores import ReadingScores
 from knotgym.rendering.picture import bead_colours
 from knotgym.topology.crossings import find_crossings
 from knotgym.topology.gauss import GaussCode
@@ -159,14 +159,13 @@ def main() -> None:
         "--page", type=Path, help="draw the misread pictures that were accepted here"
     )
     given = parser.parse_args()
-    right: Counter[tuple[str, object]] = Counter()
-    tried: Counter[tuple[str, object]] = Counter()
+    scores = ReadingScores()
     missed: list[Misread] = []
     for number, row in enumerate(
         read_rows(
             given.folder,
             given.split,
-            ["image", "gauss_code", "nx", "grade", "accepted", "appearance", "source"],
+            ["image", "gauss_code", "grade", "accepted", "appearance", "source"],
         )
     ):
         if number >= given.count:
@@ -175,27 +174,16 @@ def main() -> None:
             continue
         image = decode(row["image"])
         code = read(image)
-        good = code is not None and str(code) == row["gauss_code"]
-        keys = [
-            ("all", ""),
-            ("nx", row["nx"]),
-            ("grade", row["grade"]),
-            ("accepted" if row["accepted"] else "not accepted", ""),
-        ]
-        for key in keys:
-            tried[key] += 1
-            right[key] += good
+        true = GaussCode.parse(row["gauss_code"])
+        good = scores.add(true, code, row["grade"], row["accepted"])
         if row["accepted"] and not good:
             missed.append((image, row["gauss_code"], "lost" if code is None else str(code)))
             print(
                 f"accepted, misread: row {row['source']['row']}, {row['gauss_code']} read as"
                 f" {missed[-1][2]}"
             )
-    for key in sorted(tried, key=str):
-        print(
-            f"{' '.join(map(str, key)):16} {right[key]:5} of {tried[key]:5}"
-            f" {100 * right[key] / tried[key]:6.2f} %"
-        )
+    for line in scores.lines():
+        print(line)
     if given.page and missed:
         page(missed, given.page)
         print(f"{given.page}: {len(missed)} misread")

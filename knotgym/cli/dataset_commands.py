@@ -18,7 +18,7 @@ PathOrId = Annotated[
         metavar="PATH-OR-ID",
         help=(
             "A run's folder or the `minari` in it, a states.h5, an episode file, a folder of"
-            " pictures, or a Minari dataset id."
+            " pictures, or a Minari dataset id; show takes transcripts, too."
         ),
     ),
 ]
@@ -28,7 +28,8 @@ PathOrId = Annotated[
 def show(path: PathOrId) -> None:
     """Count what a dataset holds.
 
-    Crossings, codes, chirality, splits, quality, rejections.
+    Crossings, codes, chirality, splits, quality, rejections; of transcripts (a .jsonl of `knotgym
+    prompt`, or its folder) successes, answers, retries, tokens.
     """
     with Progress(lines=False) as progress:
         from knotgym.cli.inspection import show as look

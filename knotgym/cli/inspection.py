@@ -15,7 +15,7 @@ from rich.console import Console
 
 from knotgym.atomic_files import atomic_write
 from knotgym.cli.places import Place, UnknownDataset, episodes_at, name_of, place, places
-from knotgym.cli.summaries import print_episodes, print_images, print_states
+from knotgym.cli.summaries import print_episodes, print_images, print_states, print_transcripts
 from knotgym.datasets import verification
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_writer import merge_episodes
@@ -27,6 +27,7 @@ from knotgym.datasets.minari_dataset import compact, merge_datasets
 from knotgym.datasets.states import merge_states, minari_root, read_states, write_states
 from knotgym.errors import KnotgymError
 from knotgym.generate.merge_shards import merge_shards, shard_folder_of
+from knotgym.prompting.transcripts import transcripts_at
 from knotgym.rendering.picture import draw
 from knotgym.rendering.video import FRAMES_PER_SECOND, film_frame, require_film, write_film
 from knotgym.rope import Array, Rope
@@ -60,7 +61,10 @@ def refuse_existing(path: Path) -> None:
 
 
 def show(named: str, console: Console) -> None:
-    """Print what a dataset holds."""
+    """Print what a dataset holds, or transcripts."""
+    if transcripts_at(named) is not None:
+        print_transcripts(Path(named), console)
+        return
     for kind, path in places(named):
         if kind == "images":
             print_images(str(path), console)

@@ -16,6 +16,7 @@ from typer.core import TyperCommand, TyperGroup
 from knotgym.cli.dataset_commands import dataset_app
 from knotgym.cli.learning_commands import train
 from knotgym.cli.policy_commands import collect, evaluate
+from knotgym.cli.prompt_commands import prompt
 from knotgym.cli.run_commands import generate, images
 from knotgym.errors import KnotgymError
 from knotgym.runs.pools import LostWorkers
@@ -48,7 +49,7 @@ _APP: dict[str, Any] = {**_HELP, "add_completion": False, "pretty_exceptions_ena
 
 app = typer.Typer(cls=Group, no_args_is_help=True, **_APP)
 app.add_typer(dataset_app, name="dataset", cls=Group, **_HELP)
-for _command in (generate, collect, train, evaluate, images):
+for _command in (generate, collect, train, evaluate, images, prompt):
     app.command(cls=Command)(_command)
 for _listed in dataset_app.registered_commands:
     _listed.cls = Command

@@ -18,9 +18,9 @@ ENVIRONMENT, ACTING = "The environment", "Who acts"
 RUN, METADATA = "How it is run", "Metadata"
 _POLICIES = (
     "random, constant, scripted, expert, noisy-expert, mixed, pretrained; the folder of a learner"
-    " (knotgym train); a .zip (SB3), .onnx or .pt file; or"
-    " module:name of your own, a function of (observation) or (observation, info, generator), or"
-    " an object with reset and act."
+    " (knotgym train); a .zip (SB3), .onnx or .pt file; prompt:FILE, transcripts of `knotgym"
+    " prompt`; or module:name of your own, a function of (observation) or (observation, info,"
+    " generator), or an object with reset and act."
 )
 
 

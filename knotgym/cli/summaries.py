@@ -23,6 +23,9 @@ from knotgym.datasets.state_card import (
 )
 from knotgym.datasets.state_card import summary as state_summary
 from knotgym.datasets.states import read_states
+from knotgym.prompting.reading_scores import HEAD, ReadingScores
+from knotgym.prompting.tally import tally
+from knotgym.prompting.transcripts import InvalidTranscript, read_transcripts, transcripts_at
 from knotgym.runs.tables import narrow_table
 
 _LISTED = 24  # parts of a value, at most
@@ -120,6 +123,35 @@ def print_episodes(path: str, console: Console) -> None:
             lines = wrap(f"{name:20} {told}", 80, subsequent_indent=" " * 21)
             for line in lines:
                 _say(console, line)
+
+
+def print_transcripts(path: Path, console: Console) -> None:
+    """Print what the transcripts of a run, a file or a folder, count up to."""
+    file = transcripts_at(path)
+    found = [] if file is None else read_transcripts(file)
+    if not found:
+        raise InvalidTranscript(f"{path} holds no transcripts")
+    config, facts = found[0]["config"], tally(found)
+    task = config.get("task")
+    of = f"{task['task']} nx {task['nx']}, {task['split']}" if task else "pictures"
+    _say(console, f"{config['chat']['model']}, mode {config['mode']}, {of}")
+    if "episodes" in facts:
+        low, high = (f"{100 * end:.1f}" for end in facts["interval"])
+        _say(
+            console,
+            f"{'success':20} {100 * facts['success_rate']:.1f} % of {facts['episodes']} episodes"
+            f" ({low} to {high} %); {facts['without_valid_answer']} had no valid answer",
+        )
+    else:
+        table = narrow_table(HEAD, left=HEAD[:1])
+        for row in ReadingScores.of(found).rows():
+            table.add_row(*row)
+        console.print(table)
+    for name in ("answers", "retries"):
+        _say(console, f"{name:20} {_in_words(facts[name]) or 'none'}")
+    tokens = (facts["prompt_tokens"], facts["completion_tokens"])
+    cost = "" if facts["cost"] is None else f", cost {facts['cost']:.4g}"
+    _say(console, f"{'tokens':20} prompt {tokens[0]}, completion {tokens[1]}{cost}")
 
 
 def _in_words(value: Any) -> str:

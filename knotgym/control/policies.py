@@ -13,6 +13,7 @@ module:name     of the user's own: a function of (observation) or (observation, 
 FOLDER          a learner that `knotgym train` wrote; `pretrained` for the one that ships
 FILE            a model that takes observations: .zip (Stable-Baselines3; FILE.zip:SAC for another
                 algorithm than PPO), .onnx, or .pt (TorchScript)
+prompt:FILE     what a model did in the episodes of transcripts (`knotgym prompt`), once more
 
 `register_policy` adds a name. Workers make their policies themselves: a name that is registered
 outside the package must be so in every process that uses it.
@@ -42,6 +43,7 @@ from knotgym.control.learned_policies import (
 from knotgym.control.own_policies import OwnPolicy, load_own
 from knotgym.control.planner import PlannerConfig
 from knotgym.control.policy import Choice, Effort, InvalidPolicy, Policy
+from knotgym.control.transcript_policy import TranscriptPolicy, load_transcripts
 
 __all__ = [
     "MIXED",
@@ -55,6 +57,7 @@ __all__ = [
     "register_policy",
 ]
 
+TRANSCRIPTS = "prompt"  # before the colon: what comes after it is a file, not a name
 MIXED = ("random", "scripted", "noisy-expert", "expert")  # what a mixed policy draws from
 
 
@@ -87,7 +90,7 @@ class PolicyConfig:
         if self.policy not in _constructors and not place:
             raise InvalidPolicy(
                 f"no policy {self.policy!r}; there is {', '.join(_constructors)}, module:name,"
-                " pretrained, a learner's folder, or a .zip, .onnx or .pt file"
+                " prompt:FILE, pretrained, a learner's folder, or a .zip, .onnx or .pt file"
             )
 
     @property
@@ -100,8 +103,11 @@ class PolicyConfig:
     @property
     def short(self) -> str:
         """A name for datasets, letters, digits and dashes."""
+        place, _, file = self.policy.partition(":")
         if self.policy in _constructors:
             stem = self.policy
+        elif place == TRANSCRIPTS:
+            stem = f"{place}-{Path(file).absolute().parent.name}"  # of the run's folder
         else:
             stem = Path(self.policy.partition(":")[0]).stem.split(".")[-1]
         return "".join(letter if letter.isalnum() else "-" for letter in stem)
@@ -140,6 +146,8 @@ def make_policy(config: PolicyConfig) -> Policy:
     if is_learner(config.policy):
         return load_learner(config.policy)
     place, _, word = config.policy.partition(":")
+    if place == TRANSCRIPTS:
+        return TranscriptPolicy(load_transcripts(Path(word)), word)
     if Path(place).suffix in MODEL_FILES:
         return ModelPolicy(load_model(Path(place), word), config.short)
     return OwnPolicy(load_own(place, word), config.policy)

@@ -18,9 +18,9 @@ from knotgym.generate.episodes.evaluate import (
     report,
     run,
     show,
-    wilson,
 )
 from knotgym.runs.executors import InProcess
+from knotgym.runs.intervals import wilson
 from knotgym.tasks import InvalidSetting, TaskConfig
 
 

@@ -8,7 +8,6 @@ one, tested on all.
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -26,6 +25,7 @@ from knotgym.datasets.trajectory import Episode
 from knotgym.episode_batch import OWN, SHIPPED, state_origins
 from knotgym.errors import KnotgymError
 from knotgym.runs.executors import executor
+from knotgym.runs.intervals import wilson
 from knotgym.runs.pools import Pool
 from knotgym.runs.progress import Progress, compile_first, tell_if_long
 from knotgym.runs.tables import narrow_table
@@ -134,21 +134,6 @@ class _Played(NamedTuple):
     planning_seconds: float
     failed: bool
     episode: Episode | None
-
-
-def wilson(successes: int, trials: int, z: float = 1.959963984540054) -> tuple[float, float]:
-    """Wilson's score interval of a proportion, by default with 95 % confidence.
-
-    >>> [round(end, 3) for end in wilson(8, 10)]
-    [0.49, 0.943]
-    """
-    rate, spread = successes / trials, z * z / trials
-    middle = (rate + spread / 2) / (1 + spread)
-    half = z / (1 + spread) * math.sqrt(rate * (1 - rate) / trials + spread / (4 * trials))
-    # exact at the ends
-    return max(0.0, middle - half) if successes else 0.0, (
-        min(1.0, middle + half) if successes < trials else 1.0
-    )
 
 
 def evaluate(

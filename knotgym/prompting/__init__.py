@@ -1,0 +1,1 @@
+"""Vision-language models behind a chat-completions server: prompts, answers, transcripts."""

@@ -1,0 +1,73 @@
+"""Replies kept as they come, so that no question of an interrupted run is asked twice.
+
+A line each: which episode or picture, its how-manieth question, the digest of what was asked, and
+the reply. A run gone on with plays its episodes again and takes from here what it asked before.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import os
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from knotgym.atomic_files import atomic_write
+from knotgym.prompting.chat import Chat, Reply
+
+Asking = Callable[[list[dict[str, Any]]], Reply]
+
+
+class KeptReplies:
+    """The replies of a run, in a file of its staging folder; for several threads at once."""
+
+    def __init__(self, path: Path) -> None:
+        """Take up what is there; a line that a kill cut goes."""
+        self._lock, self._kept = threading.Lock(), {}
+        text = path.read_text(encoding="utf-8") if path.is_file() else ""
+        whole = text[: text.rfind("\n") + 1]
+        for line in whole.splitlines():
+            number, turn, digest, reply = json.loads(line)
+            self._kept[number, turn] = (digest, Reply(*reply))
+        if whole != text:
+            with atomic_write(path) as temporary:
+                temporary.write_text(whole, encoding="utf-8")
+        self._file = open(path, "a", encoding="utf-8")
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    def asking(self, number: int, chat: Chat) -> Asking:
+        """How episode or picture `number` asks its questions, one after the other."""
+        turns = itertools.count()
+
+        def ask(messages: list[dict[str, Any]]) -> Reply:
+            turn = next(turns)
+            asked = json.dumps(messages, sort_keys=True).encode()
+            digest = hashlib.sha256(asked).hexdigest()
+            with self._lock:
+                kept = self._kept.get((number, turn))
+            if kept is not None and kept[0] == digest:
+                return kept[1]
+            reply = chat.ask(messages)
+            self._keep(number, turn, digest, reply)
+            return reply
+
+        return ask
+
+    def close(self) -> None:
+        """Keep nothing more."""
+        with self._lock:
+            self._file.close()
+
+    def _keep(self, number: int, turn: int, digest: str, reply: Reply) -> None:
+        with self._lock:
+            if self._file.closed:  # the run was stopped
+                return
+            self._file.write(json.dumps([number, turn, digest, [*reply]]) + "\n")
+            self._file.flush()
+            os.fsync(self._file.fileno())
+            self._kept[number, turn] = (digest, reply)

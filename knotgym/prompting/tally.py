@@ -1,0 +1,56 @@
+"""What the transcripts of a run count up to."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from knotgym.prompting.transcripts import PRICES
+from knotgym.runs.intervals import wilson
+
+
+def tally(transcripts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """What transcripts of one run count up to, at least one; JSON-able.
+
+    Answers, retries, tokens; the cost where prices were told; of episodes successes with their 95 %
+    interval, and those in which no answer could be taken.
+    """
+    config = transcripts[0]["config"]
+    total = {
+        name: sum(one[name] for one in transcripts)
+        for name in ("prompt_tokens", "completion_tokens")
+    }
+    prices = [config.get(name) for name in PRICES]
+    cost = (
+        None
+        if None in prices
+        else sum(price * n for price, n in zip(prices, total.values(), strict=True)) / 1e6
+    )
+    facts: dict[str, Any] = {
+        "answers": dict(Counter(_answers(transcripts)).most_common()),
+        "retries": dict(sum((Counter(one["retries"]) for one in transcripts), Counter())),
+        **total,
+        "cost": cost,
+    }
+    if "actions" not in transcripts[0]:
+        return {"pictures": len(transcripts), **facts}
+    successes = sum(one["success"] for one in transcripts)
+    return {
+        "episodes": len(transcripts),
+        "successes": successes,
+        "success_rate": successes / len(transcripts),
+        "interval": list(wilson(successes, len(transcripts))),
+        "without_valid_answer": sum(
+            not one["success"] and all(turn["fault"] for turn in one["turns"])
+            for one in transcripts
+        ),
+        **facts,
+    }
+
+
+def _answers(transcripts: Iterable[Mapping[str, Any]]) -> Iterable[str]:
+    """What each answer was: "valid", or its fault."""
+    for one in transcripts:
+        for turn in one.get("turns", [one]):
+            yield turn["fault"] or "valid"

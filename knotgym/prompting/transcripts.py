@@ -1,0 +1,130 @@
+"""Transcripts: what was asked and answered in an episode, or of a picture, one JSON line each.
+
+A line stands for itself: it says its format, who was asked, of what, and what came of it; pictures
+by the SHA-256 of their PNG. docs/prompting.md names the fields.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from knotgym.errors import KnotgymError, MissingFile, one_line
+
+FORMAT = "knotgym-transcript"
+FORMAT_VERSION = 1
+PRICES = ("prompt_price", "completion_price")  # of a configuration; of a million tokens
+FILE = "transcripts.jsonl"  # in a run's folder
+_PLAYED: dict[str, type] = {
+    "number": int,
+    "config": dict,
+    "start": int,
+    "goal": int,
+    "gauss_code": list,
+    "actions": list,
+    "success": bool,
+    "turns": list,
+    "retries": dict,
+    "prompt_tokens": int,
+    "completion_tokens": int,
+}
+_READ: dict[str, type] = {
+    "number": int,
+    "config": dict,
+    "gauss_code": str,
+    "nx": int,
+    "grade": str,
+    "accepted": bool,
+    "fault": str,
+    "retries": dict,
+    "prompt_tokens": int,
+    "completion_tokens": int,
+}
+
+
+class InvalidTranscript(KnotgymError, ValueError):
+    """A file whose lines are no transcripts that this version reads."""
+
+
+def line(transcript: Mapping[str, Any]) -> str:
+    """A transcript as its line, with its format and the line break."""
+    whole = {"format": FORMAT, "format_version": FORMAT_VERSION, **transcript}
+    return json.dumps(whole, ensure_ascii=True, allow_nan=False) + "\n"
+
+
+def transcripts_at(named: str | Path) -> Path | None:
+    """The file of transcripts that a path means, or None."""
+    given = Path(named)
+    inside = given / FILE if given.is_dir() else given
+    return inside if inside.is_file() and inside.suffix == ".jsonl" else None
+
+
+def read_transcripts(path: Path) -> list[dict[str, Any]]:
+    """The transcripts of a file.
+
+    Raises:
+        MissingFile: there is no such file.
+        InvalidTranscript: a line is no transcript.
+    """
+    if not path.is_file():
+        raise MissingFile(f"no transcripts at {path}")
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise InvalidTranscript(f"{path} is no text: {one_line(error)}") from error
+    lines = text.removesuffix("\n").split("\n")
+    return [_checked(one, f"{path}, line {number}") for number, one in enumerate(lines, 1)]
+
+
+def _checked(text: str, where: str) -> dict[str, Any]:
+    """A line's transcript, refused unless it has what is read from it."""
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InvalidTranscript(f"{where} is no JSON: {one_line(error)}") from error
+    if not isinstance(found, dict):
+        raise InvalidTranscript(f"{where} is no transcript, but {str(found)[:40]}")
+    name, version = found.get("format"), found.get("format_version")
+    if (name, version) != (FORMAT, FORMAT_VERSION):
+        raise InvalidTranscript(
+            f"{where} has format {name!r} version {version!r}; this version reads {FORMAT!r}"
+            f" version {FORMAT_VERSION}"
+        )
+    for field, kind in (_PLAYED if "actions" in found else _READ).items():
+        if type(found.get(field)) is not kind:
+            raise InvalidTranscript(f"{where}: {field} must be {kind.__name__}")
+    turns = found.get("turns", [])
+    sound = (
+        all(isinstance(one, dict) and isinstance(one.get("fault"), str) for one in turns)
+        and all(map(_is_action, found.get("actions", [])))
+        and all(isinstance(code, str) for code in found["gauss_code"])
+        and all(_is_count(count) for count in found["retries"].values())
+        and all(_is_price(found["config"].get(name)) for name in PRICES)
+    )
+    if not sound:
+        raise InvalidTranscript(
+            f"{where}: turns, actions (six numbers in [-1, 1]), codes or counts are not sound"
+        )
+    return found
+
+
+def _is_action(value: Any) -> bool:
+    return (
+        isinstance(value, list)
+        and len(value) == 6
+        and all(
+            isinstance(number, (int, float)) and not isinstance(number, bool) and abs(number) <= 1
+            for number in value
+        )
+    )
+
+
+def _is_count(value: Any) -> bool:
+    return isinstance(value, int) and value >= 0
+
+
+def _is_price(value: Any) -> bool:
+    return value is None or (isinstance(value, (int, float)) and 0 <= value < math.inf)

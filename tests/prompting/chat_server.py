@@ -1,0 +1,114 @@
+"""A chat-completions server on 127.0.0.1 that says and does what a test tells it to."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import socket
+import struct
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+
+Misdeed = tuple[str, Any]  # what is done instead of answering, and its detail
+Answer = str | Misdeed
+
+
+class ChatServer:
+    """Remembers every request; `answer` says what each gets, by its number and its body.
+
+    Misdeeds: ("status", (503, {header: value}, body)), ("cut", None), ("slow", seconds),
+    ("body", "{not json"), ("refusal", "I can't").
+    """
+
+    def __init__(self, answer: Callable[[int, Any], Answer]) -> None:
+        self.requests: list[dict[str, Any]] = []
+        self.keys: list[str] = []
+        self._answer, self._lock = answer, threading.Lock()
+        server = self
+
+        class Handler(BaseHTTPRequestHandler):
+            protocol_version = "HTTP/1.1"
+
+            def do_POST(self) -> None:
+                body = json.loads(self.rfile.read(int(self.headers["content-length"])))
+                with server._lock:
+                    number = len(server.requests)
+                    server.requests.append({"path": self.path, **body})
+                    server.keys.append(self.headers.get("authorization", ""))
+                server._respond(self, server._answer(number, body))
+
+            def log_message(self, format: str, *arguments: Any) -> None:
+                pass
+
+        self._http = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self._http.daemon_threads = True
+        self.url = f"http://127.0.0.1:{self._http.server_address[1]}/v1"
+
+    @contextmanager
+    def serving(self) -> Iterator[ChatServer]:
+        """Serve until the block ends."""
+        thread = threading.Thread(target=self._http.serve_forever, args=(0.02,), daemon=True)
+        thread.start()
+        try:
+            yield self
+        finally:
+            self._http.shutdown()
+            self._http.server_close()
+            thread.join()
+
+    def _respond(self, handler: BaseHTTPRequestHandler, answer: Answer) -> None:
+        kind: str
+        detail: Any
+        kind, detail = ("answer", answer) if isinstance(answer, str) else answer
+        if kind == "slow":
+            threading.Event().wait(detail)
+            kind, detail = "answer", ""
+        if kind == "cut":
+            linger = struct.pack("ii", 1, 0)  # a reset, in the middle of what was promised
+            handler.connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
+            handler.connection.sendall(b"HTTP/1.1 200 OK\r\ncontent-length: 999\r\n\r\n{")
+            handler.connection.close()
+            handler.close_connection = True
+            return
+        status, headers, body = detail if kind == "status" else (200, {}, "")
+        if kind == "body":
+            body = detail
+        elif kind in ("answer", "refusal"):
+            message: dict[str, Any] = {"role": "assistant", "content": detail}
+            if kind == "refusal":
+                message = {"role": "assistant", "content": None, "refusal": detail}
+            body = json.dumps(
+                {
+                    "id": "1",
+                    "object": "chat.completion",
+                    "choices": [{"index": 0, "message": message, "finish_reason": "stop"}],
+                    "usage": {"prompt_tokens": 100, "completion_tokens": 10, "total_tokens": 110},
+                }
+            )
+        data = body.encode()
+        try:
+            handler.send_response(status)
+            for name, value in {"content-type": "application/json", **headers}.items():
+                handler.send_header(name, value)
+            handler.send_header("content-length", str(len(data)))
+            handler.end_headers()
+            handler.wfile.write(data)
+        except OSError:
+            handler.close_connection = True  # the other side has had enough
+
+
+def kinds(message: Any) -> str:
+    """A message's parts in order: t for text, p for a picture; an assistant's a."""
+    if isinstance(message["content"], str):
+        return "a"
+    return "".join("t" if part["type"] == "text" else "p" for part in message["content"])
+
+
+def hashes(message: Any) -> list[str]:
+    """SHA-256 of the pictures of a message, in order."""
+    urls = [one["image_url"]["url"] for one in message["content"] if one["type"] == "image_url"]
+    return [hashlib.sha256(base64.b64decode(url.partition(",")[2])).hexdigest() for url in urls]

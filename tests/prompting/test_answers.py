@@ -1,0 +1,50 @@
+"""Answers are read strictly, and what is wrong with one has a name."""
+
+import pytest
+
+from knotgym.prompting.answers import FAULTS, read_actions, read_code
+
+ONE = "[0.1, -0.2, 0, 1, 0, -1]"
+
+
+def test_an_answer_after_thoughts_is_read() -> None:
+    text = f"First [1, 2] I think.\n<answer>\n{ONE}\n{ONE},\n</answer>\n"
+    assert read_actions(text, 2) == ([[0.1, -0.2, 0, 1, 0, -1]] * 2, "")
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("", "no block"),
+        (ONE, "no block"),
+        (f"</answer>{ONE}<answer>", "no block"),
+        (f"<answer>{ONE}", "no block"),
+        (f"<answer>{ONE}</answer> or <answer>{ONE}</answer>", "several blocks"),
+        ("<answer>pull it</answer>", "malformed"),
+        (f"<answer>[{ONE}]</answer>", "malformed"),
+        ("<answer>[0.1, left, 0, 1, 0, 0]</answer>", "malformed"),
+        ("<answer>[0.1, 1_0, 0, 1, 0, 0]</answer>", "malformed"),
+        ("<answer>[0, 0, 0, 1, 0]</answer>", "not six numbers"),
+        (f"<answer>[{', '.join(['0'] * 11)}]</answer>", "not six numbers"),
+        ("<answer>[0, 0, NaN, 1, 0, 0]</answer>", "not finite"),
+        ("<answer>[0, 0, 1e999, 1, 0, 0]</answer>", "not finite"),
+        ("<answer>[0, 0, 0, 1.0001, 0, 0]</answer>", "out of range"),
+        ("<answer></answer>", "number of actions"),
+        (f"<answer>{ONE}{ONE}</answer>", "number of actions"),
+    ],
+)
+def test_a_wrong_answer_has_no_action_and_a_fault(text: str, fault: str) -> None:
+    assert read_actions(text, 1) == ([], fault) and fault in FAULTS
+
+
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [("1+,1-", "1+,1-"), (" [1-, 2+, 2-, 1+] ", "1-,2+,2-,1+"), ("", ""), ("[]", "")],
+)
+def test_a_code_is_read_with_brackets_or_without(text: str, code: str) -> None:
+    assert str(read_code(f"so <answer>{text}</answer>").code) == code
+
+
+@pytest.mark.parametrize("text", ["1+,1+", "2+,2-", "none", "1+;1-", "9" * 5000 + "+"])
+def test_what_is_no_code_is_malformed(text: str) -> None:
+    assert read_code(f"<answer>{text}</answer>") == (None, "malformed")
