@@ -31,7 +31,14 @@ _CHOICE, _SEARCH, _SPLITS = "Which states", "The search", "Splits"
 
 
 def generate(
-    nx: NxOption = "3",
+    nx: Annotated[
+        str | None,
+        typer.Option(
+            "--nx",
+            help="Crossings: 3, or 2,3, or 0-4.",
+            show_default="3; with --source drawing and --knot as many as the knot needs",
+        ),
+    ] = None,
     count: Annotated[
         int,
         typer.Option(
@@ -83,7 +90,9 @@ def generate(
         option(
             "--knot",
             help=(
-                "0_1, 3_1, 4_1, 5_1, or a file with a closed curve, three numbers a line or .npy."
+                "0_1, 3_1, 4_1, 5_1, or a file with a closed curve, three numbers a line or .npy;"
+                " with --source drawing every prime knot to 10 crossings (8_19), a mirror image"
+                " (m3_1), or a sum (3_1#4_1)."
             ),
             group=_CHOICE,
         ),
@@ -148,6 +157,8 @@ def generate(
         knotgym generate --nx 2-4 --source random-walk
 
         knotgym generate --nx 5 --source drawing --every-code 1
+
+        knotgym generate --source drawing --knot 8_19 --count 4
     """
     with Progress(quiet) as progress:
         from knotgym.generate.states.drawn_states import DrawnStatesConfig
@@ -156,12 +167,16 @@ def generate(
         from knotgym.generate.states.random_walk import RandomWalkConfig
         from knotgym.generate.states.random_walk_recipe import walk_states
         from knotgym.generate.states.state_recipe import generate as run
+        from knotgym.topology.knot_table import UNKNOT, diagram_of
 
         options = run_options(engine, scheduler, workers, shard, resume, quiet)
         if source not in ("play", "random-walk", "drawing"):
             raise typer.BadParameter(f"--source takes play, random-walk or drawing, got {source!r}")
         if codes is not None and source != "drawing":
             raise typer.BadParameter(f"--codes goes with --source drawing, not {source}")
+        if nx is None:
+            drawn_knot = source == "drawing" and knot != UNKNOT
+            nx = str(diagram_of(knot).nx) if drawn_knot else "3"
         folder = out or default_folder(
             f"nx{nx}",
             "" if source == "play" else source,

@@ -7,8 +7,9 @@ Hoste, Thistlethwaite and Weeks, "The First 1,701,936 Knots", 1998). Beyond that
 polynomial decides, up to 24 crossings: no knot with so few has the unknot's (R. E. Tuzun and A. S.
 Sikora, "Verification of the Jones Unknot Conjecture up to 24 Crossings", 2021).
 
-Types are named as in Rolfsen's table, whatever the handedness: both trefoils are "3_1", and
-"3_1#3_1" is the granny knot as well as the square knot.
+Types are named as in KnotInfo's table (`knot_table`), whatever the handedness: both trefoils are
+"3_1", and "3_1#3_1" is the granny knot as well as the square knot. A diagram of up to 10 crossings
+is told by its polynomials or as one of the table's own.
 """
 
 from __future__ import annotations
@@ -18,10 +19,10 @@ from functools import lru_cache
 from knotgym.errors import KnotgymError
 from knotgym.topology.diagrams import drawn, planar_codes, summands
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.knot_table import UNKNOT, diagram_of, joined, own_type, tabled_type, type_of
 from knotgym.topology.polynomials import alexander_polynomial, jones_polynomial
 from knotgym.topology.reidemeister import simplify, without_bigons
 
-UNKNOT = "0_1"
 UNKNOWN = "unknown"
 ALEXANDER_DECIDES = 10
 JONES_DECIDES = 24
@@ -79,7 +80,7 @@ def is_unknot(code: GaussCode) -> bool:
 
 @lru_cache(maxsize=65536)
 def knot_type(code: GaussCode) -> str:
-    """Name the knot: types of at most 7 crossings joined by "#", or "unknown" if not certain.
+    """Name the knot: types of at most 10 crossings joined by "#", or "unknown" if not certain.
 
     Args:
         code: a planar code; without chirality as for is_unknot().
@@ -91,11 +92,41 @@ def knot_type(code: GaussCode) -> str:
     '3_1'
     """
     names: list[str] = []
-    for summand in summands(simplify(code)):
-        names.extend(_name(summand).split("#"))
+    for summand in summands(without_bigons(drawn(code))):
+        # spares the search for a smaller diagram
+        own = own_type(summand) if summand.nx > _TABLED else None
+        if own:
+            names.append(own)
+        else:
+            for part in summands(simplify(summand)):
+                names.extend(_name(part).split("#"))
     if UNKNOWN in names:
         return UNKNOWN
-    return "#".join(sorted(name for name in names if name != UNKNOT)) or UNKNOT
+    return joined(names)
+
+
+def shows(code: GaussCode, knot: str) -> bool:
+    """Say whether a rope that shows the code is this knot, and with chirality, of this hand.
+
+    The Jones polynomial tells hands, but for 9_42, 10_48, 10_71, 10_91, 10_104 and 10_125: there
+    either passes.
+
+    Args:
+        code: planar.
+        knot: a name as of `knot_table.diagram_of`.
+
+    Raises:
+        NotPlanar: no closed curve shows the code.
+        UnknownKnot: the table has none of the name.
+
+    >>> shows(GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c"), "m3_1")
+    False
+    """
+    if type_of(knot) == UNKNOT:
+        return is_unknot(code)
+    if knot_type(code) != type_of(knot):
+        return False
+    return code.chirality is None or jones_polynomial(code) == jones_polynomial(diagram_of(knot))
 
 
 def handedness(code: GaussCode) -> int:
@@ -124,7 +155,7 @@ def codes_of(knot: str, nx: int) -> tuple[GaussCode, ...]:
     """Every code with nx crossings that a rope of this knot type can show, in order, chirality
     left out; exact.
     """
-    certified = is_unknot if knot == "0_1" else lambda code: knot_type(code) == knot
+    certified = is_unknot if knot == UNKNOT else lambda code: knot_type(code) == knot
     return tuple(
         sorted((code for code in planar_codes(nx) if certified(code)), key=lambda code: code.visits)
     )
@@ -149,6 +180,6 @@ def _name(summand: GaussCode) -> str:
     if summand.nx <= _TABLED:
         return _TYPES[alexander_polynomial(summand)]
     try:
-        return UNKNOT if _is_trivial(summand) else UNKNOWN
+        return UNKNOT if _is_trivial(summand) else tabled_type(summand) or UNKNOWN
     except UndecidedKnot:
         return UNKNOWN

@@ -39,7 +39,7 @@ def simplify(code: GaussCode, effort: int = 64) -> GaussCode:
     >>> simplify(GaussCode.parse("1+,2+,3-,1-,2-,3+")).nx
     0
     """
-    return _strung([_least(summand, effort) for summand in summands(without_bigons(drawn(code)))])
+    return strung([_least(summand, effort) for summand in summands(without_bigons(drawn(code)))])
 
 
 def without_bigons(code: GaussCode) -> GaussCode:
@@ -65,6 +65,26 @@ def without_bigons(code: GaussCode) -> GaussCode:
     return GaussCode.relabelled(
         visits, {label: POSITIVE if sign > 0 else NEGATIVE for label, sign in enumerate(signs, 1)}
     )
+
+
+def is_alternating(code: GaussCode) -> bool:
+    """Whether the strand goes over and under in turns."""
+    return all(
+        (visit > 0) != (after > 0)
+        for visit, after in zip(code.visits, code.visits[1:], strict=False)
+    )
+
+
+def strung(codes: list[GaussCode]) -> GaussCode:
+    """The connected sum: one diagram after the other along the rope."""
+    visits: list[int] = []
+    letters: list[str] = []
+    for code in codes:
+        visits.extend(
+            visit + len(letters) if visit > 0 else visit - len(letters) for visit in code.visits
+        )
+        letters.extend(code.chirality or "")
+    return GaussCode(tuple(visits), "".join(letters))
 
 
 def _without_kinks(visits: list[int] | tuple[int, ...]) -> list[int]:
@@ -103,8 +123,8 @@ def _least(code: GaussCode, effort: int) -> GaussCode:
     """
     code = _descended(code)
     if len(summands(code)) > 1:
-        return _strung([_least(summand, effort) for summand in summands(code)])
-    if _is_alternating(code):
+        return strung([_least(summand, effort) for summand in summands(code)])
+    if is_alternating(code):
         return code
     seen = {_canonical(code)}
     level = deque([code])
@@ -120,13 +140,6 @@ def _least(code: GaussCode, effort: int) -> GaussCode:
                 seen.add(key)
                 level.append(lower)
     return code
-
-
-def _is_alternating(code: GaussCode) -> bool:
-    return all(
-        (visit > 0) != (after > 0)
-        for visit, after in zip(code.visits, code.visits[1:], strict=False)
-    )
 
 
 def _descended(code: GaussCode) -> GaussCode:
@@ -264,18 +277,6 @@ def _crossed(rest: GaussCode, way: list[int]) -> GaussCode:
             visits.append(under[edge])
     visits.extend(range(rest.nx + 1, rest.nx + 1 + len(way)))
     return GaussCode.relabelled(visits, letters)
-
-
-def _strung(codes: list[GaussCode]) -> GaussCode:
-    """The connected sum: one diagram after the other along the rope."""
-    visits: list[int] = []
-    letters: list[str] = []
-    for code in codes:
-        visits.extend(
-            visit + len(letters) if visit > 0 else visit - len(letters) for visit in code.visits
-        )
-        letters.extend(code.chirality or "")
-    return GaussCode(tuple(visits), "".join(letters))
 
 
 def _canonical(code: GaussCode) -> tuple[tuple[int, ...], str]:

@@ -15,6 +15,7 @@ from knotgym.generate.states.drawn_states import DrawnStatesConfig, DrawnUnit, d
 from knotgym.generate.states.drawn_states_recipe import DrawnStatesRecipe
 from knotgym.runs.shards import Shard
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.knots import knot_type, shows
 
 from ..small_job import knotgym
 
@@ -100,6 +101,22 @@ def test_a_code_asked_for_by_name_keeps_its_chirality() -> None:
     assert [one.code.chiral for one in made.states] == ["1+c,1-c"]
 
 
+@pytest.mark.parametrize(("knot", "letters"), [("3_1", "ccc"), ("m3_1", "aaa")])
+def test_a_knot_is_drawn_with_its_hand(knot: str, letters: str) -> None:
+    config = DrawnStatesConfig(knot=knot, every_code=1)
+    codes = DrawnStatesRecipe(config, Shard()).codes[3]
+    assert codes.listed is not None and codes.existing == 2
+    made = draw_states(DrawnUnit(config, codes[1], 1, 1, 10, 1))
+    assert [one.code.chirality for one in made.states] == [letters]
+
+
+def test_a_large_knot_is_drawn_as_the_tables_diagram_from_every_base() -> None:
+    codes = DrawnStatesRecipe(DrawnStatesConfig(knot="m8_19", nx=(8,), count=3), Shard()).codes[8]
+    assert codes.listed is not None and codes.wanted == 3 and codes.existing is None
+    assert {knot_type(code) for code in codes.listed} == {"8_19"}
+    assert all(shows(code, "m8_19") for code in codes.listed)
+
+
 @pytest.mark.parametrize(
     ("changes", "problem"),
     [
@@ -107,6 +124,13 @@ def test_a_code_asked_for_by_name_keeps_its_chirality() -> None:
         ({"nx": (2,), "codes": ("1+,2-,1-,2+",)}, "no closed curve shows the code"),
         ({"nx": (3,), "codes": ("1+,2-,3+,1-,2+,3-",)}, "shows the knot 3_1, not 0_1"),
         ({"nx": (2,), "codes": ("1+,1-",)}, "nx must name the crossings"),
+        ({"knot": "9_50"}, "no knot '9_50'; there are 0_1"),
+        ({"knot": "9_42", "nx": (8,)}, "no diagram of 9_42 has 8 crossings; it takes 9"),
+        ({"knot": "9_42", "nx": (9,), "codes": ("1+,1-",)}, "nx must name the crossings"),
+        (
+            {"knot": "m3_1", "codes": ("1-c,2+c,3-c,1+c,2-c,3+c",)},
+            "shows the knot 3_1, not m3_1 of this hand",
+        ),
         ({"stir": -1}, "stir must be a whole number of at least 0"),
     ],
 )

@@ -101,7 +101,7 @@ def knot_curve(knot: str) -> Array:
     if not path.is_file():
         raise InvalidCurveFile(
             f"no knot {knot!r}; there is 0_1, {', '.join(KNOTS)}, or a file with a closed curve,"
-            " three numbers a line or .npy"
+            " three numbers a line or .npy; more knots go with --source drawing"
         )
     try:
         with warnings.catch_warnings(action="error"):  # NumPy only warns of a text without numbers

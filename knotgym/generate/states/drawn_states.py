@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +28,8 @@ from knotgym.tasks import MAX_NX
 from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.diagrams import NotPlanar, chiralities, is_planar
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import UNKNOT, is_unknot, knot_type
+from knotgym.topology.knot_table import UNKNOT, diagram_of, type_of
+from knotgym.topology.knots import knot_type, shows
 from knotgym.topology.reference_labeller import pyknotid_code
 
 ONE = np.array([0])
@@ -45,7 +47,7 @@ class DrawnStatesConfig:
         every_code: instead of count, so many states of every code; 0 for count.
         split_by: "state", or "code" for splits that share no code.
         train_share: of the states (or codes) that are for training.
-        knot: type of the rope's knot.
+        knot: the rope's, as of `topology.knot_table.diagram_of`.
         seed: of everything.
         attempts: drawings, for each state wanted of a code, before the code is passed over.
         cycles: waves after which what there is is enough; 0 to go on until all wanted is there.
@@ -96,6 +98,12 @@ class DrawnStatesConfig:
                 f"nx takes different numbers of crossings from 0 to {MAX_NX}, got"
                 f" {', '.join(map(str, self.nx)) or 'none'}"
             )
+        least = diagram_of(self.knot).nx
+        for nx in self.nx:
+            if nx < least:
+                raise InvalidGenerateConfig(
+                    f"no diagram of {self.knot} has {nx} crossings; it takes {least}"
+                )
         for code in self.parsed:
             if not is_planar(code):
                 raise NotPlanar(code)
@@ -103,9 +111,11 @@ class DrawnStatesConfig:
                 raise InvalidGenerateConfig(
                     f"nx must name the crossings of all codes, got {self.nx} and {str(code)!r}"
                 )
-            if not (is_unknot(code) if self.knot == UNKNOT else knot_type(code) == self.knot):
+            if not shows(code, self.knot):
+                seen = knot_type(code)
+                other_hand = " of this hand" if seen == type_of(self.knot) else ""
                 raise InvalidGenerateConfig(
-                    f"the code {str(code)!r} shows the knot {knot_type(code)}, not {self.knot}"
+                    f"the code {str(code)!r} shows the knot {seen}, not {self.knot}{other_hand}"
                 )
         if self.split_by not in ("state", "code"):
             raise InvalidGenerateConfig(
@@ -181,7 +191,7 @@ def draw_states(unit: DrawnUnit) -> DrawnOnes:
     """Draw a unit's code until it is wanted no more; the same unit gives the same bytes."""
     simulation = simulation_of(1, RopeConfig())
     own, made = unit.code.chirality, DrawnOnes()
-    letters = chiralities(unit.code) if own is None else (own,)
+    letters = _letters(unit.code, unit.config.knot) if own is None else (own,)
     for number in range(unit.first, unit.first + unit.drawings):
         made.drawings += 1
         # every chirality in turn, not all codes beginning with the same
@@ -192,6 +202,15 @@ def draw_states(unit: DrawnUnit) -> DrawnOnes:
             if len(made.states) == unit.wanted:
                 break
     return made
+
+
+@lru_cache(maxsize=4096)
+def _letters(code: GaussCode, knot: str) -> tuple[str, ...]:
+    """The chiralities with which a code shows the knot."""
+    patterns = chiralities(code)
+    if knot == UNKNOT:
+        return patterns
+    return tuple(letters for letters in patterns if shows(GaussCode(code.visits, letters), knot))
 
 
 def _drawn(

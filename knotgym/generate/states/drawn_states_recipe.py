@@ -46,7 +46,8 @@ from knotgym.runs.run_options import NotEnough, RunOptions
 from knotgym.runs.shards import Shard
 from knotgym.streams import Stream, generator
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import LISTED_NX, UNKNOT, codes_of, is_unknot, knot_type
+from knotgym.topology.knot_table import based_diagrams, diagram_of, type_of
+from knotgym.topology.knots import LISTED_NX, codes_of, knot_type, shows
 from knotgym.topology.uniform_codes import uniform_code
 
 _RARE = 20_000  # codes drawn at random, one of which should be of the knot
@@ -180,10 +181,7 @@ class DrawnStatesRecipe:
             "mujoco": mujoco.__version__,
             "source": DRAWING,
             "knot": self.config.knot,
-            "existing_codes": {
-                str(nx): None if codes.listed is None else len(codes.listed)
-                for nx, codes in self.codes.items()
-            },
+            "existing_codes": {str(nx): codes.existing for nx, codes in self.codes.items()},
             "attempts": self.tried.total(),
             "actions": 0,
             "rejected": {str(nx): dict(sorted(each.items())) for nx, each in self.rejected.items()},
@@ -286,17 +284,24 @@ class CodeOrder:
     """The codes of one nx in the order in which they are drawn, by index.
 
     Attributes:
-        listed: all there are; None where there are too many.
+        listed: those drawn; None where there are too many. A knot of more than LISTED_NX crossings
+            is drawn with these as the table's diagram, from every base.
+        existing: how many codes of the nx show the knot; None if nobody counted.
         wanted: states in all.
     """
 
     def __init__(self, config: DrawnStatesConfig, shard: Shard, nx: int) -> None:
         self._config, self._shard, self._nx = config, shard, nx
         self.listed: Sequence[GaussCode] | None = None
+        self.existing: int | None = None
         if config.codes:
             self.listed = [code for code in config.parsed if code.nx == nx]
         elif nx <= LISTED_NX:
-            self.listed = codes_of(config.knot, nx)
+            self.listed = codes_of(type_of(config.knot), nx)
+        elif nx == diagram_of(config.knot).nx:
+            self.listed = based_diagrams(diagram_of(config.knot))
+        if self.listed is not None and (config.codes or nx <= LISTED_NX):
+            self.existing = len(self.listed)
         if self.listed is None:
             if config.every_code:
                 raise InvalidGenerateConfig(
@@ -339,7 +344,7 @@ class CodeOrder:
         knot = self._config.knot
         for _ in range(_RARE):
             code = uniform_code(self._nx, self._rng)
-            if is_unknot(code) if knot == UNKNOT else knot_type(code) == knot:
+            if shows(code, knot):
                 return code
         raise InvalidGenerateConfig(
             f"of {_RARE} codes with {self._nx} crossings drawn at random none shows {knot}"

@@ -1,0 +1,102 @@
+"""The knots to ten crossings, checked against KnotInfo's own polynomials."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from knotgym.topology.gauss import GaussCode
+from knotgym.topology.knot_table import (
+    UnknownKnot,
+    alike,
+    based_diagrams,
+    diagram_of,
+    prime_diagrams,
+    type_of,
+)
+from knotgym.topology.knots import handedness, knot_type, shows
+from knotgym.topology.polynomials import alexander_polynomial, jones_polynomial, mirrored_jones
+from knotgym.topology.reidemeister import is_alternating
+
+INFO = json.loads((Path(__file__).parent / "knotinfo.json").read_text())["knots"]
+
+
+def test_the_table_has_the_249_prime_knots_to_ten_crossings() -> None:
+    crossings = [code.nx for code in prime_diagrams().values()]
+    assert [crossings.count(nx) for nx in range(3, 11)] == [1, 1, 2, 3, 7, 21, 49, 165]
+    assert prime_diagrams().keys() == INFO.keys()
+
+
+def test_every_diagram_has_the_alexander_polynomial_that_knotinfo_has() -> None:
+    for name, code in prime_diagrams().items():
+        sign = 1 if sum(INFO[name][2]) > 0 else -1
+        assert list(alexander_polynomial(code)) == [sign * value for value in INFO[name][2]], name
+
+
+def test_every_diagram_has_the_jones_polynomial_that_knotinfo_has_hand_and_all() -> None:
+    for name, code in prime_diagrams().items():
+        lowest, values, _ = INFO[name]
+        told = tuple((power, value) for power, value in enumerate(values, lowest) if value)
+        assert jones_polynomial(code) == told, name
+
+
+def test_a_jones_polynomial_spans_as_many_powers_as_an_alternating_knot_has_crossings() -> None:
+    for name, code in prime_diagrams().items():
+        jones = jones_polynomial(code)
+        assert (jones[-1][0] - jones[0][0] == code.nx) == is_alternating(code), name
+
+
+def test_every_diagram_is_named_as_itself_from_any_base_and_in_the_mirror() -> None:
+    for place, (name, code) in enumerate(prime_diagrams().items()):
+        seen = code.rebased(place).mirrored() if place % 2 else code.reversed().rebased(place)
+        assert knot_type(seen) == name
+
+
+def test_the_polynomials_leave_six_pairs_alike() -> None:
+    assert set(alike()) == {
+        ("5_1", "10_132"),
+        ("8_8", "10_129"),
+        ("8_16", "10_156"),
+        ("9_12", "4_1#5_2"),
+        ("10_25", "10_56"),
+        ("10_40", "10_103"),
+    }
+
+
+def test_a_diagram_that_is_not_the_tables_is_told_by_its_polynomials() -> None:
+    kinked = GaussCode.relabelled([9, -9, *diagram_of("8_19").visits])
+    assert knot_type(kinked) == "8_19"
+
+
+def test_a_name_means_one_hand_and_m_the_other() -> None:
+    assert (handedness(diagram_of("3_1")), handedness(diagram_of("m3_1"))) == (1, -1)
+    one, other = diagram_of("8_19"), diagram_of("m8_19")
+    assert jones_polynomial(other) == mirrored_jones(jones_polynomial(one))
+    assert shows(one, "8_19") and not shows(one, "m8_19") and shows(one.plain, "m8_19")
+
+
+def test_the_granny_is_told_from_the_square_knot() -> None:
+    granny, square = diagram_of("3_1#3_1"), diagram_of("3_1#m3_1")
+    assert knot_type(granny) == knot_type(square) == "3_1#3_1"
+    assert shows(granny, "3_1#3_1") and not shows(square, "3_1#3_1")
+    assert shows(square, "m3_1#3_1")
+
+
+@pytest.mark.parametrize("name", ["3_1#4_1", "10_25#3_1", "m8_20#m3_1", "4_1#5_2"])
+def test_a_sum_is_named_by_its_summands_in_order(name: str) -> None:
+    assert knot_type(diagram_of(name)) == type_of(name)
+    assert type_of("10_25#3_1") == "3_1#10_25"
+
+
+def test_a_diagram_from_every_base_keeps_its_hand() -> None:
+    found = based_diagrams(diagram_of("7_3"))
+    draw = np.random.default_rng(0).integers(len(found), size=3)
+    assert len(found) > 7 and all(shows(found[k], "7_3") for k in draw)
+
+
+@pytest.mark.parametrize("name", ["9_50", "10_166", "trefoil", "", "3_1#", "mm3_1", "11a_1"])
+def test_a_knot_that_is_not_in_the_table_is_one_line(name: str) -> None:
+    with pytest.raises(UnknownKnot, match="3_1 to 10_165") as caught:
+        diagram_of(name)
+    assert "\n" not in str(caught.value)
