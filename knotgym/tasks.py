@@ -66,8 +66,8 @@ class TaskConfig:
         task: "unknot", "tie" or "convert".
         nx: crossings of the tangled side; convert starts at nx - 1.
         split: rows of the state file to draw from, "train" or "test".
-        states: "readable" (the same as None) or "random-walk", sets that ship, see
-            `datasets.states.shipped`; or path of a state file, or id of a Minari dataset that
+        states: "readable" (the same as None), "random-walk" or "hard-unknots", sets that ship,
+            see `datasets.states.shipped`; or path of a state file, or id of a Minari dataset that
             carries one. Plain loops, and they alone, come from the readable set where a file has
             none.
         observation: "pixels", "state", "both" or "symbolic".

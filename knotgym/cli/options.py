@@ -35,7 +35,7 @@ StatesOption = Annotated[
     Path | None,
     option(
         "--states",
-        help="readable (default) or random-walk, which ship, or a state file.",
+        help="readable (default), random-walk or hard-unknots, which ship, or a state file.",
         group=ENVIRONMENT,
     ),
 ]

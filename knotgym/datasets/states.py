@@ -96,15 +96,21 @@ class States:
         return self.with_columns({name: values[rows] for name, values in self.columns().items()})
 
 
-SHIPPED = {"readable": "states.h5", "random-walk": "random-walk.h5"}  # name -> file
+SHIPPED = {  # name -> file
+    "readable": "states.h5",
+    "random-walk": "random-walk.h5",
+    "hard-unknots": "hard-unknots.h5",
+}
 
 
 def shipped(name: str = "readable") -> Path:
-    """A set of states that comes with the package: 17 loops, and 40 states for each nx to 4.
+    """A set of states that comes with the package.
 
     Args:
-        name: "readable", curated to be read off the picture; or "random-walk", as random play meets
-            them, only over-twisted ones left out.
+        name: of those with 17 loops and 40 states for each nx to 4, "readable", curated to be read
+            off the picture, or "random-walk", as random play meets them, only over-twisted ones
+            left out; or "hard-unknots", unknots with 7, 10 and 11 crossings; those with 10
+            and 11 have neither kink nor bigon.
 
     Raises:
         InvalidStates: no set has that name.

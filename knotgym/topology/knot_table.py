@@ -98,7 +98,7 @@ def based_diagrams(code: GaussCode) -> list[GaussCode]:
     """A diagram with chirality from every base point, in both directions, and from below: all of
     the same knot with its hand.
     """
-    found = set()
+    found: set[GaussCode] = set()
     for side in (code, code.mirrored().reflected()):
         for way in (side, side.reversed()):
             found.update(way.rebased(k) for k in range(max(1, len(way.visits))))
