@@ -158,6 +158,25 @@ def replay(
 
 
 @dataset_app.command()
+def page(
+    path: PathOrId,
+    out: Annotated[Path, typer.Option(help="HTML file to write.")] = Path("page.html"),
+    quiet: QuietOption = False,
+) -> None:
+    """Write one HTML file to browse a dataset in, without a network.
+
+    States turn in three dimensions, episodes play; 10 MB at most, large sets are sampled.
+    """
+    with Progress(quiet, lines=False) as progress:
+        from knotgym.atomic_files import require_writable
+        from knotgym.cli.inspection import page as write
+
+        require_writable(out)
+        progress.stage("writing the page")
+        progress.say(f"{out}: {write(path, out)}")
+
+
+@dataset_app.command()
 def export(
     path: PathOrId,
     out: Annotated[

@@ -25,6 +25,10 @@ from knotgym.datasets.image_table import read_rows, read_table
 from knotgym.datasets.manifest_check import read_manifest
 from knotgym.datasets.minari_dataset import compact, merge_datasets
 from knotgym.datasets.states import merge_states, minari_root, read_states, write_states
+from knotgym.datasets.minari_dataset import compact
+from knotgym.datasets.page.page_data import dataset_name, page_data
+from knotgym.datasets.page.page_writer import write_page
+from knotgym.datasets.states import merge_states, read_states, write_states
 from knotgym.errors import KnotgymError
 from knotgym.generate.merge_shards import merge_shards, shard_folder_of
 from knotgym.rendering.picture import draw
@@ -175,6 +179,24 @@ def merge_to_minari(sources: Sequence[str], dataset_id: str, root: Path | None) 
     paths = [place(source, "episodes").path for source in sources]
     made = merge_datasets(paths, dataset_id, root)
     return f"{made}: {len(EpisodeReader(made))} episodes"
+
+
+def page(named: str, out: Path) -> str:
+    """Write one HTML file to browse what a path or an id names; the fact to tell of it."""
+    refuse_existing(out)
+    found = places(named)
+    kind, path = found[0]
+    title = path.resolve().name
+    if kind == "images":
+        data = page_data(title, pictures=path)
+    elif kind == "states":
+        ways = [one.path for one in demonstrations(path)]
+        data = page_data(title, states=states_file(path), episodes=ways)
+    else:
+        title = named if len(found) > 1 else dataset_name(path)
+        data = page_data(title, episodes=[one.path for one in found])
+    write_page(out, data)
+    return " ".join([f"{data['says']}, {out.stat().st_size / 1e6:.1f} MB.", *data["notices"]])
 
 
 def merge(sources: Sequence[str], out: Path) -> str:
