@@ -190,11 +190,16 @@ def export(
     ],
     to: Annotated[
         str,
-        typer.Option(help="compact (states and actions; pictures are drawn), lerobot or ogbench."),
+        typer.Option(
+            help=(
+                "compact (states and actions; pictures are drawn), lerobot, ogbench; huggingface"
+                " or minari: a folder to upload as it is."
+            )
+        ),
     ] = "compact",
     quiet: QuietOption = False,
 ) -> None:
-    """Convert trajectories to another form: the compact one, LeRobot's, OGBench's."""
+    """Convert a dataset to another form, or to a folder to upload."""
     with Progress(quiet, lines=False) as progress:
         from knotgym.atomic_files import require_writable
         from knotgym.cli.inspection import export as convert

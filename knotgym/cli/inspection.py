@@ -20,15 +20,15 @@ from knotgym.datasets import verification
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_writer import merge_episodes
 from knotgym.datasets.exports.forms import export as convert
+from knotgym.datasets.exports.huggingface_export import ToUpload, to_huggingface
+from knotgym.datasets.exports.minari_export import to_minari
 from knotgym.datasets.gallery import contact_sheet, write_gallery, write_png
 from knotgym.datasets.image_table import read_rows, read_table
 from knotgym.datasets.manifest_check import read_manifest
 from knotgym.datasets.minari_dataset import compact, merge_datasets
-from knotgym.datasets.states import merge_states, minari_root, read_states, write_states
-from knotgym.datasets.minari_dataset import compact
 from knotgym.datasets.page.page_data import dataset_name, page_data
 from knotgym.datasets.page.page_writer import write_page
-from knotgym.datasets.states import merge_states, read_states, write_states
+from knotgym.datasets.states import merge_states, minari_root, read_states, write_states
 from knotgym.errors import KnotgymError
 from knotgym.generate.merge_shards import merge_shards, shard_folder_of
 from knotgym.rendering.picture import draw
@@ -142,7 +142,12 @@ def export(named: str, out: Path, form: str = "compact") -> str:
     """Write another form of what a path or an id names, the compact one as a file, or a folder with
     one for each dataset; the fact to tell of it.
     """
+    if form == "huggingface":
+        return _upload(named, out)
     found = episodes_at(named)
+    if form == "minari":
+        to_minari([one.path for one in found], out)
+        return f"a Minari root with {len(found)} datasets; upload the folder in it"
     if form != "compact":
         if len(found) > 1:
             raise UnknownDataset(
@@ -163,6 +168,24 @@ def export(named: str, out: Path, form: str = "compact") -> str:
     size = sum(reader.path.stat().st_size for reader in readers)
     where = f" in {len(readers)} files" if len(readers) > 1 else ""
     return f"{sum(map(len, readers))} episodes{where}, {size / 1e6:.1f} MB"
+
+
+def _upload(named: str, out: Path) -> str:
+    """Write a folder for Hugging Face of what a path or an id names; the fact to tell of it."""
+    found = places(named)
+    kind, path = found[0]
+    title = path.resolve().name
+    if kind == "images":
+        source = ToUpload(title, pictures=path)
+    elif kind == "states":
+        ways = [one.path for one in demonstrations(path)]
+        source = ToUpload(title, states=states_file(path), episodes=ways)
+    else:
+        title = named if len(found) > 1 else dataset_name(path)
+        source = ToUpload(title, episodes=[one.path for one in found])
+    to_huggingface(source, out)
+    size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
+    return f"{size / 1e6:.1f} MB to upload"
 
 
 def refuse_minaris_folder(out: Path) -> None:
