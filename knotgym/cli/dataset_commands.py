@@ -159,6 +159,25 @@ def replay(
 
 
 @dataset_app.command()
+def page(
+    path: PathOrId,
+    out: Annotated[Path, typer.Option(help="HTML file to write.")] = Path("page.html"),
+    quiet: QuietOption = False,
+) -> None:
+    """Write one HTML file to browse a dataset in, without a network.
+
+    States turn in three dimensions, episodes play; 10 MB at most, large sets are sampled.
+    """
+    with Progress(quiet, lines=False) as progress:
+        from knotgym.atomic_files import require_writable
+        from knotgym.cli.inspection import page as write
+
+        require_writable(out)
+        progress.stage("writing the page")
+        progress.say(f"{out}: {write(path, out)}")
+
+
+@dataset_app.command()
 def export(
     path: PathOrId,
     out: Annotated[
@@ -172,11 +191,16 @@ def export(
     ],
     to: Annotated[
         str,
-        typer.Option(help="compact (states and actions; pictures are drawn), lerobot or ogbench."),
+        typer.Option(
+            help=(
+                "compact (states and actions; pictures are drawn), lerobot, ogbench; huggingface"
+                " or minari: a folder to upload as it is."
+            )
+        ),
     ] = "compact",
     quiet: QuietOption = False,
 ) -> None:
-    """Convert trajectories to another form: the compact one, LeRobot's, OGBench's."""
+    """Convert a dataset to another form, or to a folder to upload."""
     with Progress(quiet, lines=False) as progress:
         from knotgym.atomic_files import require_writable
         from knotgym.cli.inspection import export as convert

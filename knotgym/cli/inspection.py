@@ -20,10 +20,14 @@ from knotgym.datasets import verification
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_writer import merge_episodes
 from knotgym.datasets.exports.forms import export as convert
+from knotgym.datasets.exports.huggingface_export import ToUpload, to_huggingface
+from knotgym.datasets.exports.minari_export import to_minari
 from knotgym.datasets.gallery import contact_sheet, write_gallery, write_png
 from knotgym.datasets.image_table import read_rows, read_table
 from knotgym.datasets.manifest_check import read_manifest
 from knotgym.datasets.minari_dataset import compact, merge_datasets
+from knotgym.datasets.page.page_data import dataset_name, page_data
+from knotgym.datasets.page.page_writer import write_page
 from knotgym.datasets.states import merge_states, minari_root, read_states, write_states
 from knotgym.errors import KnotgymError
 from knotgym.generate.merge_shards import merge_shards, shard_folder_of
@@ -142,7 +146,12 @@ def export(named: str, out: Path, form: str = "compact") -> str:
     """Write another form of what a path or an id names, the compact one as a file, or a folder with
     one for each dataset; the fact to tell of it.
     """
+    if form == "huggingface":
+        return _upload(named, out)
     found = episodes_at(named)
+    if form == "minari":
+        to_minari([one.path for one in found], out)
+        return f"a Minari root with {len(found)} datasets; upload the folder in it"
     if form != "compact":
         if len(found) > 1:
             raise UnknownDataset(
@@ -165,6 +174,24 @@ def export(named: str, out: Path, form: str = "compact") -> str:
     return f"{sum(map(len, readers))} episodes{where}, {size / 1e6:.1f} MB"
 
 
+def _upload(named: str, out: Path) -> str:
+    """Write a folder for Hugging Face of what a path or an id names; the fact to tell of it."""
+    found = places(named)
+    kind, path = found[0]
+    title = path.resolve().name
+    if kind == "images":
+        source = ToUpload(title, pictures=path)
+    elif kind == "states":
+        ways = [one.path for one in demonstrations(path)]
+        source = ToUpload(title, states=states_file(path), episodes=ways)
+    else:
+        title = named if len(found) > 1 else dataset_name(path)
+        source = ToUpload(title, episodes=[one.path for one in found])
+    to_huggingface(source, out)
+    size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
+    return f"{size / 1e6:.1f} MB to upload"
+
+
 def refuse_minaris_folder(out: Path) -> None:
     """Raise UnknownDataset where a plain file would lie among Minari's datasets."""
     if out.resolve().is_relative_to(minari_root().resolve()):
@@ -179,6 +206,24 @@ def merge_to_minari(sources: Sequence[str], dataset_id: str, root: Path | None) 
     paths = [place(source, "episodes").path for source in sources]
     made = merge_datasets(paths, dataset_id, root)
     return f"{made}: {len(EpisodeReader(made))} episodes"
+
+
+def page(named: str, out: Path) -> str:
+    """Write one HTML file to browse what a path or an id names; the fact to tell of it."""
+    refuse_existing(out)
+    found = places(named)
+    kind, path = found[0]
+    title = path.resolve().name
+    if kind == "images":
+        data = page_data(title, pictures=path)
+    elif kind == "states":
+        ways = [one.path for one in demonstrations(path)]
+        data = page_data(title, states=states_file(path), episodes=ways)
+    else:
+        title = named if len(found) > 1 else dataset_name(path)
+        data = page_data(title, episodes=[one.path for one in found])
+    write_page(out, data)
+    return " ".join([f"{data['says']}, {out.stat().st_size / 1e6:.1f} MB.", *data["notices"]])
 
 
 def merge(sources: Sequence[str], out: Path) -> str:

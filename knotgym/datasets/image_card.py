@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 import knotgym
+from knotgym.datasets.citation import BIBTEX
 from knotgym.datasets.image_table import GRADES, file_stem, read_table
 from knotgym.datasets.splits import IMAGE_SPLITS
 from knotgym.datasets.state_card import table
@@ -131,6 +132,12 @@ def card(
                 for name, spread in facts["quality"].items()
             ],
         ),
+        "",
+        "## To cite",
+        "",
+        "```bibtex",
+        BIBTEX,
+        "```",
         "",
         "## How to make it again",
         "",

@@ -109,13 +109,13 @@ def arrow(module: str = "pyarrow") -> Any:
 def schema() -> Any:
     """The pyarrow schema of a shard, with Hugging Face's features in its metadata."""
     pa = arrow()
-    features = {name: _feature(kind) for name, kind in COLUMNS.items()}
+    features = {name: feature(kind) for name, kind in COLUMNS.items()}
     metadata = {
         "huggingface": json.dumps({"info": {"features": features}}, sort_keys=True),
         "knotgym": json.dumps({"format": FORMAT, "format_version": FORMAT_VERSION}, sort_keys=True),
     }
     return pa.schema(
-        [(name, _arrow_type(pa, kind)) for name, kind in COLUMNS.items()], metadata=metadata
+        [(name, arrow_type(pa, kind)) for name, kind in COLUMNS.items()], metadata=metadata
     )
 
 
@@ -263,22 +263,24 @@ def _read(path: Path, columns: list[str] | None) -> Any:
         raise InvalidImages(f"{path} isn't a whole Parquet shard: {one_line(error)}") from error
 
 
-def _arrow_type(pa: Any, kind: Any) -> Any:
+def arrow_type(pa: Any, kind: Any) -> Any:
+    """The pyarrow type of a column's type, as COLUMNS spells them."""
     if isinstance(kind, dict):
-        return pa.struct([(name, _arrow_type(pa, inner)) for name, inner in kind.items()])
+        return pa.struct([(name, arrow_type(pa, inner)) for name, inner in kind.items()])
     if isinstance(kind, list):
-        return pa.list_(_arrow_type(pa, kind[0]), -1 if kind[1] is None else kind[1])
+        return pa.list_(arrow_type(pa, kind[0]), -1 if kind[1] is None else kind[1])
     if kind == "image":
         return pa.struct([("bytes", pa.binary()), ("path", pa.string())])
     return {"string": pa.string(), "bool": pa.bool_()}.get(kind) or getattr(pa, kind)()
 
 
-def _feature(kind: Any) -> Any:
+def feature(kind: Any) -> Any:
+    """Hugging Face's feature of a column's type, as COLUMNS spells them."""
     if isinstance(kind, dict):
-        return {name: _feature(inner) for name, inner in kind.items()}
+        return {name: feature(inner) for name, inner in kind.items()}
     if isinstance(kind, list):
         return {
-            "feature": _feature(kind[0]),
+            "feature": feature(kind[0]),
             "length": -1 if kind[1] is None else kind[1],
             "_type": "List",
         }

@@ -18,6 +18,7 @@ import re
 import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -143,11 +144,24 @@ def publish(
         }
         merged.close()
         if states is not None:
-            shutil.copyfile(states, data / "states.h5")
+            _carry(states, data / "states.h5")
         size = sum(file.stat().st_size for file in data.iterdir()) + len(json.dumps(entries))
         entries["dataset_size"] = round(size / 1e6, 1)
-        (data / "metadata.json").write_text(json.dumps(entries, sort_keys=True), encoding="utf-8")
+        text = json.dumps(entries, sort_keys=True, separators=(",", ":"))
+        (data / "metadata.json").write_text(text, encoding="utf-8")
     return folder
+
+
+def _carry(states: str | os.PathLike[str], target: Path) -> None:
+    """Put a state file into a dataset: the same bytes on the disk once, where it lets us.
+
+    A link and not a reference, so that a dataset that is moved or copied has its states with it.
+    Files of ours are replaced, never changed.
+    """
+    try:
+        os.link(states, target)
+    except OSError:  # another disk, or one without links
+        shutil.copyfile(states, target)
 
 
 def merge_datasets(
@@ -253,7 +267,7 @@ def minari_entries(metadata: MinariMetadata, task: TaskConfig) -> dict[str, Any]
     import minari
     from minari.serialization import serialize_space
 
-    from knotgym.env import action_space, observation_space
+    from knotgym.env import action_space
 
     given = {
         name: value
@@ -267,11 +281,25 @@ def minari_entries(metadata: MinariMetadata, task: TaskConfig) -> dict[str, Any]
         "jpeg_encoding": False,
         "minari_version": minari.__version__,
         "requirements": [*here, "minari>=0.5.4"],
-        "observation_space": serialize_space(observation_space(task)),
+        "observation_space": _bounds(replace(task, split="train", states=None)),
         "action_space": serialize_space(action_space()),
         "env_spec": environment_spec(task).to_json(),
         "eval_env_spec": environment_spec(replace(task, split=metadata.eval_split)).to_json(),
     }
+
+
+@lru_cache(maxsize=16)
+def _bounds(task: TaskConfig) -> str:
+    """The space of a task's observations as Minari's reader wants it, a number a pixel.
+
+    Without it that reader would make the environment, and need knotgym to read a file.
+    """
+    from minari.serialization import serialize_space
+
+    from knotgym.env import observation_space
+
+    bounds = serialize_space(observation_space(task), to_string=False)
+    return json.dumps(bounds, separators=(",", ":"))
 
 
 def environment_spec(task: TaskConfig) -> gymnasium.envs.registration.EnvSpec:

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.datasets.citation import BIBTEX
 from knotgym.datasets.splits import STATE_SPLITS
 from knotgym.datasets.spread import spread_of
-from knotgym.datasets.state_schema import DRAWING, RANDOM_WALK
+from knotgym.datasets.state_schema import COLUMNS, DRAWING, RANDOM_WALK, Column
 from knotgym.datasets.states import States
 from knotgym.topology.gauss import GaussCode
 
@@ -65,6 +66,8 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         " `gallery.png` shows all states, `manifest.json` lists checksums, configuration and"
         " counts. `knotgym dataset verify` recomputes every label and replays every trajectory.",
         "",
+        "![every state with its code](gallery.png)",
+        "",
         "## States",
         "",
         *table(_STATES_HEAD, _states_rows(facts["nx"], report["existing_codes"])),
@@ -99,6 +102,19 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         ),
         "",
         *_growth_section(report),
+        "## Columns of states.h5",
+        "",
+        *table(
+            ("column", "type", "unit", "holds"),
+            [(f"`{one.name}`", one.kind, one.unit, one.doc) for one in columns_of(states)],
+        ),
+        "",
+        "## To cite",
+        "",
+        "```bibtex",
+        BIBTEX,
+        "```",
+        "",
         "## How to make it again",
         "",
         "```json",
@@ -107,6 +123,11 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         "",
     ]
     return "\n".join(lines)
+
+
+def columns_of(states: States) -> list[Column]:
+    """Those of the schema that a state file has."""
+    return [column for column in COLUMNS if column.name in states.columns()]
 
 
 def _made(report: Mapping[str, Any]) -> str:

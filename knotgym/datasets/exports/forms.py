@@ -16,11 +16,14 @@ FORMS = {
 }
 
 
+UPLOADS = ("huggingface", "minari")  # folders to upload, of several datasets at once
+
+
 class UnknownForm(KnotgymError, ValueError):
     """Nothing is exported to a form of this name."""
 
     def __init__(self, form: str) -> None:
-        super().__init__(f"no form {form!r} to export to; there is {', '.join(FORMS)}")
+        super().__init__(f"no form {form!r} to export to; there is {', '.join((*FORMS, *UPLOADS))}")
 
 
 class NothingToExport(KnotgymError, ValueError):

@@ -1,0 +1,137 @@
+"""A folder that is a Minari root, its first level a repository to upload to Hugging Face.
+
+    {out}/knotgym/README.md, CITATION.cff, gallery.png, namespace_metadata.json
+    {out}/knotgym/tie-nx3/demonstrations-v0/data/       the datasets, byte for byte
+
+With MINARI_DATASETS_PATH={out} `minari.load_dataset` reads them; uploaded to hf://USER, it
+downloads them. All ids begin with one word, for Minari makes a repository of it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from knotgym.atomic_files import atomic_write
+from knotgym.datasets.citation import BIBTEX, citation_file
+from knotgym.datasets.episode_reader import EpisodeReader, episode_file
+from knotgym.datasets.exports.forms import NothingToExport
+from knotgym.datasets.gallery import contact_sheet, write_png
+from knotgym.datasets.state_card import table
+from knotgym.rendering.picture import draw
+
+_SHOWN = 64  # episodes in the gallery
+_ROWS = (
+    ("`observations`", "pictures uint8, vertices float32 (600,) in metres, or both"),
+    ("`actions`", "float32 (T, 6) in [-1, 1]: place / 2 m, force / 0.2 N"),
+    ("`rewards`, `terminations`, `truncations`", "(T,)"),
+    ("`infos/gauss_code`, `infos/goal_gauss_code`", "(T + 1,), of the state and of the goal"),
+    ("`infos/points`", "float64 (T + 1, 100, 3), m: vertices at every state"),
+    ("`infos/crossings`, `infos/is_success`", "(T + 1,)"),
+    ("`infos/bead`, `infos/force`", "(T + 1,) and (T + 1, 3), N: the pull that led here"),
+)
+
+
+def to_minari(datasets: Sequence[Path], out: str | os.PathLike[str]) -> None:
+    """Write the folder, whole or not at all.
+
+    Raises:
+        NothingToExport: one is no Minari dataset, two have one id or no common first word, or `out`
+            is there.
+    """
+    if Path(out).exists():
+        raise NothingToExport(f"{out} is there already; choose another --out, or remove it")
+    entries: dict[str, dict[str, Any]] = {}
+    sources: dict[str, Path] = {}
+    for dataset in datasets:
+        data = episode_file(dataset).parent
+        try:
+            said = json.loads((data / "metadata.json").read_text(encoding="utf-8"))
+            name = str(said["dataset_id"])
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise NothingToExport(
+                f"{dataset} is no Minari dataset; knotgym dataset merge --id makes one of it"
+            ) from error
+        if name in sources:
+            raise NothingToExport(f"two datasets have the id {name}: {sources[name]} and {data}")
+        entries[name], sources[name] = said, data
+    words = {name.partition("/")[0] for name in sources}
+    if len(words) != 1 or any("/" not in name for name in sources):
+        raise NothingToExport(
+            "a repository holds ids that begin with one word, as knotgym/tie-nx2/expert-v0; these"
+            f" are {', '.join(sources)}"
+        )
+    with atomic_write(out) as root:
+        repository = root / words.pop()
+        for name, data in sources.items():
+            shutil.copytree(data, root / name / "data")
+        namespace = {"description": "Closed ropes in MuJoCo, goals that are Gauss codes."}
+        listed = {**namespace, "datasets": sorted(sources), "namespaces": []}
+        _write(repository / "namespace_metadata.json", json.dumps(listed))
+        _write(repository / "CITATION.cff", citation_file(", ".join(sorted(sources))))
+        _gallery(list(sources.values()), repository / "gallery.png")
+        _write(repository / "README.md", "\n".join(_card(repository.name, entries)))
+
+
+def _gallery(datasets: Sequence[Path], out: Path) -> None:
+    """Draw the last state of the first episodes."""
+    shown: list[tuple[np.ndarray, tuple[str, str]]] = []
+    for data in datasets:
+        reader = EpisodeReader(data)
+        for row in range(min(len(reader), _SHOWN - len(shown))):
+            points, code = reader.column(row, "points")[-1], reader.column(row, "gauss_code")[-1]
+            shown.append((draw(points), (str(code) or "loop", data.parent.name)))
+        reader.close()
+    if shown:
+        captions = [caption for _, caption in shown]
+        write_png(out, contact_sheet(np.stack([one for one, _ in shown]), captions))
+
+
+def _card(repository: str, entries: dict[str, dict[str, Any]]) -> list[str]:
+    rows = [
+        (name, said["total_episodes"], said["total_steps"], said.get("algorithm_name", ""))
+        for name, said in sorted(entries.items())
+    ]
+    return [
+        "---",
+        "license: cc-by-4.0",
+        "tags: [minari, knot-theory, gauss-code, mujoco, reinforcement-learning]",
+        "task_categories: [reinforcement-learning]",
+        "---",
+        "",
+        f"# Minari datasets: {repository}",
+        "",
+        "Trajectories of a closed rope in MuJoCo; goals are Gauss codes. With"
+        " `MINARI_REMOTE=hf://USER`:",
+        "",
+        "```python",
+        "import minari",
+        "",
+        f"dataset = minari.load_dataset({json.dumps(rows[0][0])}, download=True)",
+        "```",
+        "",
+        "![the ends of episodes](gallery.png)",
+        "",
+        *table(("dataset", "episodes", "steps", "policy"), rows),
+        "",
+        "## What an episode holds",
+        "",
+        *table(("data", "holds"), _ROWS),
+        "",
+        "## To cite",
+        "",
+        "```bibtex",
+        BIBTEX,
+        "```",
+        "",
+    ]
+
+
+def _write(path: Path, text: str) -> None:
+    path.write_text(text + ("" if text.endswith("\n") else "\n"), encoding="utf-8")

@@ -1,0 +1,1 @@
+"""One HTML file to browse a dataset in, without a network."""

@@ -1,0 +1,295 @@
+"""What a page shows of a dataset: JSON, the vertices as int16 in base64.
+
+Ropes are laid with their middle at the origin, as the picture shows them, in units of 0.1 mm. Large
+sets are sampled evenly, and a notice says so.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.configuration import as_json
+from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.image_table import read_table
+from knotgym.datasets.manifest_check import read_manifest
+from knotgym.datasets.state_card import growth
+from knotgym.datasets.states import States, read_states
+from knotgym.errors import KnotgymError
+from knotgym.quality_limits import UNITS
+from knotgym.rendering.camera import rope_colours
+from knotgym.rope import Array, RopeConfig
+from knotgym.topology.crossings import find_crossings
+
+UNIT = 1e-4  # metres
+MOST_STATES = 1500  # 1.3 kB each
+MOST_PICTURES = 400  # 8 kB more each
+MOST_FRAMES = 7000  # states of episodes, 1.1 kB each
+MOST_STEPS = 1000  # of one episode
+_GROWTH_ROWS = 200
+
+
+class UnshownDataset(KnotgymError, ValueError):
+    """There is nothing to show on a page."""
+
+
+def page_data(
+    title: str,
+    *,
+    states: Path | None = None,
+    episodes: Sequence[Path] = (),
+    pictures: Path | None = None,
+) -> dict[str, Any]:
+    """All that the page of a dataset shows, JSON-able.
+
+    Args:
+        title: of the page.
+        states: a state file; if a run's manifest lies beside it, what that says is shown too.
+        episodes: datasets or episode files.
+        pictures: a perception table.
+
+    Raises:
+        UnshownDataset: there is nothing in them.
+        KnotgymError: as their readers.
+    """
+    rope = RopeConfig()
+    notices: list[str] = []
+    data: dict[str, Any] = {
+        "title": title,
+        "unit": UNIT,
+        "radius": rope.radius,
+        "maxForce": rope.max_force,
+        "beads": rope.beads,
+        "colours": ["#" + bytes(colour).hex() for colour in rope_colours(rope.beads)],
+        "measures": [],
+        "words": [],
+        "states": [],
+        "points": "",
+        "episodes": [],
+        "growth": [],
+        "rejected": {},
+        "about": [],
+        "notices": notices,
+    }
+    if episodes:
+        data |= _episodes(episodes, notices)
+    if states is not None:
+        data |= _run(states, notices)
+    if pictures is not None:
+        data |= _pictures(pictures, notices)
+    counts = [(len(data["states"]), "state"), (len(data["episodes"]), "episode")]
+    told = [f"{count} {what}{'s' * (count != 1)}" for count, what in counts if count]
+    if not told:
+        raise UnshownDataset(f"{title} holds no rows, so there is nothing to show")
+    return {**data, "says": ", ".join(told)}
+
+
+def sampled(count: int, most: int) -> list[int]:
+    """Up to `most` of so many rows, evenly.
+
+    >>> sampled(5, 3), sampled(2, 3)
+    ([0, 2, 4], [0, 1])
+    """
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
+
+
+def dataset_name(path: Path) -> str:
+    """The id that the metadata of a dataset say, else the name of the folder or file."""
+    for folder in (path, path / "data", path.parent):
+        try:
+            said = json.loads((folder / "metadata.json").read_text(encoding="utf-8"))
+            return str(said["dataset_id"])
+        except (OSError, ValueError, KeyError, TypeError):
+            continue
+    return path.name
+
+
+def _run(file: Path, notices: list[str]) -> dict[str, Any]:
+    """A state file, and what the manifest beside it says of the run."""
+    states = read_states(file, images=False)
+    report = read_manifest(file.parent)[0].get("report", {})
+    about = {
+        "crossings": ", ".join(map(str, sorted(set(states.nx.tolist())))),
+        "states": len(states),
+        "codes": len(set(states.gauss_code.tolist())),
+        "train / test": f"{(states.split == 'train').sum()} / {(states.split == 'test').sum()}",
+        "candidates made": report.get("attempts"),
+        "environment steps": report.get("actions"),
+        **_versions(states.attributes),
+        "configuration": _cut(states.attributes.get("config", "")),
+    }
+    return {
+        **_states(states, notices),
+        "about": _pairs(about),
+        "growth": growth(report, _GROWTH_ROWS),
+        "rejected": {nx: counts for nx, counts in report.get("rejected", {}).items() if counts},
+    }
+
+
+def _states(states: States, notices: list[str]) -> dict[str, Any]:
+    rows = sampled(len(states), MOST_STATES)
+    _notice(notices, rows, len(states), "states")
+    quality = [name for name in states.quality if np.isfinite(states.quality[name]).any()]
+    source = states.source
+    return {
+        "measures": [{"name": name, "unit": states.units[name]} for name in quality],
+        "points": _encoded(states.points[rows]),
+        "states": [
+            {
+                "row": i,
+                "nx": int(states.nx[i]),
+                "code": str(states.gauss_code_chiral[i]),
+                "plain": str(states.gauss_code[i]),
+                "split": str(states.split[i]),
+                "knot": str(states.knot[i]),
+                "q": [_number(states.quality[name][i]) for name in quality],
+                "x": _crossings(states.points[i]),
+                "steps": int(source["steps"][i]) if "steps" in source else None,
+                "set": str(source["dataset"][i]) if "dataset" in source else None,
+                "trajectory": int(source["trajectory"][i]) if "trajectory" in source else None,
+            }
+            for i in rows
+        ],
+    }
+
+
+def _pictures(source: Path, notices: list[str]) -> dict[str, Any]:
+    """A folder of `knotgym images`: states with the picture as it was drawn."""
+    columns = ["gauss_code", "gauss_code_chiral", "nx", "knot", "points", "split", "quality"]
+    table = read_table(source, columns=[*columns, "grade", "image"])
+    rows = sampled(len(table), MOST_PICTURES)
+    _notice(notices, rows, len(table), "pictures")
+    taken = table.take(rows).to_pylist()
+    points = np.array([row["points"] for row in taken]).reshape(len(taken), -1, 3)
+    measures = list(taken[0]["quality"]) if taken else []
+    manifest = read_manifest(source)[0]
+    return {
+        "measures": [{"name": name, "unit": UNITS.get(name, "")} for name in measures],
+        "words": ["grade"],
+        "points": _encoded(points),
+        "about": _pairs(
+            {"pictures": len(table), "configuration": _cut(manifest.get("config", ""))}
+        ),
+        "states": [
+            {
+                "row": i,
+                "nx": row["nx"],
+                "code": row["gauss_code_chiral"],
+                "plain": row["gauss_code"],
+                "split": row["split"],
+                "knot": row["knot"],
+                "grade": row["grade"],
+                "q": [_number(row["quality"][name]) for name in measures],
+                "x": _crossings(own),
+                "image": "data:image/png;base64,"
+                + base64.b64encode(row["image"]["bytes"]).decode("ascii"),
+            }
+            for i, row, own in zip(rows, taken, points, strict=True)
+        ],
+    }
+
+
+def _episodes(sources: Sequence[Path], notices: list[str]) -> dict[str, Any]:
+    """Trajectories of several datasets, so many that their states don't exceed MOST_FRAMES."""
+    readers = [EpisodeReader(source) for source in sources]
+    every = [(reader, i) for reader in readers for i in range(len(reader))]
+    frames = [min(int(reader.lengths[i]), MOST_STEPS) + 1 for reader, i in every]
+    rows = sampled(len(every), int(len(every) * MOST_FRAMES / max(1, sum(frames))) or 1)
+    while len(rows) > 1 and sum(frames[k] for k in rows) > MOST_FRAMES:
+        rows = sampled(len(every), len(rows) - 1)
+    _notice(notices, rows, len(every), "episodes")
+    if any(int(every[k][0].lengths[every[k][1]]) > MOST_STEPS for k in rows):
+        notices.append(f"Of longer episodes the first {MOST_STEPS} steps are shown.")
+    shown = [_episode(*every[k]) for k in rows]
+    about = {
+        "task": _cut(as_json(readers[0].task)),
+        "datasets": ", ".join(dict.fromkeys(dataset_name(reader.path) for reader in readers)),
+        "episodes": len(every),
+        "steps": int(sum(int(reader.lengths.sum()) for reader in readers)),
+        **readers[0].versions,
+    }
+    for reader in readers:
+        reader.close()
+    return {"episodes": shown, "about": _pairs(about)}
+
+
+def _episode(reader: EpisodeReader, index: int) -> dict[str, Any]:
+    episode = reader.episode(index)
+    states = min(len(episode), MOST_STEPS) + 1
+    codes, code = _told_once(episode.gauss_code[:states])
+    chiral, code_chiral = _told_once(episode.gauss_code_chiral[:states])
+    name = dataset_name(reader.path)
+    return {
+        "set": name,
+        "name": name.removeprefix("knotgym/"),
+        "number": reader.rows[index],
+        "policy": episode.policy,
+        "goal": episode.goal_gauss_code,
+        "split": reader.task.split,
+        "success": bool(episode.is_success.any()),
+        "seed": "" if episode.seed is None else str(episode.seed),  # too long for a double
+        "points": _encoded(episode.points[:states]),
+        "goal_points": _encoded(episode.goal_points[None]),
+        "goal_x": _crossings(episode.goal_points),
+        "codes": codes,
+        "code": code,
+        "chiral": chiral,
+        "code_chiral": code_chiral,
+        "x": [_crossings(points) for points in episode.points[:states]],
+        "bead": episode.bead[:states].tolist(),
+        "force": [[round(float(n), 4) for n in force] for force in episode.force[:states]],
+        "rewards": [_number(reward) for reward in episode.rewards[: states - 1]],
+        "moves": None if episode.move is None else episode.move[:states].tolist(),
+    }
+
+
+def _told_once(codes: NDArray[np.str_]) -> tuple[list[str], list[int]]:
+    """The codes there are, in order of their first time, and which of them each state has."""
+    known: dict[str, int] = {}
+    rows = [known.setdefault(str(code), len(known)) for code in codes]
+    return list(known), rows
+
+
+def _crossings(points: Array) -> list[list[float]]:
+    """Place of the over and of the under strand, beads, and the sign, of each crossing."""
+    found = find_crossings(points)
+    return [
+        [round(float(over), 2), round(float(under), 2), int(sign)]
+        for over, under, sign in zip(found.over_place, found.under_place, found.sign, strict=True)
+    ]
+
+
+def _encoded(points: Array) -> str:
+    """Ropes (n, beads, 3), their middles at the origin, as int16 of UNIT metres, little endian."""
+    laid = (points - points.mean(axis=1, keepdims=True)) / UNIT
+    limits = np.iinfo(np.int16)
+    whole = np.rint(laid).clip(limits.min, limits.max).astype("<i2")
+    return base64.b64encode(whole.tobytes()).decode("ascii")
+
+
+def _notice(notices: list[str], rows: Sequence[int], count: int, what: str) -> None:
+    if len(rows) < count:
+        notices.append(f"{len(rows)} of {count} {what} are shown, taken evenly.")
+
+
+def _number(value: Any) -> float | None:
+    return float(f"{value:.4g}") if np.isfinite(value) else None
+
+
+def _versions(attributes: Mapping[str, Any]) -> dict[str, str]:
+    return {name: str(attributes[name]) for name in ("knotgym", "mujoco") if name in attributes}
+
+
+def _cut(config: Any) -> str:
+    text = config if isinstance(config, str) else json.dumps(config)
+    return text if len(text) < 1500 else text[:1500] + " ..."
+
+
+def _pairs(about: Mapping[str, Any]) -> list[list[str]]:
+    return [[name, str(value)] for name, value in about.items() if value not in (None, "")]

@@ -1,0 +1,264 @@
+"""One HTML file of a dataset: what is in it, and, in a Chromium, what it does."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from knotgym.datasets.page import page_data as data_module
+from knotgym.datasets.page.page_data import UnshownDataset, page_data
+from knotgym.datasets.page.page_writer import page_html
+from knotgym.datasets.states import States, write_states
+
+from .. import chromium
+from ..chromium import Chromium
+from ..small_job import knotgym
+
+HOSTILE = "</script><img src=http://a/ onerror=fault()>"
+
+
+class Tags(HTMLParser):
+    """What a page's markup names, and its block of data."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.names: list[str] = []
+        self.links: list[str] = []
+        self.data = ""
+        self._inside = False
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.names.append(tag)
+        self.links += [value or "" for name, value in attrs if name in ("src", "href")]
+        self._inside = ("id", "data") in attrs
+
+    def handle_endtag(self, tag: str) -> None:
+        self._inside = False
+
+    def handle_data(self, data: str) -> None:
+        self.data += data if self._inside else ""
+
+
+@pytest.fixture(scope="module")
+def run_page(curated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of the small run."""
+    out = tmp_path_factory.mktemp("page") / "page.html"
+    assert knotgym("dataset", "page", curated, "--out", out, "--quiet") == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def shown(run_page: Path) -> dict[str, Any]:
+    """Its data."""
+    return json.loads(Tags(run_page.read_text(encoding="utf-8")).data)
+
+
+def hostile(states: States) -> States:
+    """States whose words are markup."""
+    return replace(states, knot=np.array([HOSTILE] * len(states)))
+
+
+def test_a_page_holds_the_run_its_states_and_the_ways_to_them(shown: dict[str, Any]) -> None:
+    assert len(shown["states"]) == len(shown["episodes"]) == 8 and len(shown["growth"]) > 1
+    ways = {(one["set"], one["number"]) for one in shown["episodes"]}
+    assert {(one["set"], one["trajectory"]) for one in shown["states"]} == ways
+
+
+def test_vertices_come_back_within_half_a_unit(states: States, states_path: str) -> None:
+    data = page_data("s", states=Path(states_path))
+    whole = np.frombuffer(base64.b64decode(data["points"]), "<i2").reshape(states.points.shape)
+    laid = states.points - states.points.mean(axis=1, keepdims=True)
+    assert np.abs(data["unit"] * whole - laid).max() < 0.51 * data["unit"]
+
+
+def test_crossings_of_a_page_spell_the_code(states_path: str) -> None:
+    for row in page_data("s", states=Path(states_path))["states"]:
+        visits = [
+            (place, f"{label}{'+-'[under]}{'ac'[sign > 0]}")
+            for label, (*places, sign) in enumerate(row["x"], 1)
+            for under, place in enumerate(places)
+        ]
+        assert ",".join(visit for _, visit in sorted(visits)) == row["code"]
+
+
+def test_nothing_in_a_file_becomes_markup(states: States, tmp_path: Path) -> None:
+    write_states(tmp_path / "s.h5", hostile(states))
+    plain = Tags(page_html(page_data("plain", states=tmp_path / "s.h5")))
+    marked = Tags(page_html(page_data(HOSTILE, states=tmp_path / "s.h5")))
+    assert marked.names == plain.names
+    assert json.loads(marked.data)["states"][0]["knot"] == HOSTILE
+
+
+def test_a_page_names_no_address(run_page: Path) -> None:
+    text = run_page.read_text(encoding="utf-8")
+    assert Tags(text).links == ["data:,"] and "default-src 'none'" in text
+    assert re.findall(r"https?:|url\(|@import|\bfetch\(|XMLHttp|innerHTML|eval\(", text) == []
+
+
+def test_pages_at_their_limits_stay_under_10_mb(shown: dict[str, Any]) -> None:
+    def size(value: Any) -> int:
+        return len(json.dumps(value))
+
+    frames = sum(len(one["code"]) for one in shown["episodes"])
+    ways = size(shown["episodes"]) / frames * data_module.MOST_FRAMES
+    states = (size(shown["states"]) + size(shown["points"])) / 8 * data_module.MOST_STATES
+    assert ways + states < 9e6
+
+
+def test_a_large_set_is_sampled_and_says_so(curated: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(data_module, "MOST_STATES", 3)
+    monkeypatch.setattr(data_module, "MOST_FRAMES", 20)
+    monkeypatch.setattr(data_module, "MOST_STEPS", 2)
+    ways = sorted(curated.glob("minari/**/main_data.hdf5"))
+    data = page_data("run", states=curated / "states.h5", episodes=ways)
+    assert [row["row"] for row in data["states"]] == [0, 4, 7]
+    assert sum(len(one["code"]) for one in data["episodes"]) <= 20
+    told = " ".join(data["notices"])
+    assert "3 of 8 states" in told and "of 8 episodes" in told and "first 2 steps" in told
+
+
+def test_a_file_without_rows_has_no_page(states: States, tmp_path: Path) -> None:
+    write_states(tmp_path / "s.h5", states.taken(np.arange(0)))
+    with pytest.raises(UnshownDataset, match="nothing to show"):
+        page_data("empty", states=tmp_path / "s.h5")
+
+
+@pytest.mark.parametrize("name", ["minari", "states.h5"])
+def test_page_takes_what_the_other_commands_take(
+    curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], name: str
+) -> None:
+    assert knotgym("dataset", "page", curated / name, "--out", tmp_path / "p.html") == 0
+    what = {"minari": "8 episodes", "states.h5": "8 states"}[name]
+    assert f"p.html: {what}, 0." in capfd.readouterr().out
+
+
+# In a Chromium.
+
+clients = pytest.mark.clients
+DRAWN = """(() => {{ const canvas = document.getElementById("{0}"), seen = new Set();
+  const dots = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height).data;
+  for (let i = 0; i < dots.length; i += 4) if (dots[i + 3]) seen.add(dots[i] >> 5 << 6 |
+    dots[i + 1] >> 5 << 3 | dots[i + 2] >> 5); return seen.size; }})()"""
+LOOKS = 'document.getElementById("{0}").toDataURL()'
+CARDS = "document.querySelectorAll('.card').length"
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
+    if not chromium.FOUND:
+        pytest.skip("there is no Chromium")
+    with Chromium(tmp_path_factory.mktemp("profile")) as one:
+        yield one
+
+
+@pytest.fixture
+def tab(browser: Chromium) -> Iterator[Chromium]:
+    """A tab of a desktop; what went wrong in it is a failure."""
+    browser.resize(1300, 900)
+    browser.faults.clear()
+    browser.requests.clear()
+    yield browser
+    assert browser.faults == []
+    assert [one for one in browser.requests if not one.startswith(("file:", "about:"))] == []
+
+
+@clients
+def test_the_states_picture_is_not_blank_and_turns(tab: Chromium, run_page: Path) -> None:
+    tab.open(run_page, "#states/6")
+    assert tab.ask(DRAWN.format("stage")) > 20 and tab.ask(CARDS) == 8
+    before, box = tab.ask(LOOKS.format("stage")), "document.getElementById('stage')"
+    x, y = (tab.ask(f"{box}.getBoundingClientRect().{side} + 100") for side in ("left", "top"))
+    tab.drag((x, y), (x + 60, y + 90))
+    turned = tab.ask(LOOKS.format("stage"))
+    tab.press("t")
+    assert turned != before and tab.ask(LOOKS.format("stage")) == before
+
+
+@clients
+def test_filters_filter(tab: Chromium, run_page: Path) -> None:
+    tab.open(run_page)
+    tab.ask("document.querySelector('[data-filter=nx][data-value=\"1\"]').click()")
+    assert tab.ask(CARDS) == 4 and "4 of 8" in tab.ask("document.body.innerText")
+    tab.ask("document.querySelector('[data-filter=split][data-value=test]').click()")
+    assert tab.ask(CARDS) == 2
+    typing = "document.querySelector('[data-filter=code]')"
+    tab.ask(f"{typing}.value = '9+'; {typing}.dispatchEvent(new Event('input'))")
+    assert tab.ask(CARDS) == 0
+
+
+@clients
+def test_a_measure_sorts_and_cuts(tab: Chromium, run_page: Path, shown: dict[str, Any]) -> None:
+    tab.open(run_page)
+    select = "document.querySelector('[data-filter=measure]')"
+    tab.ask(f"{select}.value = '0'; {select}.dispatchEvent(new Event('change'))")
+    rows = tab.ask("[...document.querySelectorAll('[data-row]')].map((one) => +one.dataset.row)")
+    values = [shown["states"][row]["q"][0] for row in rows]
+    assert len(rows) == 8 and values == sorted(values)
+    low = "document.querySelector('.ends input')"
+    tab.ask(f"{low}.value = 990; {low}.dispatchEvent(new Event('input'))")
+    assert 1 <= tab.ask(CARDS) < 8
+
+
+@clients
+def test_the_code_is_walked_in_step(tab: Chromium, run_page: Path) -> None:
+    tab.open(run_page, "#states/6")
+    tab.press(" ")
+    tab.until("document.querySelectorAll('#state-code .passed').length > 0")
+    place = "document.getElementById('place')"
+    tab.ask(f"{place}.value = 100; {place}.oninput()")
+    assert tab.ask("document.querySelectorAll('#state-code .passed').length") == 2
+
+
+@clients
+def test_an_episode_plays_to_its_end(tab: Chromium, run_page: Path) -> None:
+    tab.open(run_page, "#episodes/5")
+    before = tab.ask(LOOKS.format("film"))
+    assert tab.ask(DRAWN.format("film")) > 20 and tab.ask(DRAWN.format("time")) > 2
+    tab.press("ArrowRight")
+    step = "document.querySelector('#episode-facts dd').textContent"
+    assert tab.ask(step).startswith("1 of ") and tab.ask(LOOKS.format("film")) != before
+    tab.ask("for (const one of document.querySelectorAll('#episode-tools button'))"
+            " if (one.textContent === '1 ×') { one.click(); one.click(); }")  # fmt: skip
+    tab.press(" ")
+    tab.until(f"((of) => of[0] === of[1])({step}.split(' of '))")
+
+
+@clients
+def test_growth_and_rejections_are_plotted(tab: Chromium, run_page: Path) -> None:
+    tab.open(run_page)
+    tab.press("3")
+    assert tab.ask(DRAWN.format("growth")) > 2 and tab.ask(DRAWN.format("rejected")) > 1
+
+
+@clients
+def test_a_phone_has_no_sideways_scrolling_and_opens_a_state(tab: Chromium, run_page: Path) -> None:
+    tab.resize(390, 800, mobile=True)
+    tab.open(run_page)
+    assert tab.ask("document.documentElement.scrollWidth") <= 390
+    tab.ask("document.querySelector('.card').click()")
+    assert tab.ask("document.getElementById('stage').getBoundingClientRect().width") > 300
+    tab.press("2")
+    assert tab.ask("document.documentElement.scrollWidth") <= 390
+
+
+@clients
+def test_markup_in_a_file_is_text_in_the_browser(
+    tab: Chromium, states: States, tmp_path: Path
+) -> None:
+    write_states(tmp_path / "s.h5", hostile(states))
+    (tmp_path / "p.html").write_text(
+        page_html(page_data(HOSTILE, states=tmp_path / "s.h5")), encoding="utf-8"
+    )
+    tab.open(tmp_path / "p.html", "#states/3")
+    assert tab.ask("document.querySelectorAll('img').length") == 0
+    assert HOSTILE in tab.ask("document.body.innerText")
