@@ -18,7 +18,7 @@ from knotgym.cli.learning_commands import train
 from knotgym.cli.policy_commands import collect, evaluate
 from knotgym.cli.prompt_commands import prompt
 from knotgym.cli.run_commands import generate, images
-from knotgym.errors import KnotgymError
+from knotgym.errors import KnotgymError, printable
 from knotgym.runs.pools import LostWorkers
 from knotgym.runs.run_options import NotEnough
 
@@ -174,5 +174,5 @@ def _say(text: str, status: int) -> int:
     if status == _INTERRUPTED:
         for number in _SIGNALS:
             signal.signal(number, signal.SIG_IGN)  # it is the last
-    print(f"knotgym: {' '.join(text.split())}", file=sys.stderr)
+    print(f"knotgym: {printable(' '.join(text.split()))}", file=sys.stderr)
     return status

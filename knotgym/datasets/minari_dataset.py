@@ -29,6 +29,7 @@ from knotgym.configuration import as_json
 from knotgym.datasets.episode_reader import EpisodeReader, InvalidEpisodeFile
 from knotgym.datasets.episode_writer import merge_episodes
 from knotgym.datasets.states import minari_root, ships, states_file
+from knotgym.hdf5_files import foreign_bytes_as
 from knotgym.tasks import TaskConfig
 
 _ID = re.compile(r"([-\w]+/)*[-\w]+-v\d+")
@@ -185,7 +186,7 @@ def merge_datasets(
     for name in ("code_permalink", "ref_min_score", "ref_max_score", "num_episodes_average_score"):
         values = {getattr(one, name) for one in said}
         same[name] = values.pop() if len(values) == 1 and len(said) == len(sources) else None
-    policies = [one.algorithm_name for one in said] or [str(first.group(0).attrs["policy"])]
+    policies = [one.algorithm_name for one in said] or [str(first.labels(0)["policy"])]
     metadata = MinariMetadata(
         dataset_id=dataset_id,
         algorithm_name=", ".join(dict.fromkeys(policies)),
@@ -242,9 +243,10 @@ def metadata_of(source: Any) -> MinariMetadata | None:
     None of an episode file that never was one.
     """
     reader = EpisodeReader(source)
-    text = reader.file.attrs.get("metadata")
+    entries = reader.metadata()
     reader.close()
-    return None if text is None else MinariMetadata(**json.loads(text))
+    with foreign_bytes_as(InvalidEpisodeFile, f"{reader.path}, its metadata"):
+        return None if entries is None else MinariMetadata(**entries)
 
 
 def minari_entries(metadata: MinariMetadata, task: TaskConfig) -> dict[str, Any]:
