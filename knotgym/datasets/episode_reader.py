@@ -29,7 +29,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.datasets.states import minari_root
+from knotgym.datasets.states import leads_out, minari_root, ships, states_file
 from knotgym.datasets.trajectory import INFOS, Episode, array_column
 from knotgym.errors import KnotgymError, MissingFile
 from knotgym.hdf5_files import (
@@ -184,6 +184,24 @@ class EpisodeReader:
                 raise UnexpectedContent(f"metadata is {type(read).__name__}, should be an object")
             return read
 
+    def states_path(self) -> Path:
+        """The state file that its episodes were reset from, which may not be there.
+
+        Raises:
+            InvalidEpisodeFile: a dataset names one that lies elsewhere; a file by itself may.
+        """
+        beside, named = self.path.with_name("states.h5"), self.task.states
+        if ships(named) or named is None:
+            return states_file(named)
+        if beside.is_file():
+            return beside
+        if self.path.with_name("metadata.json").is_file() and leads_out(named):
+            raise InvalidEpisodeFile(
+                f"{self.path} names states that lie outside the dataset, {named!r}; it should"
+                " carry them, as states.h5 beside it"
+            )
+        return states_file(named)
+
     def goal_labels(self, index: int) -> list[str]:
         """The goal's code as it stands at every state; empty where it doesn't."""
         with self._naming(index):
@@ -336,7 +354,9 @@ def episode_file(source: Any) -> Path:
         return episode_file(source.source)
     if hasattr(source, "storage"):
         return Path(source.storage.data_path) / "main_data.hdf5"
-    tried = [Path(source), minari_root() / str(source)]
+    tried = [Path(source)]
+    if not leads_out(source):
+        tried.append(minari_root() / str(source))
     for path in tried:
         for inside in (path, path / "main_data.hdf5", path / "data" / "main_data.hdf5"):
             if inside.is_file():

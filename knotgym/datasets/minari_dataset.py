@@ -28,7 +28,7 @@ from knotgym.atomic_files import atomic_write, sha256
 from knotgym.configuration import as_json
 from knotgym.datasets.episode_reader import EpisodeReader, InvalidEpisodeFile
 from knotgym.datasets.episode_writer import merge_episodes
-from knotgym.datasets.states import minari_root, ships, states_file
+from knotgym.datasets.states import minari_root, ships
 from knotgym.hdf5_files import foreign_bytes_as
 from knotgym.tasks import TaskConfig
 
@@ -179,7 +179,7 @@ def merge_datasets(
             )
     said = [metadata for source in sources if (metadata := metadata_of(source))]
     first, task = readers[0], None
-    carried = None if ships(first.task.states) else _states_of(first)
+    carried = None if ships(first.task.states) else first.states_path()
     if carried is not None:
         task = replace(first.task, states=dataset_id)
     same: dict[str, Any] = {}
@@ -208,16 +208,10 @@ def merge_datasets(
     )
 
 
-def _states_of(reader: EpisodeReader) -> Path:
-    """The state file that a dataset's episodes were reset from: its own, or the one it names."""
-    beside = reader.path.with_name("states.h5")
-    return beside if beside.is_file() else states_file(reader.task.states)
-
-
 def _states_digest(reader: EpisodeReader) -> str:
     if ships(reader.task.states):
         return str(reader.task.states or "readable")
-    path = _states_of(reader)
+    path = reader.states_path()
     if not path.is_file():
         raise InvalidEpisodeFile(f"{reader.path} was reset from {path}, which isn't there")
     return sha256(path)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.near_duplicates import NEAR, distances
 from knotgym.datasets.splits import STATE_SPLITS
-from knotgym.datasets.states import States, read_states, shipped, states_file
+from knotgym.datasets.states import States, read_states, shipped
 from knotgym.errors import KnotgymError
 from knotgym.rope import Rope
 
@@ -149,8 +149,7 @@ def _sides(reader: EpisodeReader) -> dict[str, States]:
     task = reader.task
     files = [shipped()]
     if task.states is not None:
-        carried = reader.path.with_name("states.h5")
-        asked = carried if carried.is_file() else states_file(task.states)
+        asked = reader.states_path()
         if not asked.is_file() and not reader.path.with_name("metadata.json").is_file():
             return {}
         files.insert(0, asked)

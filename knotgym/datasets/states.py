@@ -145,7 +145,13 @@ def states_file(named: str | None) -> Path:
     if named is None or named in SHIPPED:
         return shipped(named or "readable")
     carried = minari_root() / named / "data" / "states.h5"
-    return carried if carried.is_file() and not Path(named).is_file() else Path(named)
+    is_id = not leads_out(named) and carried.is_file()
+    return carried if is_id and not Path(named).is_file() else Path(named)
+
+
+def leads_out(named: str | os.PathLike[str]) -> bool:
+    """Whether a name is no id: it may lead out of the folder that it is looked up in."""
+    return Path(named).is_absolute() or ".." in Path(named).parts
 
 
 def demonstrations_id(nx: int, split: str = "train", knot: str = "0_1") -> str:
