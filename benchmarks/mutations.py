@@ -117,9 +117,9 @@ def attributes(path: Path, rng: Random) -> None:
     """An attribute of another type or value."""
     values = [1.5, True, "\x1b[2J", b"\xff", np.arange(3), "{}", -1, h5py.Empty("f8"), 2**63]
     with h5py.File(path, "a") as file:
-        places = [file, *(file[name] for name in file)]
+        places = [file, *(file[name] for name in file if len(file[name].attrs))]
         holder = places[int(rng.integers(len(places)))]
-        names = list(holder.attrs) or ["other"]
+        names = list(holder.attrs)
         holder.attrs[names[int(rng.integers(len(names)))]] = values[int(rng.integers(len(values)))]
 
 
