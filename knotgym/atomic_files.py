@@ -27,13 +27,16 @@ def require_writable(path: str | os.PathLike[str]) -> None:
     Raises:
         Unwritable: it couldn't.
     """
-    target = Path(path)
-    folder = next(parent for parent in target.absolute().parents if parent.exists())
+    target, folder = Path(path), None
     try:
-        with tempfile.TemporaryDirectory(prefix=".part-", dir=folder):
-            pass
+        folder = next(parent for parent in target.absolute().parents if parent.exists())
+        missing = set(target.absolute().relative_to(folder).parts) - {".."}
+        with tempfile.TemporaryDirectory(prefix=".part-", dir=folder) as staged:
+            for name in missing:  # one that is too long shows here
+                (Path(staged) / name).mkdir(exist_ok=True)
     except OSError as error:
-        raise Unwritable(f"{target} can't be written: {error.strerror}, {folder}") from error
+        where = f", {folder}" if folder else ""
+        raise Unwritable(f"{target} can't be written: {error.strerror}{where}") from error
 
 
 @contextmanager
@@ -48,7 +51,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
     """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
-    staged = Path(tempfile.mkdtemp(prefix=f".part-{target.name}-", dir=target.parent))
+    staged = Path(tempfile.mkdtemp(prefix=f".part-{target.name[:32]}-", dir=target.parent))
     part = staged / target.name
     try:
         yield part

@@ -284,6 +284,11 @@ def _of_our_rope(path: Path) -> States:
     made_for, ours = states.attributes.get("rope"), RopeConfig().fingerprint
     if made_for != ours:
         raise InvalidSetting(f"{path} was made for rope model {made_for}, this version has {ours}")
+    beads = RopeConfig().beads
+    if states.points.shape[1] != beads:
+        raise InvalidSetting(
+            f"{path} has ropes of {states.points.shape[1]} vertices, its rope model {beads}"
+        )
     return states
 
 

@@ -26,5 +26,16 @@ class MissingExtra(KnotgymError, ImportError):
 
 
 def one_line(error: BaseException) -> str:
-    """What an error says, its line breaks taken out."""
-    return " ".join(str(error).split())
+    """What an error says, its line breaks taken out, other control characters spelled out."""
+    return printable(" ".join(str(error).split()))
+
+
+def printable(text: str) -> str:
+    r"""The same, with all that a terminal would obey spelled out.
+
+    >>> printable("a" + chr(27) + "[2J")
+    'a\x1b[2J'
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)

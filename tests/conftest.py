@@ -66,7 +66,7 @@ def small_states() -> States:
         split=np.array(["train", "test"] * (n // 2)),
         quality={"clearance": np.arange(n, dtype=np.float64)},
         units={"clearance": "m"},
-        source={"seed": np.arange(n), "policy": np.array(["curve"] * n)},
+        source={"seed": np.arange(n)[:, None], "policy": np.array(["curve"] * n)},
         attributes={"rope": rope.config.fingerprint, "configuration": '{"made": "by hand"}'},
     )
 

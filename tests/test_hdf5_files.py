@@ -1,5 +1,6 @@
 """HDF5 files are opened checked, and what is wrong with one is the reader's error, one line."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from knotgym.errors import KnotgymError, MissingFile
-from knotgym.hdf5_files import hdf5_format, opened_hdf5
+from knotgym.hdf5_files import Column, hdf5_format, opened_hdf5, read_attribute, read_column
 
 
 class Refused(KnotgymError, ValueError):
@@ -81,3 +82,137 @@ def test_the_format_of_a_file_is_what_it_says(path: Path, tmp_path: Path) -> Non
     h5py.File(tmp_path / "plain.h5", "w").close()
     assert hdf5_format(path) == "ours"
     assert hdf5_format(tmp_path / "text.h5") is hdf5_format(tmp_path / "plain.h5") is None
+
+
+NUMBERS = Column("numbers", "int64", ("rows",), least=0)
+
+
+def harmed(path: Path, harm: Callable[[h5py.File], Any]) -> Path:
+    with h5py.File(path, "a") as file:
+        del file["numbers"]
+        harm(file)
+    return path
+
+
+def numbers_of(file: h5py.File) -> Any:
+    return read_column(file, NUMBERS, {"rows": 5})
+
+
+@pytest.mark.parametrize(
+    ("values", "found"),
+    [
+        (np.zeros(5), "float64"),
+        (np.zeros(5, dtype=complex), "complex128"),
+        (np.zeros(5, dtype=bool), "bool"),
+        (np.zeros(5, dtype="i4,f8"), "a compound"),
+        (np.zeros(5, dtype="V3"), "opaque"),
+        (np.array([b"a"] * 5), "text"),
+        (["a"] * 5, "text"),
+    ],
+)
+def test_another_type_is_named_with_the_one_wanted(path: Path, values: Any, found: str) -> None:
+    harmed(path, lambda file: file.create_dataset("numbers", data=values))
+    with pytest.raises(Refused, match=rf"whole list: numbers is {found}\S*, should be int64"):
+        read(path, numbers_of)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "found"),
+    [
+        (h5py.ref_dtype, "references"),
+        (h5py.enum_dtype({"a": 0}), "an enumeration"),
+        (h5py.vlen_dtype(np.int64), "arrays of any length"),
+        (np.dtype((np.int64, (2,))), "arrays"),
+    ],
+)
+def test_a_type_that_only_hdf5_has_is_refused(path: Path, dtype: Any, found: str) -> None:
+    harmed(path, lambda file: file.create_dataset("numbers", (5,), dtype=dtype))
+    with pytest.raises(Refused, match=f"numbers is {found}, should be int64"):
+        read(path, numbers_of)
+
+
+def test_a_narrower_type_of_the_class_is_widened(path: Path) -> None:
+    harmed(path, lambda file: file.create_dataset("numbers", data=np.arange(5, dtype=">i2")))
+    read_back = read(path, numbers_of)
+    assert read_back.dtype == np.int64 and read_back.tolist() == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        (np.arange(4), r"of shape \(4,\), should be \(5\)"),
+        (np.arange(5) - 2, "is -2, should be at least 0"),
+        (np.int64(3), r"of shape \(\), should be \(5\)"),
+    ],
+)
+def test_another_size_or_range_is_named(path: Path, values: Any, said: str) -> None:
+    harmed(path, lambda file: file.create_dataset("numbers", data=values))
+    with pytest.raises(Refused, match=said):
+        read(path, numbers_of)
+
+
+def elsewhere(file: h5py.File) -> None:
+    layout = h5py.VirtualLayout((5,), "i8")
+    layout[:] = h5py.VirtualSource("other.h5", "numbers", (5,))
+    file.create_virtual_dataset("numbers", layout)
+
+
+@pytest.mark.parametrize(
+    ("harm", "said"),
+    [
+        (lambda file: file.update({"numbers": h5py.ExternalLink("o.h5", "/n")}), "is a link"),
+        (lambda file: file.update({"numbers": h5py.SoftLink("/attic")}), "is a link"),
+        (
+            lambda file: file.create_dataset("numbers", (5,), "i8", external=[("raw", 0, 40)]),
+            "lies in other files",
+        ),
+        (elsewhere, "lies in other files"),
+        (lambda file: file.create_group("numbers"), "is a group"),
+        (
+            lambda file: file.create_dataset("numbers", (5,), "i8", compression="lzf"),
+            "is compressed in another way than gzip",
+        ),
+    ],
+)
+def test_nothing_outside_the_file_is_reached(path: Path, harm: Any, said: str) -> None:
+    harmed(path, harm)
+    with pytest.raises(Refused, match=f"numbers {said}"):
+        read(path, numbers_of)
+
+
+def test_far_more_rows_than_are_stored_are_not_made(path: Path) -> None:
+    harmed(path, lambda file: file.create_dataset("numbers", (10**10,), "i8", chunks=(1000,)))
+    with pytest.raises(Refused, match="declares .* 80000000000 bytes, and stores 0"):
+        read(path, lambda file: read_column(file, NUMBERS, {}))
+
+
+def test_a_pipe_is_not_opened(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.h5")
+    with pytest.raises(Refused, match="isn't a regular file"):
+        read(tmp_path / "pipe.h5")
+    assert hdf5_format(tmp_path / "pipe.h5") is None
+
+
+@pytest.mark.parametrize("version", [3.0, True])
+def test_a_version_is_a_whole_number(path: Path, version: object) -> None:
+    with h5py.File(path, "a") as file:
+        file.attrs["format_version"] = version
+    with pytest.raises(Refused, match=rf"version {version} \((float64|bool)\)"):
+        read(path)
+
+
+def test_text_that_a_terminal_would_obey_is_refused(path: Path) -> None:
+    with h5py.File(path, "a") as file:
+        file.attrs["name"], file["names"] = "\x1b[2J", ["a", "\x07"]
+    with pytest.raises(Refused, match="name holds control characters"):
+        read(path, lambda file: read_attribute(file, Column("name", "text", ())))
+    with pytest.raises(Refused, match="names holds control characters"):
+        read(path, lambda file: read_column(file, Column("names", "text", ("rows",)), {}))
+
+
+@pytest.mark.parametrize("value", [1.5, ["a", "b"], h5py.Empty("f8")])
+def test_an_attribute_of_another_type_is_refused(path: Path, value: object) -> None:
+    with h5py.File(path, "a") as file:
+        file.attrs["name"] = value
+    with pytest.raises(Refused, match="name is"):
+        read(path, lambda file: read_attribute(file, Column("name", "text", ())))

@@ -22,13 +22,14 @@ from knotgym.datasets.episode_writer import merge_episodes
 from knotgym.datasets.exports.forms import export as convert
 from knotgym.datasets.exports.huggingface_export import ToUpload, to_huggingface
 from knotgym.datasets.exports.minari_export import to_minari
+from knotgym.datasets.foreign_file import try_files
 from knotgym.datasets.gallery import contact_sheet, write_gallery, write_png
 from knotgym.datasets.image_table import read_rows, read_table
 from knotgym.datasets.manifest_check import read_manifest
 from knotgym.datasets.minari_dataset import compact, merge_datasets
 from knotgym.datasets.page.page_data import dataset_name, page_data
 from knotgym.datasets.page.page_writer import write_page
-from knotgym.datasets.states import merge_states, minari_root, read_states, write_states
+from knotgym.datasets.states import leads_out, merge_states, minari_root, read_states, write_states
 from knotgym.errors import KnotgymError
 from knotgym.generate.merge_shards import merge_shards, shard_folder_of
 from knotgym.prompting.transcripts import transcripts_at
@@ -79,7 +80,15 @@ def show(named: str, console: Console) -> None:
 
 
 def faults(named: str, progress: Progress) -> Iterator[str]:
-    """Check what a path or an id names; yield its faults."""
+    """Check what a path or an id names; yield its faults.
+
+    Raises:
+        HarmfulFile: the HDF5 library doesn't live through a file of it.
+    """
+    given = [Path(named)]
+    if not given[0].exists() and not leads_out(named):
+        given = [minari_root() / named]
+    try_files([*given, *(file for one in given for file in sorted(one.glob("**/*.h*5")))])
     with executor(0) as pool:
         for _, path in places(named):
             progress.stage(f"checking {path}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
@@ -18,7 +19,7 @@ from knotgym.cli.learning_commands import train
 from knotgym.cli.policy_commands import collect, evaluate
 from knotgym.cli.prompt_commands import prompt
 from knotgym.cli.run_commands import generate, images
-from knotgym.errors import KnotgymError
+from knotgym.errors import KnotgymError, printable
 from knotgym.runs.pools import LostWorkers
 from knotgym.runs.run_options import NotEnough
 
@@ -89,6 +90,7 @@ def knotgym(
 # ClickException, be it Click's own or the copy inside typer
 _USAGE: Any = typer.BadParameter.__mro__[2]
 _FAILED, _MISTAKEN, _INTERRUPTED = 1, 2, 130
+_NO_NAME = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP)
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _STOPPED = "interrupted; nothing half-written is left, --resume goes on from the last cycle"
 _OURS = (
@@ -128,7 +130,8 @@ def _run(command: typer.Typer, name: str, arguments: Sequence[str] | None) -> No
             _FAILED,
         )
     except OSError as error:
-        status = _say(_trouble(error), _FAILED)
+        # a name that can't be one is the user's
+        status = _say(_trouble(error), _MISTAKEN if error.errno in _NO_NAME else _FAILED)
     except (KeyboardInterrupt, typer.Abort):
         status = _say(_STOPPED, _INTERRUPTED)
     except typer.Exit as ended:
@@ -174,5 +177,5 @@ def _say(text: str, status: int) -> int:
     if status == _INTERRUPTED:
         for number in _SIGNALS:
             signal.signal(number, signal.SIG_IGN)  # it is the last
-    print(f"knotgym: {' '.join(text.split())}", file=sys.stderr)
+    print(f"knotgym: {printable(' '.join(text.split()))}", file=sys.stderr)
     return status

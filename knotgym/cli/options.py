@@ -174,7 +174,9 @@ def numbers(text: str) -> tuple[int, ...]:
                 f"--nx takes numbers of crossings such as 3, 2,3 or 0-4, got {text!r}"
             )
         out += range(int(low), int(high if dash else low) + 1)
-    return tuple(dict.fromkeys(out))
+    if len(set(out)) < len(out):
+        raise typer.BadParameter(f"--nx takes each number once, got {text!r}")
+    return tuple(out)
 
 
 def code_list(path: Path | None) -> list[GaussCode]:

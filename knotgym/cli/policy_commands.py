@@ -182,7 +182,7 @@ def evaluate(
             )
         ),
     ] = None,
-    filmed: Annotated[int, typer.Option(help="Episodes of each setup in the film.")] = 2,
+    filmed: Annotated[int, typer.Option(min=0, help="Episodes of each setup in the film.")] = 2,
     states: StatesOption = None,
     observation: Annotated[
         str,

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 
 from knotgym.control.basic_policies import (
@@ -80,9 +81,10 @@ class PolicyConfig:
     def __post_init__(self) -> None:
         if not 0 <= self.noise <= 1:
             raise InvalidPolicy(f"noise must be in [0, 1], got {self.noise}")
-        if len(self.shares) != len(MIXED) or min(self.shares) < 0 or sum(self.shares) <= 0:
+        fit = len(self.shares) == len(MIXED) and all(0 <= one < inf for one in self.shares)
+        if not fit or not 0 < sum(self.shares) < inf:
             raise InvalidPolicy(
-                f"shares must be {len(MIXED)} numbers of at least 0, not all 0, for"
+                f"shares must be {len(MIXED)} finite numbers of at least 0, not all 0, for"
                 f" {', '.join(MIXED)}; got {self.shares}"
             )
         place = ":" in self.policy or Path(self.policy).suffix in MODEL_FILES

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from knotgym.atomic_files import atomic_write
 from knotgym.control.macro_actions import KINDS, MacroAction
 from knotgym.errors import KnotgymError
-from knotgym.hdf5_files import opened_hdf5
+from knotgym.hdf5_files import Column, opened_hdf5, read_column
 from knotgym.topology.crossings import Crossings
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import canonical_form, shifted_base, variants
@@ -34,6 +34,17 @@ from knotgym.topology.symmetry import canonical_form, shifted_base, variants
 FORMAT = "knotgym-transitions"
 FORMAT_VERSION = 2  # version 1, which is read too, calls templates grips
 
+_COLUMNS = (
+    Column("codes", "uint8", (None,)),
+    Column("tried", "int32", ("codes",), least=0),
+    Column("before", "int32", ("changes",), least=0),
+    Column("after", "int32", ("changes",), least=0),
+    Column("seen", "int32", ("changes",), least=0),
+    Column("template_of", "int32", ("templates",), least=0),
+    Column("template_kind", "int8", ("templates",), least=0),
+    Column("template_side", "int8", ("templates",), least=-1),
+    Column("template_places", "float16", ("templates", 2), finite=True),
+)
 _Element = tuple[bool, bool, bool]  # symmetry element: reverse, switch, reflect
 
 
@@ -152,22 +163,27 @@ class TransitionCounts:
     @classmethod
     def read(cls, group: h5py.Group) -> TransitionCounts:
         """Read what `write` wrote."""
-        text = bytes(group["codes"][()]).decode()
-        codes = [GaussCode.parse(line) for line in text.split("\n")] if len(group["tried"]) else []
-        counts = zip(codes, group["tried"][()].tolist(), strict=True)
+        stem = "template" if "template_of" in group else "grip"  # version 1
+        sizes: dict[str, int] = {}
+        read = {
+            column.name: read_column(
+                group, column, sizes, column.name.replace("template", stem)
+            ).tolist()
+            for column in _COLUMNS
+        }
+        text = bytes(read["codes"]).decode()
+        codes = [GaussCode.parse(line) for line in text.split("\n")] if read["tried"] else []
+        counts = zip(codes, read["tried"], strict=True)
         tried = Counter({code: count for code, count in counts if count})
-        ends = zip(group["before"][()].tolist(), group["after"][()].tolist(), strict=True)
+        ends = zip(read["before"], read["after"], strict=True)
         keys = [(codes[before], codes[after]) for before, after in ends]
         templates: dict[tuple[GaussCode, GaussCode], list[MacroTemplate]] = {
             key: [] for key in keys
         }
-        stem = "template" if "template_of" in group else "grip"  # version 1
-        columns = (
-            group[f"{stem}_{name}"][()].tolist() for name in ("of", "kind", "side", "places")
-        )
+        columns = (read[f"template_{name}"] for name in ("of", "kind", "side", "places"))
         for row, kind, side, (bead, target) in zip(*columns, strict=True):
             templates[keys[row]].append(MacroTemplate(KINDS[kind], side, bead, target))
-        seen = Counter(dict(zip(keys, group["seen"][()].tolist(), strict=True)))
+        seen = Counter(dict(zip(keys, read["seen"], strict=True)))
         return cls(tried, seen, templates)
 
     def save(self, path: str | os.PathLike[str]) -> None:

@@ -21,6 +21,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,10 +29,19 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.datasets.states import minari_root
-from knotgym.datasets.trajectory import INFOS, Episode
+from knotgym.datasets.states import leads_out, minari_root, ships, states_file
+from knotgym.datasets.trajectory import INFOS, Episode, array_column
 from knotgym.errors import KnotgymError, MissingFile
-from knotgym.hdf5_files import check_format, foreign_bytes_as
+from knotgym.hdf5_files import (
+    Column,
+    UnexpectedContent,
+    check_format,
+    foreign_bytes_as,
+    member,
+    read_attribute,
+    read_column,
+    stored_column,
+)
 from knotgym.tasks import OBSERVATIONS, TaskConfig
 
 FORMAT = "knotgym-episodes"
@@ -46,6 +56,22 @@ ONCE = ("start_qpos", "goal_points")  # arrays of a whole episode: attributes
 POINTS = "infos/points"
 GOAL_INFO = "infos/goal_gauss_code"  # the goal's label, repeated at every state
 _STEPS = ("actions", "rewards", "terminations", "truncations")
+_LABELS = {
+    "id": "integer",
+    "number": "integer",
+    "total_steps": "integer",
+    "seed": "integer",
+    "hold": "integer",
+    "relabelled": "bool",
+    "goal_gauss_code": "text",
+    "policy": "text",
+    "digest": "text",
+}
+_OBSERVED = {
+    "pixels": Column("pixels", "uint8", ("states", None, None, None)),
+    "state": Column("state", "float32", ("states", None), finite=True),
+    "symbolic": Column("symbolic", "int16", ("states", 2, None)),
+}
 
 
 class InvalidEpisodeFile(KnotgymError, ValueError):
@@ -89,11 +115,16 @@ class EpisodeReader:
             self.format_version = check_format(
                 self.file, format=FORMAT, versions=READ_VERSIONS, error=InvalidEpisodeFile
             )
-            attributes = dict(self.file.attrs)
-            self.task = TaskConfig(**json.loads(attributes["task"]))
-            self.stored = str(attributes["stored"])
-            self.rope = str(attributes["rope"])
-            self.versions: dict[str, str] = json.loads(attributes["versions"])
+            said = {
+                name: str(read_attribute(self.file, Column(name, "text", ())))
+                for name in ("task", "stored", "rope", "versions")
+            }
+            self.task = TaskConfig(**json.loads(said["task"]))
+            self._beads = self.task.rope.beads
+            self.stored, self.rope = said["stored"], said["rope"]
+            if self.stored not in STORED:
+                raise UnexpectedContent(f"stored is {self.stored!r}, not {', '.join(STORED)}")
+            self.versions: dict[str, str] = _versions(said["versions"])
             index = stored_index(self.file) or counted_index(self.file)
         chosen = getattr(source, "episode_indices", index)
         self.rows: list[int] = [int(row) for row in chosen]
@@ -125,11 +156,63 @@ class EpisodeReader:
 
     def group(self, index: int) -> h5py.Group:
         """The HDF5 group of an episode."""
-        return self.file[f"episode_{self.rows[index]}"]
+        with self._naming(index):
+            return _group(self.file, self.rows[index])
 
     def column(self, index: int, name: str) -> NDArray[Any]:
         """One array of an episode, by `Episode`'s name for it."""
-        return _array(self.group(index), name)
+        with self._naming(index):
+            return self._array(index, name)
+
+    def labels(self, index: int) -> dict[str, Any]:
+        """The attributes of an episode that are no arrays, by name, checked."""
+        with self._naming(index):
+            group = self.group(index)
+            return {
+                name: read_attribute(group, Column(name, _kind_of_label(name), ()))
+                for name in group.attrs
+                if name not in ONCE
+            }
+
+    def metadata(self) -> dict[str, Any] | None:
+        """What a file says of the dataset it came from; None if it came from none."""
+        with foreign_bytes_as(InvalidEpisodeFile, f"{self.path} isn't a whole episode file"):
+            if "metadata" not in self.file.attrs:
+                return None
+            read = json.loads(read_attribute(self.file, Column("metadata", "text", ())))
+            if not isinstance(read, dict):
+                raise UnexpectedContent(f"metadata is {type(read).__name__}, should be an object")
+            return read
+
+    def states_path(self) -> Path:
+        """The state file that its episodes were reset from, which may not be there.
+
+        Raises:
+            InvalidEpisodeFile: a dataset names one that lies elsewhere; a file by itself may.
+        """
+        beside, named = self.path.with_name("states.h5"), self.task.states
+        if ships(named) or named is None:
+            return states_file(named)
+        if beside.is_file():
+            return beside
+        if self.path.with_name("metadata.json").is_file() and leads_out(named):
+            raise InvalidEpisodeFile(
+                f"{self.path} names states that lie outside the dataset, {named!r}; it should"
+                " carry them, as states.h5 beside it"
+            )
+        return states_file(named)
+
+    def goal_labels(self, index: int) -> list[str]:
+        """The goal's code as it stands at every state; empty where it doesn't."""
+        with self._naming(index):
+            group = self.group(index)
+            wanted = Column(GOAL_INFO, "text", ("states",))
+            found: list[str] = (
+                read_column(group, wanted, self._sizes(index)).tolist()
+                if GOAL_INFO in group
+                else []
+            )
+            return found
 
     def episode(self, index: int) -> Episode:
         """A whole episode, without its observations.
@@ -137,14 +220,14 @@ class EpisodeReader:
         Raises:
             InvalidEpisodeFile: something is missing, misshapen or unreadable; the message names it.
         """
-        with foreign_bytes_as(InvalidEpisodeFile, f"{self.path}, episode {self.rows[index]}"):
+        with self._naming(index):
             group = self.group(index)
             arrays = {
-                name: _array(group, name)
+                name: self._array(index, name)
                 for name in (*ONCE, "points", *_STEPS, *INFOS)
                 if name != "move" or place(name) in group
             }
-            labels = dict(group.attrs)
+            labels = self.labels(index)
             return Episode(
                 **arrays,
                 goal_gauss_code=str(labels["goal_gauss_code"]),
@@ -188,16 +271,30 @@ class EpisodeReader:
                 f"observation must be one of {', '.join(OBSERVATIONS)}, got {wanted!r}"
             )
         part_of_both = self.stored == "both" and wanted in ("pixels", "state")
-        if (self.stored == wanted or part_of_both) and picture is None:
-            return self._stored(index, steps, goal_step, wanted)
-        return self._drawn(index, steps, goal_step, wanted, picture)
+        with self._naming(index):
+            if (self.stored == wanted or part_of_both) and picture is None:
+                return self._stored(index, steps, goal_step, wanted)
+            points = self._stored_points(index)
+            seen = points[steps]
+            goal = self._array(index, "goal_points") if goal_step is None else points[goal_step]
+        return self._drawn(seen, goal, wanted, picture)
 
     def stored_observations(self, index: int) -> dict[str, h5py.Dataset]:
         """The observations in the file of all states of an episode, by name; of "both" two."""
         if self.stored == "none":
             return {}
-        data = self.group(index)["observations"]
-        return dict(data) if self.stored == "both" else {self.stored: data}
+        names = ("pixels", "state") if self.stored == "both" else (self.stored,)
+        with self._naming(index):
+            group, sizes = self.group(index), self._sizes(index)
+            return {
+                name: stored_column(
+                    group,
+                    _OBSERVED[name],
+                    sizes,
+                    f"observations/{name}" if self.stored == "both" else "observations",
+                )
+                for name in names
+            }
 
     def _stored(self, index: int, steps: slice, goal_step: int | None, wanted: str) -> Any:
         data = self.stored_observations(index)
@@ -213,17 +310,34 @@ class EpisodeReader:
                 np.moveaxis(array, side, 0)[half:] = np.moveaxis(goal, side, 0)[:half]
         return seen if wanted == "both" else seen[wanted]
 
-    def _drawn(
-        self, index: int, steps: slice, goal_step: int | None, wanted: str, picture: Any
-    ) -> Any:
+    def _drawn(self, seen: NDArray[Any], goal: NDArray[Any], wanted: str, picture: Any) -> Any:
         # here, so that loaders of states need no OpenCV
         from knotgym.rendering.observations import observe, picture_config
 
-        group = self.group(index)
-        points = group[POINTS if POINTS in group else "rope/points"]
-        goal = _array(group, "goal_points") if goal_step is None else points[goal_step]
         drawn = picture or picture_config(self.task)
-        return observe(points[steps], goal, wanted, drawn, self.task.layout)
+        return observe(seen, goal, wanted, drawn, self.task.layout)
+
+    def _naming(self, index: int) -> AbstractContextManager[None]:
+        """What goes wrong in an episode names it."""
+        return foreign_bytes_as(InvalidEpisodeFile, f"{self.path}, episode {self.rows[index]}")
+
+    def _sizes(self, index: int) -> dict[str, int]:
+        steps = int(self.lengths[index])
+        return {"steps": steps, "states": steps + 1, "beads": self._beads}
+
+    def _stored_points(self, index: int) -> h5py.Dataset:
+        group = self.group(index)
+        where = POINTS if self.format_version > 3 or POINTS in group else "rope/points"
+        return stored_column(group, array_column("points"), self._sizes(index), where)
+
+    def _array(self, index: int, name: str) -> NDArray[Any]:
+        """An array of an episode, by `Episode`'s name for it."""
+        group, wanted, sizes = self.group(index), array_column(name), self._sizes(index)
+        if self.format_version < 4 and f"rope/{name}" in group:
+            return read_column(group, wanted, sizes, f"rope/{name}")
+        if name in ONCE:
+            return np.asarray(read_attribute(group, wanted, sizes))
+        return read_column(group, wanted, sizes, place(name))
 
 
 def episode_file(source: Any) -> Path:
@@ -240,7 +354,9 @@ def episode_file(source: Any) -> Path:
         return episode_file(source.source)
     if hasattr(source, "storage"):
         return Path(source.storage.data_path) / "main_data.hdf5"
-    tried = [Path(source), minari_root() / str(source)]
+    tried = [Path(source)]
+    if not leads_out(source):
+        tried.append(minari_root() / str(source))
     for path in tried:
         for inside in (path, path / "main_data.hdf5", path / "data" / "main_data.hdf5"):
             if inside.is_file():
@@ -250,13 +366,17 @@ def episode_file(source: Any) -> Path:
 
 def stored_index(file: h5py.File) -> dict[int, int]:
     """The k and T of each episode, as the file's attribute says; empty where it has none."""
-    return {int(row): int(steps) for row, steps in file.attrs.get("index", ())}
+    if "index" not in file.attrs:
+        return {}
+    read = read_attribute(file, Column("index", "integer", (None, 2), least=0))
+    return {int(row): int(steps) for row, steps in read}
 
 
 def counted_index(file: h5py.File) -> dict[int, int]:
     """The k and T of each episode, looked up in every one."""
     rows = sorted(int(name.removeprefix("episode_")) for name in file)
-    return {row: int(file[f"episode_{row}"].attrs["total_steps"]) for row in rows}
+    steps = Column("total_steps", "integer", (), least=0)
+    return {row: int(read_attribute(_group(file, row), steps)) for row in rows}
 
 
 def place(name: str) -> str:
@@ -264,13 +384,19 @@ def place(name: str) -> str:
     return f"infos/{name}" if name in (*INFOS, "points") else name
 
 
-def _array(group: h5py.Group, name: str) -> NDArray[Any]:
-    """An array of an episode, by `Episode`'s name for it."""
-    if f"rope/{name}" in group:  # up to format version 3
-        return _read(group[f"rope/{name}"])
-    return np.asarray(group.attrs[name]) if name in ONCE else _read(group[place(name)])
+def _group(file: h5py.File, row: int) -> h5py.Group:
+    found = member(file, f"episode_{row}")
+    if not isinstance(found, h5py.Group):
+        raise UnexpectedContent(f"episode_{row} should be a group")
+    return found
 
 
-def _read(data: h5py.Dataset) -> NDArray[Any]:
-    values = data[()]
-    return np.char.decode(values, "utf-8") if values.dtype.kind == "S" else values
+def _kind_of_label(name: str) -> str:
+    return "integer" if name.startswith("options/") else _LABELS.get(name, "any")
+
+
+def _versions(text: str) -> dict[str, str]:
+    read = json.loads(text)
+    if not isinstance(read, dict) or not all(isinstance(name, str) for name in read.values()):
+        raise UnexpectedContent(f"versions is {text[:80]!r}, should be names and versions")
+    return read

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.actions import steps_taken
+from knotgym.configuration import as_json
 from knotgym.datasets.episode_reader import (
     GOAL_INFO,
     EpisodeReader,
@@ -163,16 +164,16 @@ def episode_faults(episode: Episode, task: TaskConfig, rope: Rope) -> list[str]:
 def show_episodes(source: Any) -> dict[str, Any]:
     """Sum up an episode file or a Minari dataset; every value is JSON-able."""
     reader = EpisodeReader(source)
-    labels = [dict(reader.group(i).attrs) for i in range(len(reader))]
+    labels = [reader.labels(i) for i in range(len(reader))]
     success = np.array([reader.column(i, "is_success")[-1] for i in range(len(reader))], dtype=bool)
     failed = sum(bool(reader.column(i, "simulation_failed")[-1]) for i in range(len(reader)))
     returns = np.array([reader.column(i, "rewards").sum() for i in range(len(reader))])
     size, frames = reader.path.stat().st_size, int(reader.lengths.sum()) + len(reader)
-    metadata = json.loads(reader.file.attrs.get("metadata", "{}"))
+    metadata = reader.metadata() or {}
     summary = {
         "path": str(reader.path),
         "dataset_id": metadata.get("dataset_id"),
-        "task": json.loads(reader.file.attrs["task"]),
+        "task": as_json(reader.task),
         "stored": reader.stored,
         "episodes": len(reader),
         "steps": int(reader.lengths.sum()),
@@ -227,7 +228,7 @@ def _faults_of(
     faults: list[str] = []
     try:
         episode = reader.episode(index)
-        if episode.digest() != reader.group(index).attrs["digest"]:
+        if episode.digest() != reader.labels(index).get("digest"):
             faults.append("its contents don't have the digest they were written with")
         faults += episode_faults(episode, reader.task, rope)
         faults += _goal_info_faults(reader, index, episode)
@@ -248,8 +249,7 @@ def _goal_info_faults(reader: EpisodeReader, index: int, episode: Episode) -> li
     group = reader.group(index)
     if GOAL_INFO not in group:
         return [f"{GOAL_INFO} is missing"] if reader.format_version > 1 else []
-    stored = np.char.decode(group[GOAL_INFO][()], "utf-8").tolist()
-    if stored == [episode.goal_gauss_code] * (len(episode) + 1):
+    if reader.goal_labels(index) == [episode.goal_gauss_code] * (len(episode) + 1):
         return []
     return [f"{GOAL_INFO} isn't {episode.goal_gauss_code!r} at every state"]
 

@@ -37,6 +37,7 @@ from knotgym.datasets.episode_reader import (
     place,
 )
 from knotgym.datasets.trajectory import Episode
+from knotgym.hdf5_files import Column, stored_column
 from knotgym.rendering.observations import observe, picture_config
 from knotgym.tasks import TaskConfig
 
@@ -205,7 +206,7 @@ def _require_distinct(order: Sequence[tuple[EpisodeReader, int]]) -> None:
     seen: dict[str, str] = {}
     for reader, i in order:
         here = f"episode {reader.rows[i]} of {reader.path}"
-        earlier = seen.setdefault(str(reader.group(i).attrs["digest"]), here)
+        earlier = seen.setdefault(str(reader.labels(i)["digest"]), here)
         if earlier is not here:
             raise InvalidEpisodeFile(
                 f"{earlier} and {here} are the same; merge sets that share no episode"
@@ -222,7 +223,7 @@ def _in_order(
     episodes = [(reader, i) for reader in readers for i in range(len(reader))]
     if concatenate:
         return episodes
-    numbers = [int(reader.group(i).attrs["number"]) for reader, i in episodes]
+    numbers = [int(reader.labels(i)["number"]) for reader, i in episodes]
     if len(set(numbers)) < len(numbers):
         twice = next(number for number in sorted(numbers) if numbers.count(number) > 1)
         raise InvalidEpisodeFile(
@@ -321,7 +322,10 @@ def _copy(source: h5py.Group, target: h5py.Group, number: int, keep: bool) -> No
     _label(target, {**source.attrs, **old, "id": number, "number": number})
     for name, place_now in _members(source).items():
         if keep or not name.startswith("observations"):
-            _copy_dataset(source[name], target, place_now)
+            data = stored_column(source, Column(name, "any", None), {})
+            if data.dtype.kind == "O":  # its rows say where in the other file their text is
+                raise InvalidEpisodeFile(f"{source.file.filename}: {name} has no fixed length")
+            _copy_dataset(data, target, place_now)
     if GOAL_INFO not in source:  # of format version 1
         _write_goal(target)
 

@@ -29,7 +29,8 @@ from knotgym.atomic_files import atomic_write, sha256
 from knotgym.configuration import as_json
 from knotgym.datasets.episode_reader import EpisodeReader, InvalidEpisodeFile
 from knotgym.datasets.episode_writer import merge_episodes
-from knotgym.datasets.states import minari_root, ships, states_file
+from knotgym.datasets.states import minari_root, ships
+from knotgym.hdf5_files import foreign_bytes_as
 from knotgym.tasks import TaskConfig
 
 _ID = re.compile(r"([-\w]+/)*[-\w]+-v\d+")
@@ -192,14 +193,14 @@ def merge_datasets(
             )
     said = [metadata for source in sources if (metadata := metadata_of(source))]
     first, task = readers[0], None
-    carried = None if ships(first.task.states) else _states_of(first)
+    carried = None if ships(first.task.states) else first.states_path()
     if carried is not None:
         task = replace(first.task, states=dataset_id)
     same: dict[str, Any] = {}
     for name in ("code_permalink", "ref_min_score", "ref_max_score", "num_episodes_average_score"):
         values = {getattr(one, name) for one in said}
         same[name] = values.pop() if len(values) == 1 and len(said) == len(sources) else None
-    policies = [one.algorithm_name for one in said] or [str(first.group(0).attrs["policy"])]
+    policies = [one.algorithm_name for one in said] or [str(first.labels(0)["policy"])]
     metadata = MinariMetadata(
         dataset_id=dataset_id,
         algorithm_name=", ".join(dict.fromkeys(policies)),
@@ -221,16 +222,10 @@ def merge_datasets(
     )
 
 
-def _states_of(reader: EpisodeReader) -> Path:
-    """The state file that a dataset's episodes were reset from: its own, or the one it names."""
-    beside = reader.path.with_name("states.h5")
-    return beside if beside.is_file() else states_file(reader.task.states)
-
-
 def _states_digest(reader: EpisodeReader) -> str:
     if ships(reader.task.states):
         return str(reader.task.states or "readable")
-    path = _states_of(reader)
+    path = reader.states_path()
     if not path.is_file():
         raise InvalidEpisodeFile(f"{reader.path} was reset from {path}, which isn't there")
     return sha256(path)
@@ -256,9 +251,10 @@ def metadata_of(source: Any) -> MinariMetadata | None:
     None of an episode file that never was one.
     """
     reader = EpisodeReader(source)
-    text = reader.file.attrs.get("metadata")
+    entries = reader.metadata()
     reader.close()
-    return None if text is None else MinariMetadata(**json.loads(text))
+    with foreign_bytes_as(InvalidEpisodeFile, f"{reader.path}, its metadata"):
+        return None if entries is None else MinariMetadata(**entries)
 
 
 def minari_entries(metadata: MinariMetadata, task: TaskConfig) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.near_duplicates import NEAR, distances
 from knotgym.datasets.splits import STATE_SPLITS
-from knotgym.datasets.states import States, read_states, shipped, states_file
+from knotgym.datasets.states import States, read_states, shipped
 from knotgym.errors import KnotgymError
 from knotgym.rope import Rope
 
@@ -66,7 +66,7 @@ def duplicate_faults(reader: EpisodeReader) -> list[str]:
         try:
             names = ("start_qpos", "goal_points", "actions")
             told = b"".join(reader.column(index, name).tobytes() for name in names)
-            seed = None if reader.task.reset_noise else reader.group(index).attrs.get("seed")
+            seed = None if reader.task.reset_noise else reader.labels(index).get("seed")
             key = hashlib.sha256(told).digest(), seed
         except (OSError, KeyError, ValueError):
             continue
@@ -94,7 +94,7 @@ class _Side:
 
     def judge(self, index: int) -> tuple[str | None, list[str]]:
         """The split of an episode's start or goal, None if it can't be told; and its faults."""
-        named = self.reader.group(index).attrs.get(f"options/{self.name}")
+        named = self.reader.labels(index).get(f"options/{self.name}")
         right, states = self.reader.task.split, self.states
         if named is not None and not 0 <= named < len(states):
             return None, [f"its {self.name} is row {named}, of {len(states)} states"]
@@ -149,8 +149,7 @@ def _sides(reader: EpisodeReader) -> dict[str, States]:
     task = reader.task
     files = [shipped()]
     if task.states is not None:
-        carried = reader.path.with_name("states.h5")
-        asked = carried if carried.is_file() else states_file(task.states)
+        asked = reader.states_path()
         if not asked.is_file() and not reader.path.with_name("metadata.json").is_file():
             return {}
         files.insert(0, asked)

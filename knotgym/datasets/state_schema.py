@@ -6,13 +6,7 @@ and `format_version`, and ATTRIBUTES; `quality/*` may hold other measures too.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
-
+from knotgym.hdf5_files import Column
 from knotgym.quality_limits import UNITS
 
 FORMAT = "knotgym-states"
@@ -29,49 +23,21 @@ ATTRIBUTES = {
 }
 
 
-@dataclass(frozen=True)
-class Column:
-    """One column; its first axis is the row's.
-
-    Attributes:
-        name: in the file; "source/steps" stands in the group `source`.
-        kind: "float64", "float32", "int64", "uint8", or "text", UTF-8.
-        shape: of one row. A word is a size that is the same in every file of a rope; None one that
-            differs from file to file.
-        unit: "" where there is none; `quality/*` carry it as the attribute `unit`.
-        doc: what it holds.
-    """
-
-    name: str
-    kind: str
-    shape: tuple[int | str | None, ...]
-    unit: str
-    doc: str
-
-    def has_kind(self, values: NDArray[Any]) -> bool:
-        """Whether values are of this type, whatever their width."""
-        return values.dtype.kind == ("U" if self.kind == "text" else np.dtype(self.kind).kind)
-
-    def has_shape(self, values: NDArray[Any], rows: int, sizes: Mapping[str, int]) -> bool:
-        """Whether values, of so many rows, are of this shape; `sizes` says what words stand for."""
-        right = self.full_shape(rows, sizes)
-        return len(right) == values.ndim and all(
-            size in (None, found) for size, found in zip(right, values.shape, strict=True)
-        )
-
-    def full_shape(self, rows: int, sizes: Mapping[str, int]) -> tuple[int | None, ...]:
-        """The shape of the whole column, None where any size will do."""
-        return (rows, *(sizes[n] if isinstance(n, str) else n for n in self.shape))
-
-
 ROOT = (
-    Column("qpos", "float64", ("nq",), "m, quaternions", "MuJoCo generalized positions, at rest"),
-    Column("points", "float64", ("beads", 3), "m", "vertices of the rope, z up"),
+    Column(
+        "qpos",
+        "float64",
+        ("nq",),
+        "m, quaternions",
+        "MuJoCo generalized positions, at rest",
+        finite=True,
+    ),
+    Column("points", "float64", ("beads", 3), "m", "vertices of the rope, z up", finite=True),
     Column("image", "uint8", (None, None, 3), "levels", "RGB, as the environment shows it"),
     Column("gauss_code", "text", (), "", 'as "1+,1-,2+,2-"'),
     Column("gauss_code_chiral", "text", (), "", 'as "1+a,1-a,2+c,2-c"'),
     Column("knot", "text", (), "", 'knot type, as "0_1"'),
-    Column("nx", "int64", (), "crossings", "how many the picture shows"),
+    Column("nx", "int64", (), "crossings", "how many the picture shows", least=0),
     Column("split", "text", (), "", '"train" or "test"'),
 )
 QUALITY = tuple(
@@ -82,9 +48,18 @@ QUALITY = tuple(
 # for bit. A file whose `policy` is RANDOM_WALK in all rows has no column of actions: those of a row
 # are drawn from its stream (`knotgym.actions.drawn_actions`).
 SOURCE = (
-    Column("source/start_qpos", "float64", ("nq",), "m, quaternions", "where the rope is laid"),
-    Column("source/actions", "float32", (None, 6), "", "taken from there on; then zeros"),
-    Column("source/steps", "int64", (), "actions", "how many of them are taken"),
+    Column(
+        "source/start_qpos",
+        "float64",
+        ("nq",),
+        "m, quaternions",
+        "where the rope is laid",
+        finite=True,
+    ),
+    Column(
+        "source/actions", "float32", (None, 6), "", "taken from there on; then zeros", finite=True
+    ),
+    Column("source/steps", "int64", (), "actions", "how many of them are taken", least=0),
     Column("source/seed", "int64", (None,), "", "key of the random stream it was drawn from"),
     Column("source/policy", "text", (), "", "who acted"),
     Column("source/dataset", "text", (), "", "Minari dataset that its demonstration is in"),

@@ -19,9 +19,23 @@ from numpy.typing import NDArray
 
 from knotgym.atomic_files import atomic_write, new_hdf5
 from knotgym.datasets.near_duplicates import repeated
-from knotgym.datasets.state_schema import FORMAT, FORMAT_VERSION, READ_VERSIONS, ROOT
+from knotgym.datasets.state_schema import (
+    ATTRIBUTES,
+    COLUMNS,
+    FORMAT,
+    FORMAT_VERSION,
+    READ_VERSIONS,
+    ROOT,
+)
 from knotgym.errors import KnotgymError
-from knotgym.hdf5_files import opened_hdf5
+from knotgym.hdf5_files import (
+    Column,
+    members,
+    opened_hdf5,
+    read_attribute,
+    read_column,
+    stored_column,
+)
 
 _COMPRESSED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 _GROUPS = ("quality", "source")
@@ -137,7 +151,13 @@ def states_file(named: str | None) -> Path:
     if named is None or named in SHIPPED:
         return shipped(named or "readable")
     carried = minari_root() / named / "data" / "states.h5"
-    return carried if carried.is_file() and not Path(named).is_file() else Path(named)
+    is_id = not leads_out(named) and carried.is_file()
+    return carried if is_id and not Path(named).is_file() else Path(named)
+
+
+def leads_out(named: str | os.PathLike[str]) -> bool:
+    """Whether a name is no id: it may lead out of the folder that it is looked up in."""
+    return Path(named).is_absolute() or ".." in Path(named).parts
 
 
 def demonstrations_id(nx: int, split: str = "train", knot: str = "0_1") -> str:
@@ -189,14 +209,10 @@ def read_states(path: str | os.PathLike[str], *, images: bool = True) -> States:
     with opened_hdf5(
         path, what="state file", format=FORMAT, versions=READ_VERSIONS, error=InvalidStates
     ) as file:
-        columns = {
-            column.name: _read(file[column.name], text=column.kind == "text")
-            for column in ROOT
-            if images or column.name != "image"
-        }
-        for group in _GROUPS:
-            for name, data in file[group].items():
-                columns[f"{group}/{name}"] = _read(data, h5py.check_string_dtype(data.dtype))
+        names = [column.name for column in ROOT if images or column.name != "image"]
+        names += [f"{group}/{name}" for group in _GROUPS for name in members(file, group)]
+        sizes: dict[str, int] = {}
+        columns = {name: read_column(file, _whole(name), sizes) for name in names}
         if file.attrs["format_version"] == 1 and "source/trajectory" in columns:
             # then demonstrations of both splits were in the dataset that now is train's alone
             mixed = [
@@ -206,13 +222,38 @@ def read_states(path: str | os.PathLike[str], *, images: bool = True) -> States:
             columns["source/dataset"] = np.array(mixed, dtype=np.str_)
         return States(
             **_fields_of(columns),
-            units={name: str(data.attrs["unit"]) for name, data in file["quality"].items()},
-            attributes={
-                name: value
-                for name, value in file.attrs.items()
-                if name not in ("format", "format_version")
+            units={
+                name.removeprefix("quality/"): read_attribute(
+                    stored_column(file, _whole(name), sizes), Column("unit", "text", ())
+                )
+                for name in names
+                if name.startswith("quality/")
             },
+            attributes=_attributes(file),
         )
+
+
+def _whole(name: str) -> Column:
+    """What the schema says of a whole column by its name; a measure or provenance that it doesn't
+    know may be there too.
+    """
+    for column in COLUMNS:
+        if column.name == name:
+            return replace(column, shape=("rows", *(column.shape or ())))
+    if name.startswith("quality/"):
+        return Column(name, "float64", ("rows",))
+    return Column(name, "any", None)
+
+
+def _attributes(file: h5py.File) -> dict[str, Any]:
+    """The attributes beside format and version; those the schema knows are text, `config` JSON."""
+    found = {
+        name: read_attribute(file, Column(name, "text" if name in ATTRIBUTES else "any", ()))
+        for name in file.attrs
+        if name not in ("format", "format_version")
+    }
+    json.loads(found.get("config", "{}"))
+    return found
 
 
 def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
@@ -301,7 +342,3 @@ def _write(file: h5py.File, name: str, values: NDArray[Any]) -> h5py.Dataset:
     chunks = (1, *values.shape[1:]) if name == "image" and len(values) else None
     options = _COMPRESSED if values.size else {}
     return file.create_dataset(name, data=values, chunks=chunks, **options)
-
-
-def _read(data: h5py.Dataset, text: object) -> NDArray[Any]:
-    return np.asarray(data.asstr()[()].astype(np.str_) if text else data[()])

@@ -14,12 +14,14 @@ import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.errors import KnotgymError
+from knotgym.hdf5_files import Column
 from knotgym.reward import SUCCESS_REWARD, success_at_last
 from knotgym.towing import TowBound
 
@@ -44,6 +46,13 @@ _ARRAYS: dict[str, tuple[Any, int | None, tuple[Any, ...]]] = {
     "simulation_failed": (np.bool_, 1, ()),
     "move": (np.str_, 1, ()),
 }
+_KINDS = {
+    np.float64: "float64",
+    np.float32: "float32",
+    np.int64: "int64",
+    np.bool_: "bool",
+    np.str_: "text",
+}
 INFOS = (
     "gauss_code",
     "gauss_code_chiral",
@@ -54,6 +63,14 @@ INFOS = (
     "simulation_failed",
     "move",
 )
+
+
+@cache
+def array_column(name: str) -> Column:
+    """What a file says of one of the arrays of an `Episode`; sizes are "steps", T, and "states"."""
+    dtype, beyond, each = _ARRAYS[name]
+    whole = each if beyond is None else (("steps", "states")[beyond], *each)
+    return Column(name, _KINDS[dtype], whole, finite=_KINDS[dtype].startswith("float"))
 
 
 class InvalidEpisode(KnotgymError, ValueError):

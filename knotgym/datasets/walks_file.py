@@ -23,13 +23,20 @@ from numpy.typing import NDArray
 
 from knotgym.atomic_files import atomic_write, new_hdf5
 from knotgym.errors import KnotgymError
-from knotgym.hdf5_files import opened_hdf5
+from knotgym.hdf5_files import Column, opened_hdf5, read_attribute, read_column
 from knotgym.rope import Array, RopeConfig
 from knotgym.simulation_pool import simulation_of
 
 FORMAT = "knotgym-walks"
 FORMAT_VERSION = 1
 
+_COLUMNS = (
+    Column("state", "float64", ("states", None), finite=True),
+    Column("number", "int64", ("walks",)),
+    Column("start", "int64", ("walks",), least=0),
+    Column("beads", "int16", ("walks", "steps"), least=0),
+    Column("forces", "float32", ("walks", "steps", 3), finite=True),
+)
 _COMPRESSED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 
 
@@ -130,13 +137,19 @@ def read_walks(path: str | os.PathLike[str]) -> Walks:
     with opened_hdf5(
         path, what="file of walks", format=FORMAT, versions=(FORMAT_VERSION,), error=InvalidWalks
     ) as file:
-        rope = file.attrs["rope"]
+        rope = read_attribute(file, Column("rope", "text", ()))
         if rope != RopeConfig().fingerprint:
             raise InvalidWalks(
                 f"{path} was made with rope model {rope}, this version has"
                 f" {RopeConfig().fingerprint}"
             )
-        return Walks(**{name: file[name][()] for name in Walks.__dataclass_fields__})
+        sizes: dict[str, int] = {}
+        walks = Walks(**{column.name: read_column(file, column, sizes) for column in _COLUMNS})
+        if len(walks.start) and walks.start.max() >= len(walks.state):
+            raise InvalidWalks(
+                f"{path}: a walk sets out from state {walks.start.max()} of {len(walks.state)}"
+            )
+        return walks
 
 
 def retrace(states: Array, beads: NDArray[np.int16], forces: NDArray[np.float32]) -> Array:

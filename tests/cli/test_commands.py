@@ -214,6 +214,30 @@ def test_a_place_that_cannot_be_written_is_refused_at_once(
     assert "can't be written" in line and [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("generate", "--nx", "1,1"), "each number once, got '1,1'"),
+        (("collect", "--policy", "mixed", "--shares", "inf,1,1,1"), "4 finite numbers"),
+        (("evaluate", "--filmed", -1), "greater than or equal to 0"),
+        (("generate", "--nx", 0, "--out", "x" * 300), "name too long xxx"),
+        (("generate", "--nx", 0, "--out", "/dev/null/x"), "/dev/null/x can't be written"),
+        (("dataset", "verify", "/dev/null/x"), "no such file: /dev/null/x"),
+    ],
+)
+def test_what_makes_no_sense_is_one_line(
+    words: tuple[object, ...],
+    told: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert knotgym(*words) == 2
+    (line,) = said(capfd)
+    assert told in line and not list(tmp_path.iterdir())
+
+
 class Empty:
     """A recipe of nothing."""
 

@@ -174,6 +174,9 @@ def test_a_dataset_whose_states_are_gone_cannot_be_checked(
     (tmp_path / "data" / "metadata.json").write_text("{}")
     (fault,) = split_faults(reader)
     assert "its split can't be checked: no state file at" in fault
+    reader.task = replace(reader.task, states="../elsewhere.h5")
+    (fault,) = split_faults(reader)
+    assert "names states that lie outside the dataset, '../elsewhere.h5'" in fault
 
 
 def test_a_dataset_of_before_that_mixes_splits_is_read_and_named(

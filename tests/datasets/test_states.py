@@ -210,3 +210,25 @@ def test_curated_states_are_what_their_labels_say() -> None:
         )
         assert GaussCode.parse(str(states.gauss_code_chiral[row])) == code
         assert np.array_equal(draw(states.points[row]), states.image[row])
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "said"),
+    [
+        ("qpos", np.full((30, 421), 1j), "qpos is complex128, should be float64"),
+        ("points", np.full((30, 100, 3), np.nan), r"points holds nan at \[0, 0, 0\]"),
+        ("nx", np.zeros(30), "nx is float64, should be int64"),
+        ("nx", np.full(30, -1), "nx is -1, should be at least 0"),
+        ("split", np.zeros(29), "split is float64, should be text"),
+        ("knot", np.array([b"0_1"] * 29), r"knot is of shape \(29,\), should be \(30\)"),
+        ("image", np.zeros((30, 8, 8, 3)), "image is float64, should be uint8"),
+    ],
+)
+def test_a_column_that_misses_the_schema_is_named(
+    copy: Path, name: str, values: np.ndarray, said: str
+) -> None:
+    with h5py.File(copy, "a") as file:
+        del file[name]
+        file[name] = values
+    with pytest.raises(InvalidStates, match=said):
+        read_states(copy)

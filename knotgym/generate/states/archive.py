@@ -13,6 +13,7 @@ import json
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import h5py
 import numpy as np
@@ -22,7 +23,7 @@ from knotgym.configuration import check_numbers
 from knotgym.control.action_sequence import ActionSequence
 from knotgym.control.transition_counts import TransitionCounts
 from knotgym.errors import KnotgymError
-from knotgym.hdf5_files import opened_hdf5
+from knotgym.hdf5_files import Column, member, opened_hdf5, read_column
 from knotgym.rope import Array
 from knotgym.topology.diagrams import chiralities
 from knotgym.topology.gauss import GaussCode
@@ -31,6 +32,16 @@ from knotgym.topology.symmetry import mirror_images
 FORMAT = "knotgym-archive"
 FORMAT_VERSION = 3
 _COMPRESSED = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+_COLUMNS = (
+    Column("code", "text", ("elites",)),
+    Column("base_shift", "int64", ("elites",), least=0),
+    Column("reverse", "bool", ("elites",)),
+    Column("objective", "float64", ("elites",), finite=True),
+    Column("length", "int64", ("elites",), least=0),
+    Column("beads", "int16", ("steps",), least=0),
+    Column("forces", "float32", ("steps", 3), finite=True),
+    Column("state", "float64", ("elites", None), finite=True),
+)
 _OLD = {"base_shift": "roll", "objective": "badness"}  # what version 2, read too, calls them
 
 
@@ -192,30 +203,31 @@ class Archive:
             error=InvalidArchive,
         ) as file:
             old = file.attrs["format_version"] == 2
-            names = _OLD if old else {name: name for name in _OLD}
+            names = _OLD if old else {}
             archive = cls(
                 visits={
                     GaussCode.parse(code): int(count)
-                    for code, count in json.loads(file["visits"][()]).items()
+                    for code, count in _json(file, "visits", dict).items()
                 },
-                growth=json.loads(file["growth"][()]),
-                settings=json.loads(file["settings"][()]),
+                growth=_json(file, "growth", list),
+                settings=_json(file, "settings", dict),
                 transitions=(
-                    TransitionCounts.read(file["transitions"])
+                    TransitionCounts.read(member(file, "transitions"))
                     if "transitions" in file
                     else TransitionCounts()
                 ),
             )
-            ends = np.cumsum(file["length"][()])
-            beads, forces, states = file["beads"][()], file["forces"][()], file["state"][()]
-            if {len(beads), len(forces)} != {int(ends[-1])}:
+            sizes: dict[str, int] = {}
+            read = {
+                column.name: read_column(file, column, sizes, names.get(column.name, ""))
+                for column in _COLUMNS
+            }
+            ends = np.cumsum(read["length"])
+            beads, forces = read["beads"], read["forces"]
+            if not len(ends) or len(beads) != int(ends[-1]):
                 raise InvalidArchive(f"{path} isn't a whole archive: its sequences are cut short")
             rows = zip(
-                file["code"].asstr()[()],
-                file[names["base_shift"]][()],
-                file["reverse"][()],
-                file[names["objective"]][()],
-                states,
+                *(read[name] for name in ("code", "base_shift", "reverse", "objective", "state")),
                 np.concatenate([[0], ends[:-1]]),
                 ends,
                 strict=True,
@@ -232,3 +244,11 @@ class Archive:
     def _elites(self) -> Iterator[Elite]:
         for elites in self.niches.values():
             yield from elites
+
+
+def _json(file: h5py.File, name: str, kind: type) -> Any:
+    """A text of the file read as JSON."""
+    read = json.loads(str(read_column(file, Column(name, "text", ()), {})))
+    if not isinstance(read, kind):
+        raise InvalidArchive(f"{file.filename}: {name} should be {kind.__name__}")
+    return read

@@ -1,0 +1,75 @@
+"""Nothing that is read is run: no call that would, but at the places that are listed with why."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1] / "knotgym"
+RUNNING = {"eval", "exec", "compile", "__import__", "import_module", "run_path", "run_module"}
+UNPICKLING = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "marshal", "shelve"}
+
+# file -> why a module that it imports by a computed name isn't named by data
+IMPORTS = {
+    "control/learned_policies.py": "libraries of MODEL_FILES, names in the code",
+    "control/own_policies.py": "module:name, which the user types; never from a file",
+    "datasets/exports/forms.py": "FORMS, names in the code",
+    "datasets/image_table.py": "parts of pyarrow, names in the code",
+    "lazy_exports.py": "a package's own table",
+    "loaders/converters.py": "libraries, names in the code",
+    "loaders/perception.py": "libraries, names in the code",
+    "prompting/chat.py": "libraries, names in the code",
+    "rendering/mujoco_renderer.py": "backends of MuJoCo, names in the code",
+}
+
+
+def called(node: ast.Call) -> str:
+    """The dotted name of what is called, as far as it is one."""
+    parts: list[str] = []
+    at = node.func
+    while isinstance(at, ast.Attribute):
+        parts.append(at.attr)
+        at = at.value
+    return ".".join([*([at.id] if isinstance(at, ast.Name) else ["?"]), *reversed(parts)])
+
+
+def running(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """Line and name of every call that runs, imports or unpickles what it is given."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import | ast.ImportFrom):
+            names = [one.name for one in node.names] + [getattr(node, "module", None) or ""]
+            yield from ((node.lineno, name) for name in names if name.split(".")[0] in UNPICKLING)
+        if not isinstance(node, ast.Call):
+            continue
+        name = called(node)
+        options = {one.arg: one.value for one in node.keywords}
+        last = name.split(".")[-1]
+        if name in RUNNING or last in RUNNING - {"eval", "compile"}:
+            yield node.lineno, last
+        if isinstance(options.get("allow_pickle"), ast.expr):
+            if getattr(options["allow_pickle"], "value", None) is not False:
+                yield node.lineno, "allow_pickle"
+        if name == "torch.load" and getattr(options.get("weights_only"), "value", None) is not True:
+            yield node.lineno, "torch.load"
+
+
+def test_nothing_that_is_read_is_run() -> None:
+    found = {
+        (path.relative_to(ROOT).as_posix(), name)
+        for path in sorted(ROOT.rglob("*.py"))
+        for _, name in running(ast.parse(path.read_text(encoding="utf-8")))
+    }
+    assert found == {(path, "import_module") for path in IMPORTS}
+
+
+def test_each_way_is_told() -> None:
+    written = """
+import pickle
+eval(text)
+np.load(path, allow_pickle=True)
+np.load(path, allow_pickle=False)
+torch.load(path)
+torch.load(path, weights_only=True)
+model.eval()
+"""
+    told = [name for _, name in running(ast.parse(written))]
+    assert sorted(told) == ["allow_pickle", "eval", "pickle", "torch.load"]
