@@ -5,7 +5,7 @@
 Every copy is read in a process of its own, as a command would. Outcomes: "refused", one line of a
 `KnotgymError`; "found", a fault of `verify`; "unchanged", all that a reader gets is what the sound
 file gives; "wrong", something else was read and no fault named; "traceback", "crash" and "hang".
-The table goes to standard output, the counts to --json.
+The table goes to standard output, the counts to --out.
 """
 
 from __future__ import annotations
@@ -214,7 +214,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--states", type=Path)
     parser.add_argument("--episodes", type=Path)
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--out", type=Path)
     given = parser.parse_args()
     files = {"states": given.states, "episodes": given.episodes}
     report = run({k: path for k, path in files.items() if path}, given.count, given.seed)
@@ -224,8 +224,8 @@ def main() -> None:
     for name, row in report["counts"].items():
         print(f"| {name} |", " | ".join(str(row[one]) for one in outcomes), "|")
     print(*report["bad"], sep="\n")
-    if given.json:
-        given.json.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+    if given.out:
+        given.out.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -9,11 +9,8 @@ from typing import Any
 
 from rich.console import Console
 
-from knotgym.datasets.episode_verification import show_episodes
-from knotgym.datasets.image_card import summary as image_summary
-from knotgym.datasets.image_table import GRADES, shards
-from knotgym.datasets.manifest_check import read_manifest
-from knotgym.datasets.state_card import (
+from knotgym.datasets.cards.image_card import summary as image_summary
+from knotgym.datasets.cards.state_card import (
     SPREAD_HEAD,
     SPREAD_SAYS,
     growth,
@@ -21,7 +18,10 @@ from knotgym.datasets.state_card import (
     most_first,
     spread_rows,
 )
-from knotgym.datasets.state_card import summary as state_summary
+from knotgym.datasets.cards.state_card import summary as state_summary
+from knotgym.datasets.episode_verification import show_episodes
+from knotgym.datasets.image_table import GRADES, shards
+from knotgym.datasets.manifest_check import read_manifest
 from knotgym.datasets.states import read_states
 from knotgym.prompting.reading_scores import HEAD, ReadingScores
 from knotgym.prompting.tally import tally

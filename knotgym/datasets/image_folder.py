@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.atomic_files import atomic_write, sha256
-from knotgym.datasets.image_card import card, summary
+from knotgym.datasets.cards.image_card import card, summary
 from knotgym.datasets.image_table import read_table
 from knotgym.datasets.walks_file import WalksMade, walks_of, write_walks
 from knotgym.rope import Array

@@ -1,16 +1,23 @@
 """Damaged files are refused, found or read right; the script that shows it counts every copy."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.mutations import CLASSES, run
 from knotgym.datasets.states import read_states, shipped, write_states
+
+from ..scripts import ROOT, run_script
+
+COPIES = 8
 
 
 def test_no_damaged_file_ends_in_a_traceback_or_a_crash(tmp_path: Path) -> None:
     path = tmp_path / "states.h5"
     write_states(path, read_states(shipped()).taken(np.array([0])))
-    report = run({"states": path}, len(CLASSES))
-    assert sum(sum(row.values()) for row in report["counts"].values()) == len(CLASSES)
+    out = tmp_path / "report.json"
+    words = ("--count", COPIES, "--states", path, "--out", out)
+    run_script(ROOT / "benchmarks" / "mutations.py", *words)
+    report = json.loads(out.read_text(encoding="utf-8"))
+    assert sum(sum(row.values()) for row in report["counts"].values()) == COPIES
     assert not [line for line in report["bad"] if ": wrong" not in line]

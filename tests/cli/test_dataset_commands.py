@@ -18,10 +18,10 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+from knotgym.datasets.cards.state_card import growth, summary
 from knotgym.datasets.episode_reader import Chosen, EpisodeReader
 from knotgym.datasets.episode_writer import merge_episodes
 from knotgym.datasets.gallery import contact_sheet, write_gallery
-from knotgym.datasets.state_card import growth, summary
 from knotgym.datasets.state_verification import state_faults
 from knotgym.datasets.states import States, read_states, write_states
 from knotgym.rendering.picture import draw, project

@@ -5,6 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from knotgym.datasets import spread
+from knotgym.datasets.cards.state_card import spread_rows, summary
 from knotgym.datasets.near_duplicates import distances
 from knotgym.datasets.spread import (
     Spread,
@@ -13,7 +14,6 @@ from knotgym.datasets.spread import (
     spread_of,
     visit_distance,
 )
-from knotgym.datasets.state_card import spread_rows, summary
 from knotgym.datasets.states import States
 from knotgym.rope import Rope
 

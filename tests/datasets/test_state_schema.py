@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.datasets.state_schema import ATTRIBUTES, COLUMNS, ROOT, Column
+from knotgym.datasets.state_schema import ATTRIBUTES, COLUMNS, ROOT
 from knotgym.datasets.state_verification import state_faults
 from knotgym.datasets.states import States, read_states, shipped
+from knotgym.hdf5_files import Column
 from knotgym.rope import Rope
 
 SIZES = {"nq": Rope().nq, "beads": Rope().config.beads}

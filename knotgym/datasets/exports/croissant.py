@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from knotgym.atomic_files import sha256
-from knotgym.datasets.exports.tables import TableColumn
+from knotgym.datasets.exports.parquet_tables import TableColumn
 
 LICENCE = "https://creativecommons.org/licenses/by/4.0/"
 _CONTEXT = {
@@ -75,7 +75,7 @@ _RAI = {
 }
 
 
-class TableFile(NamedTuple):
+class FileObject(NamedTuple):
     """One Parquet file of a folder.
 
     Attributes:
@@ -95,7 +95,7 @@ class TableFile(NamedTuple):
 
 def croissant(
     folder: Path,
-    files: Sequence[TableFile],
+    files: Sequence[FileObject],
     *,
     name: str,
     description: str,
@@ -135,7 +135,7 @@ def croissant(
     }
 
 
-def _records(file: TableFile) -> dict[str, Any]:
+def _records(file: FileObject) -> dict[str, Any]:
     name = Path(file.path).stem.replace("-00000-of-00001", "")
     where = f"{file.config}/{name}"
     fields = [_field(where, file.path, column) for column in file.columns]

@@ -23,11 +23,12 @@ import numpy as np
 
 import knotgym
 from knotgym.atomic_files import atomic_write
-from knotgym.datasets.citation import BIBTEX, citation_file
+from knotgym.datasets.cards.citation import BIBTEX, citation_file
+from knotgym.datasets.cards.state_card import table
 from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.datasets.exports.croissant import TableFile, croissant
+from knotgym.datasets.exports.croissant import FileObject, croissant
 from knotgym.datasets.exports.forms import NothingToExport
-from knotgym.datasets.exports.tables import (
+from knotgym.datasets.exports.parquet_tables import (
     TableColumn,
     picture_columns,
     state_columns,
@@ -40,7 +41,6 @@ from knotgym.datasets.gallery import contact_sheet, write_gallery, write_png
 from knotgym.datasets.image_table import arrow, decode, file_stem, read_rows, shards
 from knotgym.datasets.page.page_data import dataset_name
 from knotgym.datasets.splits import STATE_SPLITS
-from knotgym.datasets.state_card import table
 from knotgym.datasets.states import read_states
 
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (10**6, "100K<n<1M"))
@@ -97,7 +97,7 @@ def to_huggingface(source: ToUpload, out: str | os.PathLike[str]) -> None:
         _write(folder / "README.md", "\n".join(_card(source.title, description, folder, files)))
 
 
-def _written(source: ToUpload, folder: Path) -> Iterator[TableFile]:
+def _written(source: ToUpload, folder: Path) -> Iterator[FileObject]:
     """Write the tables, and the gallery; what they are."""
     if source.pictures is not None:
         columns = picture_columns()
@@ -106,7 +106,7 @@ def _written(source: ToUpload, folder: Path) -> Iterator[TableFile]:
             (folder / place).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(path, folder / place)
             rows = arrow("pyarrow.parquet").ParquetFile(path).metadata.num_rows
-            yield TableFile("pictures", path.name.split("-")[0], place, rows, columns)
+            yield FileObject("pictures", path.name.split("-")[0], place, rows, columns)
         _picture_gallery(source.pictures, folder / "gallery.png")
     if source.states is not None:
         states = read_states(source.states)
@@ -118,11 +118,11 @@ def _written(source: ToUpload, folder: Path) -> Iterator[TableFile]:
                 place = f"data/states/{split}-00000-of-00001.parquet"
                 columns = state_columns(part)
                 count = write_parquet(folder / place, columns, state_rows(part))
-                yield TableFile("states", split, place, count, columns)
+                yield FileObject("states", split, place, count, columns)
     yield from _steps(source.episodes, folder)
 
 
-def _steps(datasets: Sequence[Path], folder: Path) -> Iterator[TableFile]:
+def _steps(datasets: Sequence[Path], folder: Path) -> Iterator[FileObject]:
     readers = [(EpisodeReader(path), dataset_name(path)) for path in datasets]
     if not readers:
         return
@@ -132,7 +132,7 @@ def _steps(datasets: Sequence[Path], folder: Path) -> Iterator[TableFile]:
         own = [(reader, name) for reader, name in readers if reader.task.split == split]
         rows = (row for reader, name in own for row in step_rows(reader, name, pictures))
         place = f"data/steps/{split}-00000-of-00001.parquet"
-        yield TableFile(
+        yield FileObject(
             "steps", split, place, write_parquet(folder / place, columns, rows), columns
         )
     for reader, _ in readers:
@@ -140,7 +140,7 @@ def _steps(datasets: Sequence[Path], folder: Path) -> Iterator[TableFile]:
 
 
 def _picture_gallery(pictures: Path, out: Path) -> None:
-    shown = []
+    shown: list[tuple[np.ndarray, tuple[str, str]]] = []
     for row in read_rows(pictures, columns=["image", "gauss_code_chiral", "split"]):
         image = decode(row["image"])
         if not shown or image.shape == shown[0][0].shape:
@@ -151,7 +151,7 @@ def _picture_gallery(pictures: Path, out: Path) -> None:
         write_png(out, contact_sheet(np.stack([one for one, _ in shown]), [c for _, c in shown]))
 
 
-def _card(title: str, description: str, folder: Path, files: Sequence[TableFile]) -> Iterator[str]:
+def _card(title: str, description: str, folder: Path, files: Sequence[FileObject]) -> Iterator[str]:
     """The lines of README.md. JSON strings are YAML too."""
     configs = list(dict.fromkeys(file.config for file in files))
     total = sum(file.rows for file in files)
@@ -186,11 +186,11 @@ def _card(title: str, description: str, folder: Path, files: Sequence[TableFile]
     yield from ("## Licence", "", "[CC-BY-4.0](https://creativecommons.org/licenses/by/4.0/)", "")
 
 
-def _splits(files: Sequence[TableFile], config: str) -> list[str]:
+def _splits(files: Sequence[FileObject], config: str) -> list[str]:
     return list(dict.fromkeys(file_stem(file.split) for file in files if file.config == config))
 
 
-def _info(folder: Path, config: str, files: Sequence[TableFile]) -> Iterator[str]:
+def _info(folder: Path, config: str, files: Sequence[FileObject]) -> Iterator[str]:
     """What `datasets` calls a DatasetInfo: features, rows and bytes; a JSON object is YAML too."""
     sizes: Mapping[str, Any] = {file.path: (folder / file.path).stat().st_size for file in files}
     splits = []

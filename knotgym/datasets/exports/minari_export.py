@@ -19,11 +19,11 @@ from typing import Any
 import numpy as np
 
 from knotgym.atomic_files import atomic_write
-from knotgym.datasets.citation import BIBTEX, citation_file
+from knotgym.datasets.cards.citation import BIBTEX, citation_file
+from knotgym.datasets.cards.state_card import table
 from knotgym.datasets.episode_reader import EpisodeReader, episode_file
 from knotgym.datasets.exports.forms import NothingToExport
 from knotgym.datasets.gallery import contact_sheet, write_png
-from knotgym.datasets.state_card import table
 from knotgym.rendering.picture import draw
 
 _SHOWN = 64  # episodes in the gallery

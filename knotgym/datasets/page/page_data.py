@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.configuration import as_json
+from knotgym.datasets.cards.state_card import growth
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.image_table import read_table
 from knotgym.datasets.manifest_check import read_manifest
-from knotgym.datasets.state_card import growth
 from knotgym.datasets.states import States, read_states
 from knotgym.errors import KnotgymError
 from knotgym.quality_limits import UNITS

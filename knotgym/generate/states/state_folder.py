@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 import knotgym
 from knotgym.actions import steps_taken
 from knotgym.atomic_files import sha256
+from knotgym.datasets.cards.state_card import card, summary
 from knotgym.datasets.episode_writer import EpisodeWriter
 from knotgym.datasets.gallery import write_gallery
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
 from knotgym.datasets.splits import STATE_SPLITS, split
-from knotgym.datasets.state_card import card, summary
 from knotgym.datasets.states import States, demonstrations_id, write_states
 from knotgym.datasets.trajectory import Episode
 from knotgym.generate.states.candidates import Candidate

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.datasets.citation import BIBTEX
+from knotgym.datasets.cards.citation import BIBTEX
 from knotgym.datasets.splits import STATE_SPLITS
 from knotgym.datasets.spread import spread_of
-from knotgym.datasets.state_schema import COLUMNS, DRAWING, RANDOM_WALK, Column
+from knotgym.datasets.state_schema import COLUMNS, DRAWING, RANDOM_WALK
 from knotgym.datasets.states import States
+from knotgym.hdf5_files import Column
 from knotgym.topology.gauss import GaussCode
 
 

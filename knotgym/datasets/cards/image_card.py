@@ -12,10 +12,10 @@ import mujoco
 import numpy as np
 
 import knotgym
-from knotgym.datasets.citation import BIBTEX
+from knotgym.datasets.cards.citation import BIBTEX
+from knotgym.datasets.cards.state_card import table
 from knotgym.datasets.image_table import GRADES, file_stem, read_table
 from knotgym.datasets.splits import IMAGE_SPLITS
-from knotgym.datasets.state_card import table
 
 _TEXT = ("gauss_code", "gauss_code_chiral", "split", "grade")
 _COUNTED = (*_TEXT, "nx", "accepted")

@@ -1,0 +1,1 @@
+"""Cards: what a person reads first of a set, and how to cite it."""
