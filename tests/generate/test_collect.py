@@ -190,14 +190,15 @@ def test_minari_does_it_with_hindsight_too(
         task="tie", nx=1, states=states_path, observation="both", horizon=16, image_size=32
     )
     played = collect(config(states_path, task=task, episodes=5), tmp_path / "played", QUIET)
-    with EpisodeWriter(tmp_path / "hindsight.h5", task) as writer:
+    name = "knotgym/tie-nx1/hindsight-v0"
+    with EpisodeWriter(tmp_path / "hindsight.h5", replace(task, states=name)) as writer:
         for episode in relabel_all(EpisodeReader(played), "all"):
             writer.add(episode)
-    name = "knotgym/tie-nx1/hindsight-v0"
     publish(
         [tmp_path / "hindsight.h5"],
         MinariMetadata(dataset_id=name, algorithm_name="scripted", description="Codes passed."),
         tmp_path / "root",
+        states=states_path,
     )
     check_minari(tmp_path / "root", name, monkeypatch)
 
