@@ -142,7 +142,9 @@ def test_the_version_is_that_of_the_distribution() -> None:
 
 
 def test_three_environments_are_registered() -> None:
-    ids = {name for name in gym.registry if name.startswith("knotgym/")}
+    ours = {name for name in gym.registry if name.startswith("knotgym/")}
+    # another test may have imported knotgym.adapters, which registers OGBench's, such as tie-nx2-v0
+    ids = {name for name in ours if "-nx" not in name}
     assert ids == {"knotgym/Unknot-v0", "knotgym/Tie-v0", "knotgym/Convert-v0"}
 
 
