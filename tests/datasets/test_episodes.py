@@ -146,7 +146,7 @@ def root(
 
 
 def own_faults(folder: Path, **how: Any) -> list[str]:
-    """Faults but that the states lie outside: `collect` carries them along, `publish` here didn't."""
+    """Faults but that the states lie outside; `collect` carries them along, this didn't."""
     faults = verify_episodes(folder, **how)
     own = [one for one in faults if "outside the dataset" not in one]
     assert len(own) == len(faults) - 1
