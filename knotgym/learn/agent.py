@@ -1,12 +1,14 @@
 """The agent: pictures in, actions out, and nothing else.
 
 Each step it reads where the rope lies, learns from it which bead its last pull moved, and goes on
-with its plan, or plans anew: the planner of `control.planner`, in imagination.
+with its plan, or plans anew: the planner of `control.planner`, in imagination. Heights can't be
+read for sure, so it keeps several ropes that may be the one seen, and how a rope moves tells which.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +28,26 @@ Array = NDArray[np.float64]
 REACH = 2.0  # metres that an action's coordinate of 1 stands for
 _BLUR = 1.5 * PIXEL  # metres by which foreseen and read beads differ, about
 _TOGETHER = 25.0  # neighbouring beads that err alike
+_ASTRAY = 0.5  # levels a pixel by which a rope led astray looks worse than a new reading
+_ALIKE = 0.008  # metres in height, between ropes that count as one
+_TOWS = np.array(
+    [(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
+)  # forces of tows that are thought through
 _MOST = 24  # beads that a pull may have moved, that are thought through
+
+
+class Pull(NamedTuple):
+    """One step of a plan.
+
+    Attributes:
+        bead: pulled; -1 for the one nearest to `named`.
+        force: (3,), in units of the largest.
+        named: the point of the world to name, (3,), where that isn't the bead's.
+    """
+
+    bead: int
+    force: Array
+    named: Array | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,21 +64,33 @@ class AgentConfig:
         sure: share of them that a plan must lead to the goal to be gone on with.
         named: how well a bead must be named before it is pulled.
         probes: pulls at most that are spent on finding where the rope is.
-        tow: step from which a rope that shall be plain is towed straight, plan or none.
+        ropes: kept at most, that may be the one seen.
+        varied: ropes tried beside them after every pull, each a kept one with other heights.
+        wave: metres by which heights are varied, about.
+        fresh: how likely it is that none of them is, and a new reading is better.
+        rise: share of a probe's force that is upward.
         planner: of imagination.
     """
 
     budget: int = 1500
-    episode_budget: int = 6000
+    episode_budget: int = 9000
     least_budget: int = 160
-    tries: int = 2
+    tries: int = 6
     patience: int = 2
-    enough: float = 0.5
-    copies: int = 6
-    sure: float = 0.2
+    enough: float = 0.85
+    copies: int = 12
+    doubt: float = 0.008
+    slip: float = 1.0
+    gain: float = 0.1
+    sure: float = 0.3
     named: float = 0.45
     probes: int = 3
-    tow: int = 20
+    ropes: int = 12
+    varied: int = 8
+    wave: float = 0.008
+    fresh: float = 0.05
+    rise: float = 0.6
+    blur: float = 0.003
     planner: PlannerConfig = PlannerConfig(batch_size=32, surrogate_rollouts=2)
 
 
@@ -69,14 +102,15 @@ class _Episode:
     horizon: int
     whereabouts: Whereabouts
     goal: GaussCode | None = None
-    points: Array = field(default_factory=lambda: np.zeros((BEADS, 3)))
-    velocities: Array = field(default_factory=lambda: np.zeros((BEADS, 3)))
+    ropes: Array = field(default_factory=lambda: np.zeros((1, BEADS, 3)))  # likeliest first
+    velocities: Array = field(default_factory=lambda: np.zeros((1, BEADS, 3)))
+    likely: Array = field(default_factory=lambda: np.ones(1))  # of the ropes, sums to 1
     named: Array | None = None  # the point of the world that the last action named
     force: Array = field(default_factory=lambda: np.zeros(3))
     bead: int = 0  # meant by it
     step: int = 0
     probes: int = 0
-    plan: list[tuple[int, Array]] = field(default_factory=list)
+    plan: list[Pull] = field(default_factory=list)
     planned: int = 0  # the step at which the plan was made
     imagined: int = 0
 
@@ -122,66 +156,106 @@ class Agent:
     def _goal(self, picture: NDArray[np.uint8]) -> GaussCode:
         key = picture.tobytes()
         if key not in self._goals:
-            self._goals[key] = label(self.reader.read(picture[None])[0]).plain
+            self._goals[key] = label(self.reader.read(picture)[0][0]).plain
         return self._goals[key]
 
     def _see(self, episode: _Episode, picture: NDArray[np.uint8]) -> None:
         """Read the rope; if it was pulled, learn what moved."""
-        read = self.reader.read(picture[None])[0]
+        read, likely = self.reader.read(picture)
         if episode.named is None:
-            episode.points = read
+            self._keep(episode, read, np.zeros_like(read), likely)
             return
-        before = episode.points
+        self._find_pulled(episode, read[0])
+        rows = episode.rng.choice(len(episode.ropes), size=self.config.varied, p=episode.likely)
+        varied = _waved(episode.ropes[rows], self.config.wave, episode.rng)
+        before = np.concatenate([episode.ropes, varied])
+        after, velocities = self.dynamics.step(
+            before,
+            np.concatenate([episode.velocities, episode.velocities[rows]]),
+            np.full(len(before), episode.bead),
+            np.tile(episode.force, (len(before), 1)),
+        )
+        middles = after.mean(axis=1)
+        fit = self._fit(after - middles[:, None], read[0])
+        prior = np.concatenate([episode.likely, np.full(len(rows), 1 / max(1, len(rows)))])
+        carried = prior * np.exp(fit - fit.max())
+        best = int(np.argmax(carried))
+        episode.whereabouts.moved(middles[best])
+        followed = self.reader.follow(picture, after - middles[:, None])
+        fresh = self.config.fresh
+        if _unlike(read[0], picture) + _ASTRAY < _unlike(followed[best], picture):
+            fresh = 1 - fresh
+        self._keep(
+            episode,
+            np.concatenate([followed, read]),
+            np.concatenate([velocities, np.tile(velocities[best], (len(read), 1, 1))]),
+            np.concatenate([(1 - fresh) * carried / carried.sum(), fresh * likely]),
+        )
+
+    def _find_pulled(self, episode: _Episode, read: Array) -> None:
+        """Learn which bead the last action pulled, and so where the rope is."""
+        assert episode.named is not None
+        before = episode.ropes[0]
         shares = episode.whereabouts.shares(before, episode.named)
         beads = np.argsort(-shares, kind="stable")[:_MOST]
         beads = beads[shares[beads] > 0]
-        many = (len(beads), 1, 1)
-        after, velocities = self.dynamics.step(
-            np.tile(before, many),
-            np.tile(episode.velocities, many),
+        after, _ = self.dynamics.step(
+            np.tile(before, (len(beads), 1, 1)),
+            np.tile(episode.velocities[0], (len(beads), 1, 1)),
             beads,
             np.tile(episode.force, (len(beads), 1)),
         )
-        middles = after.mean(axis=1)
-        after -= middles[:, None]
-        off = (after[..., :2] - read[None, :, :2]) ** 2
-        fit = -np.minimum(off.sum(axis=2), (4 * _BLUR) ** 2).sum(axis=1) / (
-            2 * _BLUR**2 * _TOGETHER
-        )
+        fit = self._fit(after - after.mean(axis=1, keepdims=True), read)
         likelihood = np.zeros(BEADS)
         likelihood[beads] = np.exp(fit - fit.max())
         episode.whereabouts.pulled(before, episode.named, likelihood)
-        best = int(np.argmax(fit + np.log(shares[beads])))
-        episode.whereabouts.moved(middles[best])
-        followed = self.reader.follow(picture[None], after[best][None])[0]
-        episode.points = min((followed, read), key=lambda points: _unlike(points, picture))
-        episode.velocities = velocities[best]
-        if beads[best] != episode.bead:
-            episode.bead = int(beads[best])
+        episode.bead = int(beads[np.argmax(fit + np.log(shares[beads]))])
+
+    def _fit(self, foreseen: Array, read: Array) -> Array:
+        """Logarithms of how likely a rope is read so, for each foreseen, (n,)."""
+        off = ((foreseen[..., :2] - read[None, :, :2]) ** 2).sum(axis=2)
+        blur = self.config.blur
+        return -np.minimum(off, (4 * blur) ** 2).sum(axis=1) / (2 * blur**2 * _TOGETHER)
+
+    def _keep(self, episode: _Episode, ropes: Array, velocities: Array, likely: Array) -> None:
+        """Keep the likeliest of ropes, those that are alike as one."""
+        kept: list[int] = []
+        total = likely.copy()
+        for row in np.argsort(-likely, kind="stable").tolist():
+            apart = ropes[kept, :, 2] - ropes[row, :, 2]
+            same = np.flatnonzero((apart**2).mean(axis=1) < _ALIKE**2)
+            if len(same):
+                total[kept[same[0]]] += likely[row]
+            elif len(kept) < self.config.ropes:
+                kept.append(row)
+        kept.sort(key=lambda row: -total[row])
+        episode.ropes, episode.velocities = ropes[kept], velocities[kept]
+        episode.likely = total[kept] / total[kept].sum()
 
     def _decide(self, episode: _Episode) -> str:
         """Choose bead and force."""
         assert episode.goal is not None
-        if not episode.goal.visits and episode.step >= self.config.tow:
-            episode.named, episode.force = np.full(3, REACH), np.ones(3)
-            return "tow"
         due = episode.step - episode.planned >= self.config.patience or not episode.plan
         if due and self._surety(episode, episode.plan) < self.config.sure:
             self._plan(episode)
             episode.planned = episode.step
         if episode.plan:
-            bead, force = episode.plan.pop(0)
+            bead, force, point = episode.plan.pop(0)
+            if point is not None:
+                shares = episode.whereabouts.shares(episode.ropes[0], point)
+                episode.named, episode.force, episode.bead = point, force, int(shares.argmax())
+                return "tow"
             move = "plan"
         else:
             bead, force = int(episode.rng.integers(BEADS)), episode.rng.uniform(-1, 1, 3)
             move = "lost"
-        named, sure = episode.whereabouts.aim(episode.points, bead)
+        named, sure = episode.whereabouts.aim(episode.ropes[0], bead)
         if sure < self.config.named and episode.probes < self.config.probes:
             episode.probes += 1
-            named = episode.whereabouts.probe(episode.points)
-            shares = episode.whereabouts.shares(episode.points, named)
-            out = (shares[:, None] * episode.points).sum(axis=0) * (1, 1, 0)
-            force = 0.6 * out / max(1e-6, np.linalg.norm(out))
+            named = episode.whereabouts.probe(episode.ropes[0])
+            shares = episode.whereabouts.shares(episode.ropes[0], named)
+            out = (shares[:, None] * episode.ropes[0]).sum(axis=0) * (1, 1, 0)
+            force = 0.6 * out / max(1e-6, np.linalg.norm(out)) + (0, 0, self.config.rise)
             move = "probe"
             episode.plan = []
         episode.named, episode.force, episode.bead = named, force, bead
@@ -190,51 +264,75 @@ class Agent:
     def _plan(self, episode: _Episode) -> None:
         """Make plans and keep the surest."""
         assert episode.goal is not None
-        best, surest = list[tuple[int, Array]](), -1.0
+        best, surest = self._tow(episode) if not episode.goal.visits else (list[Pull](), -1.0)
+        left = max(
+            self.config.least_budget,
+            min(self.config.budget, self.config.episode_budget - episode.imagined),
+        )
         for _ in range(self.config.tries):
+            if surest >= self.config.enough or left < self.config.planner.batch_size:
+                break
             made = plan(
                 self._imagination,  # type: ignore[arg-type]
-                state(episode.points, episode.velocities),
+                state(episode.ropes[0], episode.velocities[0]),
                 episode.goal,
                 self.graph,
                 self.config.planner,
                 episode.rng,
                 steps=episode.horizon - episode.step,
-                budget=max(
-                    self.config.least_budget,
-                    min(self.config.budget, self.config.episode_budget - episode.imagined),
-                ),
+                budget=left,
             )
             episode.imagined += made.spent
-            steps = [(int(one[0]), one[3:].astype(np.float64)) for one in made.actions]
+            left -= made.spent
+            steps = [Pull(int(one[0]), one[3:].astype(np.float64)) for one in made.actions]
             sure = self._surety(episode, steps) if made.solved else -0.5
             if sure > surest and steps:
                 best, surest = steps, sure
-            if surest >= self.config.enough or episode.imagined > self.config.episode_budget:
-                break
         episode.plan = best
 
-    def _surety(self, episode: _Episode, steps: list[tuple[int, Array]]) -> float:
+    def _tow(self, episode: _Episode) -> tuple[list[Pull], float]:
+        """The tow that is surest to straighten the rope, and how sure."""
+        left = episode.horizon - episode.step
+        tows = [[Pull(-1, force, REACH * force)] * left for force in _TOWS]
+        sure = [self._surety(episode, tow) for tow in tows]
+        best = int(np.argmax(sure))
+        return tows[best], sure[best]
+
+    def _surety(self, episode: _Episode, steps: list[Pull]) -> float:
         """The share of ropes, lying a little otherwise, that a plan leads to the goal."""
         if not steps:
             return -1.0
         assert episode.goal is not None
-        rng, many = episode.rng, (self.config.copies, 1, 1)
-        points, velocities = np.tile(episode.points, many), np.tile(episode.velocities, many)
-        waves = np.cos(
-            2 * np.pi * np.arange(BEADS) / BEADS * rng.integers(1, 6, (len(points), 1))
-            + rng.uniform(0, 7, (len(points), 1))
-        )
-        points[1:, :, 2] += (0.006 * waves)[1:]
+        rng = episode.rng
+        rows = rng.choice(len(episode.ropes), size=self.config.copies, p=episode.likely)
+        rows[0] = 0
+        points, velocities = episode.ropes[rows], episode.velocities[rows]
+        gains = np.exp(rng.normal(0, self.config.gain, (len(points), 1)))
+        points[1:] = _waved(points[1:], self.config.doubt, rng)
         reached = np.zeros(len(points), dtype=bool)
-        for bead, force in steps:
-            beads = (bead + np.rint(rng.normal(0, 0.7, len(points))).astype(np.int64)) % BEADS
-            beads[0] = bead
+        place = episode.whereabouts.places.mean(axis=0)
+        for bead, force, named in steps:
+            if named is None:
+                off = np.rint(rng.normal(0, self.config.slip, len(points))).astype(np.int64)
+                beads = (bead + off) % BEADS
+            else:
+                beads = np.linalg.norm(points + place - named, axis=2).argmin(axis=1)
             points, velocities = self.dynamics.step(
-                points, velocities, beads, np.tile(force, (len(points), 1))
+                points, velocities, beads, gains * force
             )
             reached |= [code.matches(episode.goal) for code in label_many(points)]
+            if reached.all():
+                break
         return float(reached.mean())
+
+
+def _waved(ropes: Array, size: float, rng: np.random.Generator) -> Array:
+    """Ropes (n, BEADS, 3) with smooth changes of their heights, of about `size` metres."""
+    number = rng.integers(1, 9, (len(ropes), 1))
+    angle = number * 2 * np.pi * np.arange(BEADS) / BEADS + rng.uniform(0, 2 * np.pi, number.shape)
+    changed = ropes.copy()
+    changed[..., 2] += size * rng.normal(size=number.shape) * np.sqrt(2) * np.cos(angle)
+    return changed
 
 
 def _unlike(points: Array, picture: NDArray[np.uint8]) -> float:

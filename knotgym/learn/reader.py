@@ -1,9 +1,10 @@
 """The reader: a picture of a rope to where its beads are, heights too.
 
 Two networks over the beads, each fed with what the colours say (`colour_reading`). The first joins
-the beads into an axis. The second corrects a guess, be it the first one's or what was foreseen
-before the picture was seen; so heights that a picture doesn't show are carried on from before.
-Metres, z up, the rope's middle at the origin.
+the beads into an axis. Heights are seen only as far as chords look short, which way they go is not;
+so it tells several readings, each with heights of its own, and how likely each is. The second
+corrects a guess, be it a reading or what was foreseen before the picture was seen; so heights that
+a picture doesn't show are carried on from before. Metres, z up, the rope's middle at the origin.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from knotgym.rendering.picture import DEFAULT, bead_colours
 Array = NDArray[np.float64]
 
 INPUTS = 15
+READINGS = 8  # of one picture, alike but for heights
 PIXEL = 1 / DEFAULT.pixels_per_metre  # metres
 _COLOURS = bead_colours(BEADS).astype(np.float64)
 _GATE = 4.0  # pixels from a guess within which pixels count
@@ -46,55 +48,67 @@ class Reader(nn.Module):
         """Fresh networks, the same for the same seed."""
         super().__init__()
         self.join, self.correct = (
-            grown(BeadNetwork(INPUTS, 3, width, (1, 2, 4, 8, 1, 2, 4, 8)), 2 * seed + own)
-            for own in range(2)
+            grown(BeadNetwork(INPUTS, outputs, width, (1, 2, 4, 8, 1, 2, 4, 8)), 2 * seed + own)
+            for own, outputs in enumerate((2 + 2 * READINGS, 3))
         )
 
-    def joined(self, seen: list[Seen]) -> Tensor:
-        """The first network's vertices, float32 (n, BEADS, 3), metres."""
+    def joined(self, seen: list[Seen]) -> tuple[Tensor, Tensor]:
+        """The first network's readings, float32 (n, READINGS, BEADS, 3), metres, and the logarithms
+        of how likely they are, (n, READINGS).
+        """
         axes = np.stack([first_axis(one.pixels) for one in seen])
         guesses = np.zeros((len(seen), BEADS, 3))
         guesses[..., :2] = PIXEL * 0.5 * (axes + np.roll(axes, 1, axis=1))
-        return self._applied(self.join, seen, guesses, False)
+        out = self._told(self.join, seen, guesses, False)
+        across = torch.from_numpy(guesses[..., :2]).float() + _OFF_SCALE * PIXEL * out[..., :2]
+        heights = _HEIGHT_SCALE * out[..., 2 : 2 + READINGS].transpose(1, 2)
+        both = across[:, None].expand(-1, READINGS, -1, -1)
+        vertices = torch.cat([both, heights[..., None]], dim=3)
+        likely = torch.log_softmax(out[..., 2 + READINGS :].mean(dim=1), dim=1)
+        return vertices - vertices.mean(dim=2, keepdim=True), likely
 
     def corrected(self, seen: list[Seen], guesses: Array) -> Tensor:
         """The second network's, from guesses (n, BEADS, 3), metres."""
-        return self._applied(self.correct, seen, guesses, True)
-
-    def read(self, pictures: NDArray[np.uint8]) -> Array:
-        """Vertices of ropes never seen before, float64 (n, BEADS, 3)."""
-        seen = [look(picture) for picture in pictures]
-        with torch.no_grad():
-            first = self.joined(seen).double().numpy()
-            return _settled(self.corrected(seen, first).double().numpy(), seen)
-
-    def follow(self, pictures: NDArray[np.uint8], foreseen: Array) -> Array:
-        """The same of ropes that should lie as foreseen, float64 (n, BEADS, 3)."""
-        seen = [look(picture) for picture in pictures]
-        with torch.no_grad():
-            return _settled(self.corrected(seen, foreseen).double().numpy(), seen)
-
-    def _applied(
-        self, network: BeadNetwork, seen: list[Seen], guesses: Array, heights: bool
-    ) -> Tensor:
-        told = np.stack([told_of(*pair, heights) for pair in zip(seen, guesses, strict=True)])
-        out = network(torch.from_numpy(told)).transpose(1, 2)
+        out = self._told(self.correct, seen, guesses, True)
         vertices = torch.from_numpy(guesses).float() + out * torch.tensor(
             [_OFF_SCALE * PIXEL, _OFF_SCALE * PIXEL, _HEIGHT_SCALE]
         )
         return vertices - vertices.mean(dim=1, keepdim=True)
+
+    def read(self, picture: NDArray[np.uint8]) -> tuple[Array, Array]:
+        """Readings of a rope never seen before, float64 (READINGS, BEADS, 3), and how likely they
+        are, (READINGS,), the likeliest first.
+        """
+        seen = look(picture)
+        with torch.no_grad():
+            vertices, likely = self.joined([seen])
+        order = torch.argsort(-likely[0], stable=True)
+        return self.follow(picture, vertices[0, order].double().numpy()), (
+            likely[0, order].double().exp().numpy()
+        )
+
+    def follow(self, picture: NDArray[np.uint8], foreseen: Array) -> Array:
+        """Where a rope is that may lie as any of those foreseen, float64 (n, BEADS, 3)."""
+        seen = [look(picture)] * len(foreseen)
+        with torch.no_grad():
+            vertices = self.corrected(seen, foreseen).double().numpy()
+        for own in vertices:
+            flat = np.column_stack([own[:, :2] / PIXEL, own[:, 2]])
+            settle(own, votes(picture, flat, _COLOURS), _APART, _LIFTED)
+        return vertices
+
+    def _told(
+        self, network: BeadNetwork, seen: list[Seen], guesses: Array, heights: bool
+    ) -> Tensor:
+        """What a network says of pictures and guesses at them, float32 (n, BEADS, outputs)."""
+        told = np.stack([told_of(*pair, heights) for pair in zip(seen, guesses, strict=True)])
+        return network(torch.from_numpy(told)).transpose(1, 2)
 
 
 def look(picture: NDArray[np.uint8]) -> Seen:
     """A picture made ready, uint8 (SIZE, SIZE, 3)."""
     return Seen(picture, decode(picture))
 
-
-def _settled(vertices: Array, seen: list[Seen]) -> Array:
-    for own, one in zip(vertices, seen, strict=True):
-        flat = np.column_stack([own[:, :2] / PIXEL, own[:, 2]])
-        settle(own, votes(one.picture, flat, _COLOURS), _APART, _LIFTED)
-    return vertices
 
 
 def first_axis(pixels: Pixels) -> Array:

@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 _RATE = 2e-3
 _HEIGHT = 0.02  # metres by which an error of height counts as one of a pixel, and a third of it
 _GUESSES = 0.015  # metres that guesses are off, at most, about
+_SHARED = 0.05  # of the loss of a picture's readings, by all of them
+_NAMING = 0.05  # how much naming the best reading counts, beside reading
 _WAVES = 12  # round the loop, of the errors of guesses
 
 
@@ -53,10 +55,11 @@ class ReaderTraining:
         rng = generator(Stream.LEARN_PICTURES, self._seed, self.step)
         seen, true, guesses = _drawn(self._frames, self._batch, rng)
         wanted = torch.from_numpy(true).float()
-        first = self.reader.joined(seen)
+        readings, likely = self.reader.joined(seen)
+        first, best = _loss_of_best(readings, likely, wanted)
         own = rng.random(self._batch) < 0.5
-        guesses[own] = first.detach().double().numpy()[own]
-        losses = _loss(first, wanted), _loss(self.reader.corrected(seen, guesses), wanted)
+        guesses[own] = best.detach().double().numpy()[own]
+        losses = first, _loss(self.reader.corrected(seen, guesses), wanted).mean()
         self._optimizer.zero_grad()
         (losses[0] + losses[1]).backward()
         torch.nn.utils.clip_grad_norm_(self.reader.parameters(), 1.0)
@@ -124,9 +127,24 @@ def _waves(count: int, rng: np.random.Generator) -> Array:
     return waves
 
 
+def _loss_of_best(readings: Tensor, likely: Tensor, true: Tensor) -> tuple[Tensor, Tensor]:
+    """The loss of the reading that is best, and how likely it was said to be; and that reading.
+
+    The others share a little of it, lest one that is never best stays bad.
+    """
+    each = _loss(readings, true[:, None])
+    best = each.detach().argmin(dim=1)
+    rows = torch.arange(len(best))
+    least = (1 - _SHARED) * each[rows, best] + _SHARED * each.mean(dim=1)
+    return (least - _NAMING * likely[rows, best]).mean(), readings[rows, best]
+
+
 def _loss(read: Tensor, true: Tensor) -> Tensor:
+    """Of vertices (..., BEADS, 3), (...)."""
     off = read - true
     across, height = off[..., :2] / PIXEL, off[..., 2] / _HEIGHT
     return functional.smooth_l1_loss(
-        across, torch.zeros_like(across), beta=0.5
-    ) + 0.3 * functional.smooth_l1_loss(height, torch.zeros_like(height))
+        across, torch.zeros_like(across), beta=0.5, reduction="none"
+    ).mean(dim=(-2, -1)) + 0.3 * functional.smooth_l1_loss(
+        height, torch.zeros_like(height), reduction="none"
+    ).mean(dim=-1)
