@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from knotgym.control.planner import PlannerConfig, plan
 from knotgym.control.transition_graph import TransitionGraph
-from knotgym.learn.imagination import Imagination, state
+from knotgym.learn.imagination import Imagination, passed_through, state
 from knotgym.learn.reader import PIXEL, Reader
 from knotgym.learn.rope_model import BEADS, Dynamics
 from knotgym.learn.whereabouts import Whereabouts
@@ -181,7 +181,7 @@ class Agent:
         carried = prior * np.exp(fit - fit.max())
         best = int(np.argmax(carried))
         episode.whereabouts.moved(middles[best])
-        followed = self.reader.follow(picture, after - middles[:, None])
+        followed = self.reader.follow(picture, after - middles[:, None], after - before)
         fresh = self.config.fresh
         if _unlike(read[0], picture) + _ASTRAY < _unlike(followed[best], picture):
             fresh = 1 - fresh
@@ -309,7 +309,8 @@ class Agent:
         points, velocities = episode.ropes[rows], episode.velocities[rows]
         gains = np.exp(rng.normal(0, self.config.gain, (len(points), 1)))
         points[1:] = _waved(points[1:], self.config.doubt, rng)
-        reached = np.zeros(len(points), dtype=bool)
+        codes = label_many(points)
+        reached, torn = np.zeros((2, len(points)), dtype=bool)
         place = episode.whereabouts.places.mean(axis=0)
         for bead, force, named in steps:
             if named is None:
@@ -317,11 +318,11 @@ class Agent:
                 beads = (bead + off) % BEADS
             else:
                 beads = np.linalg.norm(points + place - named, axis=2).argmin(axis=1)
-            points, velocities = self.dynamics.step(
-                points, velocities, beads, gains * force
-            )
-            reached |= [code.matches(episode.goal) for code in label_many(points)]
-            if reached.all():
+            points, velocities = self.dynamics.step(points, velocities, beads, gains * force)
+            before, codes = codes, label_many(points)
+            torn |= [passed_through(*pair) for pair in zip(before, codes, strict=True)]
+            reached |= ~torn & [code.matches(episode.goal) for code in codes]
+            if (reached | torn).all():
                 break
         return float(reached.mean())
 

@@ -24,7 +24,7 @@ from knotgym.errors import KnotgymError
 from knotgym.learn.reader import Reader
 from knotgym.learn.rope_model import FIRST_GUESS
 
-FORMAT, FORMAT_VERSION = "knotgym-policy", 1
+FORMAT, FORMAT_VERSION = "knotgym-policy", 2
 CARD, WEIGHTS = "policy.json", "weights.safetensors"
 PRETRAINED = "pretrained"  # the name of the folder that ships
 

@@ -16,6 +16,7 @@ from knotgym.learn.rope_model import BEADS, FIRST_GUESS, NAMES, stepped
 
 Array = NDArray[np.float64]
 
+STAGES = ("shared", "joints", "joints again", "shared again")
 SUBSTEPS = 3  # of an action, when fitting
 _SHARED = len(NAMES)
 _STRIDE = 0.3  # of the first random changes, in logarithms
@@ -62,17 +63,17 @@ def fitted(
         told: called with what was searched, and the error.
     """
     numbers, least = _searched(FIRST_GUESS.copy(), stretches, rng, tries)
-    told("shared", least)
-    for _ in range(2):
+    told(STAGES[0], least)
+    for stage in STAGES[1:3]:
         gains = np.array([least - error(_free(numbers, i), stretches) for i in range(BEADS)])
         for joint in np.argsort(-gains)[: np.count_nonzero(gains > 0)]:
             freed = _free(numbers, int(joint))
             found = error(freed, stretches)
             if found < 0.995 * least:
                 numbers, least = freed, found
-        told("joints", least)
+        told(stage, least)
     numbers, least = _searched(numbers, stretches, rng, tries)
-    told("shared", least)
+    told(STAGES[3], least)
     return numbers
 
 

@@ -22,13 +22,13 @@ from knotgym.rendering.picture import DEFAULT, bead_colours
 
 Array = NDArray[np.float64]
 
-INPUTS = 15
+INPUTS = 19
 READINGS = 8  # of one picture, alike but for heights
 PIXEL = 1 / DEFAULT.pixels_per_metre  # metres
 _COLOURS = bead_colours(BEADS).astype(np.float64)
 _GATE = 4.0  # pixels from a guess within which pixels count
 _LEAST = 0.3  # weight of a bead that an axis goes through
-_AXIS_SCALE, _OFF_SCALE, _HEIGHT_SCALE = 32.0, 3.0, 0.05
+_AXIS_SCALE, _OFF_SCALE, _HEIGHT_SCALE, _MOVE_SCALE = 32.0, 3.0, 0.05, 0.02
 _APART = 0.009  # metres between strands that cross, at least
 _LIFTED = 5  # beads to either side that are lifted along
 _CHORD = 1.33 / BEADS / PIXEL  # pixels
@@ -67,9 +67,16 @@ class Reader(nn.Module):
         likely = torch.log_softmax(out[..., 2 + READINGS :].mean(dim=1), dim=1)
         return vertices - vertices.mean(dim=2, keepdim=True), likely
 
-    def corrected(self, seen: list[Seen], guesses: Array) -> Tensor:
-        """The second network's, from guesses (n, BEADS, 3), metres."""
-        out = self._told(self.correct, seen, guesses, True)
+    def corrected(self, seen: list[Seen], guesses: Array, moves: Array | None = None) -> Tensor:
+        """The second network's vertices, float32 (n, BEADS, 3), metres.
+
+        Args:
+            seen: n pictures.
+            guesses: at what they show, (n, BEADS, 3), metres.
+            moves: how vertices should have moved to come there, (n, BEADS, 3); by where they came
+                instead, more is known of their heights. 0 where a guess has no past.
+        """
+        out = self._told(self.correct, seen, guesses, True, moves)
         vertices = torch.from_numpy(guesses).float() + out * torch.tensor(
             [_OFF_SCALE * PIXEL, _OFF_SCALE * PIXEL, _HEIGHT_SCALE]
         )
@@ -87,28 +94,40 @@ class Reader(nn.Module):
             likely[0, order].double().exp().numpy()
         )
 
-    def follow(self, picture: NDArray[np.uint8], foreseen: Array) -> Array:
-        """Where a rope is that may lie as any of those foreseen, float64 (n, BEADS, 3)."""
+    def follow(
+        self, picture: NDArray[np.uint8], foreseen: Array, moves: Array | None = None
+    ) -> Array:
+        """Where a rope is that may lie as any of those foreseen, float64 (n, BEADS, 3).
+
+        `moves` as in `corrected`.
+        """
         seen = [look(picture)] * len(foreseen)
         with torch.no_grad():
-            vertices = self.corrected(seen, foreseen).double().numpy()
+            vertices = self.corrected(seen, foreseen, moves).double().numpy()
         for own in vertices:
             flat = np.column_stack([own[:, :2] / PIXEL, own[:, 2]])
             settle(own, votes(picture, flat, _COLOURS), _APART, _LIFTED)
         return vertices
 
     def _told(
-        self, network: BeadNetwork, seen: list[Seen], guesses: Array, heights: bool
+        self,
+        network: BeadNetwork,
+        seen: list[Seen],
+        guesses: Array,
+        heights: bool,
+        moves: Array | None = None,
     ) -> Tensor:
         """What a network says of pictures and guesses at them, float32 (n, BEADS, outputs)."""
         told = np.stack([told_of(*pair, heights) for pair in zip(seen, guesses, strict=True)])
+        if moves is not None:
+            told[:, 15:18] = moves.transpose(0, 2, 1) / _MOVE_SCALE
+            told[:, 18] = (moves != 0).any(axis=2)
         return network(torch.from_numpy(told)).transpose(1, 2)
 
 
 def look(picture: NDArray[np.uint8]) -> Seen:
     """A picture made ready, uint8 (SIZE, SIZE, 3)."""
     return Seen(picture, decode(picture))
-
 
 
 def first_axis(pixels: Pixels) -> Array:
@@ -122,7 +141,10 @@ def first_axis(pixels: Pixels) -> Array:
 
 
 def told_of(seen: Seen, guess: Array, heights: bool) -> NDArray[np.float32]:
-    """What a network is told of a picture and a guess (BEADS, 3): float32 (INPUTS, BEADS)."""
+    """What a network is told of a picture and a guess (BEADS, 3): float32 (INPUTS, BEADS).
+
+    The last four are for how the guess moved there.
+    """
     axis = guess[:, :2] / PIXEL
     middles = 0.5 * (axis + np.roll(axis, -1, axis=0))
     sums = gathered(*seen.pixels, middles, _GATE)

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from knotgym.learn.reader import PIXEL, Reader, Seen, look
-from knotgym.learn.rope_model import BEADS
+from knotgym.learn.reader import PIXEL, Reader, look
+from knotgym.learn.rope_model import BEADS, MAX_FORCE, Dynamics
+from knotgym.learn.training_data import TrainingData
 from knotgym.rendering.picture import draw
 from knotgym.streams import Stream, generator
 
@@ -24,7 +25,8 @@ Array = NDArray[np.float64]
 
 _RATE = 2e-3
 _HEIGHT = 0.02  # metres by which an error of height counts as one of a pixel, and a third of it
-_GUESSES = 0.015  # metres that guesses are off, at most, about
+_GUESSES = np.array([0.0015, 0.0015, 0.02])  # metres that states are read wrong by, at most, about
+_OWN = 0.3  # of the guesses, that are the reader's own readings
 _SHARED = 0.05  # of the loss of a picture's readings, by all of them
 _NAMING = 0.05  # how much naming the best reading counts, beside reading
 _WAVES = 12  # round the loop, of the errors of guesses
@@ -39,10 +41,13 @@ class ReaderTraining:
         losses: of each step, of its two networks.
     """
 
-    def __init__(self, frames: NDArray[np.float32], steps: int, batch: int, seed: int) -> None:
-        """Begin on frames (n, BEADS, 3) with a fresh reader."""
+    def __init__(
+        self, data: TrainingData, dynamics: Dynamics, steps: int, batch: int, seed: int
+    ) -> None:
+        """Begin with a fresh reader; `dynamics` foresees what it shall correct."""
         torch.set_num_threads(1)  # with more, sums are of another order
-        self._frames, self._steps, self._batch, self._seed = frames, steps, batch, seed
+        self._data, self._dynamics = data, dynamics
+        self._steps, self._batch, self._seed = steps, batch, seed
         self.reader = Reader(seed=seed)
         self._optimizer = torch.optim.AdamW(self.reader.parameters(), lr=_RATE, weight_decay=1e-4)
         self.step, self.losses = 0, list[tuple[float, float]]()
@@ -53,13 +58,14 @@ class ReaderTraining:
             falling = 0.02 + 0.98 * (0.5 + 0.5 * math.cos(math.pi * self.step / self._steps))
             group["lr"] = _RATE * min(1.0, (self.step + 1) / 50) * falling
         rng = generator(Stream.LEARN_PICTURES, self._seed, self.step)
-        seen, true, guesses = _drawn(self._frames, self._batch, rng)
+        true, guesses, moves = _drawn(self._data, self._dynamics, self._batch, rng)
+        seen = [look(draw(points)) for points in true]
         wanted = torch.from_numpy(true).float()
         readings, likely = self.reader.joined(seen)
         first, best = _loss_of_best(readings, likely, wanted)
-        own = rng.random(self._batch) < 0.5
-        guesses[own] = best.detach().double().numpy()[own]
-        losses = first, _loss(self.reader.corrected(seen, guesses), wanted).mean()
+        own = rng.random(self._batch) < _OWN
+        guesses[own], moves[own] = best.detach().double().numpy()[own], 0.0
+        losses = first, _loss(self.reader.corrected(seen, guesses, moves), wanted).mean()
         self._optimizer.zero_grad()
         (losses[0] + losses[1]).backward()
         torch.nn.utils.clip_grad_norm_(self.reader.parameters(), 1.0)
@@ -95,22 +101,46 @@ class ReaderTraining:
 
 
 def _drawn(
-    frames: NDArray[np.float32], count: int, rng: np.random.Generator
-) -> tuple[list[Seen], Array, Array]:
-    """Pictures, the vertices they show and guesses at them, (count, BEADS, 3)."""
-    true = np.stack([_varied(frames[rng.integers(len(frames))], rng) for _ in range(count)])
-    guesses = true + rng.uniform(0, _GUESSES, (count, 1, 1)) * _waves(count, rng)
-    guesses -= guesses.mean(axis=1, keepdims=True)
-    return [look(draw(points)) for points in true], true, guesses
+    data: TrainingData, dynamics: Dynamics, count: int, rng: np.random.Generator
+) -> tuple[Array, Array, Array]:
+    """Vertices to be read, guesses at them, and how those moved there, (count, BEADS, 3) each.
+
+    A guess is what is foreseen of an action, from a state that was itself read a little wrong.
+    Where an episode begins, it is the state, read a little wrong, and nothing moved.
+    """
+    rows = rng.integers(len(data.frames), size=count)
+    beads, forces = data.beads[rows], data.forces[rows] / MAX_FORCE
+    begins = beads < 0
+    true = data.frames[rows].astype(np.float64)
+    before = data.frames[rows - ~begins].astype(np.float64)
+    speeds = _speeds(data, dynamics, rows - ~begins)
+    before += rng.uniform(0, 1, (count, 1, 1)) * _GUESSES * _waves(count, rng)
+    after, _ = dynamics.step(before, speeds, np.maximum(beads, 0), forces)
+    after[begins] = before[begins]
+    moves = after - before
+    for own in (true, after):
+        own -= own.mean(axis=1, keepdims=True)
+    both = [_varied(np.stack(own, axis=1), rng) for own in zip(true, after, moves, strict=True)]
+    true, after, moves = np.stack(both).transpose(2, 0, 1, 3)
+    return true, np.ascontiguousarray(after), np.ascontiguousarray(moves)
 
 
-def _varied(points: NDArray[np.float32], rng: np.random.Generator) -> Array:
-    """One of the many states that a state is as good as, (BEADS, 3), its middle at the origin."""
-    own = points.astype(np.float64)
-    own -= own.mean(axis=0)
+def _speeds(data: TrainingData, dynamics: Dynamics, rows: NDArray[np.int64]) -> Array:
+    """How fast vertices moved in states, by what was done before, (n, BEADS, 3), m/s."""
+    beads, forces = data.beads[rows], data.forces[rows] / MAX_FORCE
+    begins = beads < 0
+    before = data.frames[rows - ~begins].astype(np.float64)
+    _, speeds = dynamics.step(before, np.zeros_like(before), np.maximum(beads, 0), forces)
+    speeds[begins] = 0.0
+    return speeds
+
+
+def _varied(vectors: Array, rng: np.random.Generator) -> Array:
+    """Vectors (BEADS, k, 3) of one rope, turned, mirrored and walked otherwise, all alike."""
     angle = rng.uniform(0, 2 * np.pi)
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    own[:, :2] = own[:, :2] @ turn
+    own = vectors.copy()
+    own[..., :2] = own[..., :2] @ turn
     own *= (rng.choice((-1.0, 1.0)), 1.0, rng.choice((-1.0, 1.0)))
     if rng.random() < 0.5:
         own = own[::-1]

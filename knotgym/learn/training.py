@@ -1,4 +1,4 @@
-"""Training a learner: the reader, then the rope's model; resumable, the same bytes every time."""
+"""Training a learner: the rope's model, then the reader; resumable, the same bytes every time."""
 
 from __future__ import annotations
 
@@ -12,18 +12,21 @@ from typing import Any
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from rich.console import Console
 from safetensors import SafetensorError
 from safetensors.torch import load, save
+from torch import Tensor
 
 import knotgym
 from knotgym.atomic_files import atomic_write
 from knotgym.configuration import as_json, check_numbers
 from knotgym.errors import KnotgymError
 from knotgym.learn.checkpoint import Learned, save_policy
-from knotgym.learn.fitting import Stretches, fitted
+from knotgym.learn.fitting import STAGES, Stretches, fitted
 from knotgym.learn.reader_training import ReaderTraining
+from knotgym.learn.rope_model import FIRST_GUESS, Dynamics
 from knotgym.learn.training_data import TrainingData, read_training_data
 from knotgym.runs.progress import Progress, Status
 from knotgym.streams import Stream, generator
@@ -86,8 +89,14 @@ def train(
     began = time.perf_counter()
     data = read_training_data(datasets)
     request = {"config": as_json(config), "data_sha256": data.digest}
-    training = ReaderTraining(data.frames, config.steps, config.batch, config.seed)
-    _begin(out, request, training, resume)
+    kept = _begin(out, request, resume)
+    if "rope" not in kept:
+        kept |= _fit_rope(data, config, None if quiet else console)
+        _keep(out, kept)
+    rope = kept["rope"].numpy()
+    training = ReaderTraining(data, Dynamics(rope), config.steps, config.batch, config.seed)
+    if "losses" in kept:
+        _restore(out, training, kept)
     with Progress(quiet, console=console) as progress:
 
         def status() -> Status:
@@ -97,28 +106,19 @@ def train(
         while training.step < config.steps:
             progress.show(status)
             training.advance()
-            if training.step % config.save_every == 0 and training.step < config.steps:
-                _keep(out, training)
-        _keep(out, training)
+            if training.step % config.save_every == 0 or training.step == config.steps:
+                _keep(out, kept | training.state())
         progress.show(status, last=True)
-    some = generator(Stream.LEARN_ROPE, config.seed)
-    fit: list[dict[str, Any]] = []
-
-    def told(stage: str, error: float) -> None:
-        fit.append({"searched": stage, "error_mm": round(1000 * error, 3)})
-        if not quiet:
-            console.print(f"rope's model, {stage}: {1000 * error:.2f} mm", highlight=False)
-
-    rope = fitted(_some(data.stretches, config.stretches, some), some, config.tries, told)
     learned = Learned(training.reader.eval(), rope, _places(data, config))
     _draw_curve(out, training.losses)
+    errors = 1000 * kept["fit"]
     made = {
         "knotgym": knotgym.__version__,
         **request,
         "data": [str(one) for one in datasets],
         "episodes": len(data.starts),
         "frames": len(data.frames),
-        "fit": fit,
+        "fit_error_mm": dict(zip(STAGES, errors.round(decimals=3).tolist(), strict=True)),
         "seconds": round(time.perf_counter() - began),
     }
     save_policy(out, learned, made)
@@ -127,39 +127,66 @@ def train(
     return learned
 
 
-def _begin(out: Path, request: dict[str, Any], training: ReaderTraining, resume: bool) -> None:
-    """Make the folder, or go on with the training in it."""
-    if resume:
-        try:
-            before = json.loads((out / REQUEST).read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
+def _begin(out: Path, request: dict[str, Any], resume: bool) -> dict[str, Tensor]:
+    """Make the folder; or say what the training in it has kept, to go on with."""
+    if not resume:
+        if out.is_file() or (out.is_dir() and any(out.iterdir())):
             raise InvalidTraining(
-                f"no training under way in {out}; leave --resume out to begin one"
-            ) from error
-        if before != request:
-            differing = [name for name in request if before.get(name) != request[name]]
-            raise InvalidTraining(
-                f"the training in {out} was begun with other {' and '.join(differing)}; go on with"
-                " the same, or begin in another folder"
+                f"{out} holds something already; name a new folder, or --resume a training in it"
             )
-        if (out / UNDER_WAY).is_file():
-            try:
-                training.restore(load((out / UNDER_WAY).read_bytes()))
-            except (SafetensorError, KeyError, ValueError, RuntimeError) as error:
-                raise InvalidTraining(f"{out / UNDER_WAY} can't be read: {error}") from error
-        return
-    if out.is_file() or (out.is_dir() and any(out.iterdir())):
+        out.mkdir(parents=True, exist_ok=True)
+        with atomic_write(out / REQUEST) as part:
+            part.write_text(json.dumps(request, indent=1) + "\n", encoding="utf-8")
+        return {}
+    try:
+        before = json.loads((out / REQUEST).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
         raise InvalidTraining(
-            f"{out} holds something already; name a new folder, or --resume a training in it"
+            f"no training under way in {out}; leave --resume out to begin one"
+        ) from error
+    if before != request:
+        differing = [name for name in request if before.get(name) != request[name]]
+        raise InvalidTraining(
+            f"the training in {out} was begun with other {' and '.join(differing)}; go on with"
+            " the same, or begin in another folder"
         )
-    out.mkdir(parents=True, exist_ok=True)
-    with atomic_write(out / REQUEST) as part:
-        part.write_text(json.dumps(request, indent=1) + "\n", encoding="utf-8")
+    if not (out / UNDER_WAY).is_file():
+        return {}
+    try:
+        kept: dict[str, Tensor] = load((out / UNDER_WAY).read_bytes())
+    except SafetensorError as error:
+        raise InvalidTraining(f"{out / UNDER_WAY} can't be read: {error}") from error
+    if kept.get("rope", torch.zeros(0)).shape != FIRST_GUESS.shape or "fit" not in kept:
+        raise InvalidTraining(f"{out / UNDER_WAY} can't be read: it holds no rope's model")
+    return kept
 
 
-def _keep(out: Path, training: ReaderTraining) -> None:
+def _restore(out: Path, training: ReaderTraining, kept: dict[str, Tensor]) -> None:
+    try:
+        training.restore(kept)
+    except (KeyError, ValueError, RuntimeError) as error:
+        raise InvalidTraining(f"{out / UNDER_WAY} can't be read: {error}") from error
+
+
+def _keep(out: Path, kept: dict[str, Tensor]) -> None:
     with atomic_write(out / UNDER_WAY) as part:
-        part.write_bytes(save({name: own.contiguous() for name, own in training.state().items()}))
+        part.write_bytes(save({name: own.contiguous() for name, own in kept.items()}))
+
+
+def _fit_rope(
+    data: TrainingData, config: TrainConfig, console: Console | None
+) -> dict[str, Tensor]:
+    """The numbers of the rope's model, "rope", and the errors that its stages left, "fit"."""
+    rng = generator(Stream.LEARN_ROPE, config.seed)
+    errors: list[float] = []
+
+    def told(stage: str, error: float) -> None:
+        errors.append(error)
+        if console is not None:
+            console.print(f"rope's model, {stage}: {1000 * error:.2f} mm", highlight=False)
+
+    rope = fitted(_some(data.stretches, config.stretches, rng), rng, config.tries, told)
+    return {"rope": torch.from_numpy(rope), "fit": torch.tensor(errors, dtype=torch.float64)}
 
 
 def _some(stretches: Stretches, most: int, rng: np.random.Generator) -> Stretches:

@@ -27,12 +27,16 @@ class TrainingData(NamedTuple):
 
     Attributes:
         frames: float32 (n, BEADS, 3), metres: every state of every episode.
+        beads: int64 (n,), pulled on the way to each; -1 where an episode begins.
+        forces: float64 (n, 3), newtons, that they were pulled with.
         starts: int64 (episodes,), the frame that each episode begins with.
         stretches: the first actions of every episode that has so many.
         digest: of the frames and actions, in order.
     """
 
     frames: NDArray[np.float32]
+    beads: NDArray[np.int64]
+    forces: NDArray[np.float64]
     starts: NDArray[np.int64]
     stretches: Stretches
     digest: str
@@ -48,7 +52,9 @@ def read_training_data(datasets: Sequence[Any]) -> TrainingData:
     if not datasets:
         raise InvalidTrainingData("name at least one dataset to train on, as in --data FOLDER")
     frames: list[NDArray[np.float32]] = []
-    points, beads, forces = [], [], []
+    beads: list[NDArray[np.int64]] = []
+    forces: list[NDArray[np.float64]] = []
+    first = list[Stretches]()
     digest = hashlib.sha256()
     for dataset in datasets:
         reader = EpisodeReader(dataset)
@@ -58,20 +64,28 @@ def read_training_data(datasets: Sequence[Any]) -> TrainingData:
             digest.update(episode.points.tobytes())
             digest.update(episode.actions.tobytes())
             frames.append(episode.points.astype(np.float32))
+            beads.append(np.concatenate([[-1], episode.bead[1:]]))
+            forces.append(episode.force)
             if len(episode) >= STRETCH:
-                points.append(episode.points[: STRETCH + 1])
-                beads.append(episode.bead[1 : STRETCH + 1])
-                forces.append(episode.force[1 : STRETCH + 1])
+                first.append(
+                    Stretches(
+                        episode.points[: STRETCH + 1],
+                        episode.bead[1 : STRETCH + 1],
+                        episode.force[1 : STRETCH + 1],
+                    )
+                )
         reader.close()
-    if not points:
+    if not first:
         raise InvalidTrainingData(
             f"no episode of {', '.join(map(str, datasets))} has {STRETCH} actions; collect longer"
             " ones, as with knotgym collect --policy scripted"
         )
     return TrainingData(
         np.concatenate(frames),
+        np.concatenate(beads),
+        np.concatenate(forces),
         np.cumsum([0, *map(len, frames[:-1])]),
-        Stretches(np.stack(points, axis=1), np.stack(beads, axis=1), np.stack(forces, axis=1)),
+        Stretches(*(np.stack(column, axis=1) for column in zip(*first, strict=True))),
         digest.hexdigest(),
     )
 

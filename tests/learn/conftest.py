@@ -16,7 +16,11 @@ def episodes(tmp_path_factory: pytest.TempPathFactory, states_path: str) -> Path
     out = tmp_path_factory.mktemp("episodes")
     arguments = ("--task", "tie", "--nx", 3, "--policy", "scripted", "--episodes", 3)
     settings = ("--horizon", 6, "--observation", "state", "--states", states_path)
-    assert knotgym("collect", *arguments, *settings, "--out", out, "--workers", 1, "--quiet") == 0
+    named = ("--id", "knotgym/tie-nx3/scripted-v0")
+    assert (
+        knotgym("collect", *arguments, *settings, *named, "--out", out, "--workers", 1, "--quiet")
+        == 0
+    )
     return out / "knotgym" / "tie-nx3" / "scripted-v0"
 
 

@@ -1,0 +1,89 @@
+"""The agent keeps several ropes that may be the one seen, and how a rope moves tells which."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+pytestmark = pytest.mark.clients
+pytest.importorskip("torch")
+
+from knotgym.control.transition_counts import TransitionCounts  # noqa: E402
+from knotgym.control.transition_graph import (  # noqa: E402
+    TransitionGraph,
+    TransitionGraphConfig,
+)
+from knotgym.learn.agent import Agent, AgentConfig  # noqa: E402
+from knotgym.learn.rope_model import BEADS, FIRST_GUESS, Dynamics  # noqa: E402
+
+Array = NDArray[np.float64]
+DYNAMICS = Dynamics(FIRST_GUESS)
+
+
+class TwoReadings:
+    """Reads every picture as the rope that is there and as its mirror image, as likely."""
+
+    def __init__(self, rope: Array) -> None:
+        self.rope = rope
+
+    def read(self, picture: Any) -> tuple[Array, Array]:
+        mirrored = self.rope * (1.0, 1.0, -1.0)
+        return np.stack([mirrored, self.rope]), np.array([0.5, 0.5])
+
+    def follow(self, picture: Any, foreseen: Array, moves: Array) -> Array:
+        followed = foreseen.copy()
+        followed[..., :2] = self.rope[:, :2]
+        return followed
+
+
+def tilted_loop() -> Array:
+    """A circle tilted out of the plane, so that its mirror image lies otherwise."""
+    angle = 2 * np.pi * np.arange(BEADS) / BEADS
+    radius = 1.33 / (2 * np.pi)
+    flat = np.stack([np.cos(angle), np.sin(angle), 0.5 * np.cos(angle)], axis=1)
+    flat *= radius
+    for _ in range(50):  # equal chords
+        points = np.vstack([flat, flat[:1]])
+        along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        even = np.linspace(0, along[-1], BEADS, endpoint=False)
+        flat = np.stack([np.interp(even, along, points[:, c]) for c in range(3)], axis=1)
+        flat *= 1.33 / along[-1]
+    return flat - flat.mean(axis=0)
+
+
+@pytest.fixture(scope="module")
+def agent() -> Agent:
+    graph = TransitionGraph(TransitionCounts(), TransitionGraphConfig())
+    return Agent(TwoReadings(tilted_loop()), DYNAMICS, graph, np.zeros((1, 3)), AgentConfig())  # type: ignore[arg-type]
+
+
+def test_how_a_rope_moves_tells_it_from_its_mirror_image(agent: Agent) -> None:
+    rope, speeds = tilted_loop()[None], np.zeros((1, BEADS, 3))
+    picture = np.zeros((128, 256, 3), dtype=np.uint8)
+    agent.begin(0, np.random.default_rng(0), 50)
+    episode = agent._episodes[0]
+    for _ in range(4):
+        agent.reader.rope = rope[0] - rope[0].mean(axis=0)  # type: ignore[assignment]
+        agent._see(episode, picture[:, :128])
+        episode.named = episode.ropes[0][25]
+        episode.force, force = np.array([0.3, 0.2, 0.8]), np.array([[0.3, 0.2, 0.8]])
+        bead = np.linalg.norm(rope[0] - episode.named, axis=1).argmin()
+        rope, speeds = DYNAMICS.step(rope, speeds, np.array([bead]), force)
+    true = tilted_loop()
+    likeliest = episode.ropes[0]
+    off, mirrored = (np.abs(likeliest[:, 2] - sign * true[:, 2]).mean() for sign in (1, -1))
+    assert off < mirrored and episode.likely[0] > 0.5
+    assert np.isclose(episode.likely.sum(), 1.0)
+
+
+def test_ropes_that_are_alike_are_kept_as_one(agent: Agent) -> None:
+    agent.begin(1, np.random.default_rng(0), 50)
+    episode, rope = agent._episodes[1], tilted_loop()
+    ropes = np.stack([rope, rope + (0.0, 0.0, 0.001), rope * (1.0, 1.0, -1.0)])
+    agent._keep(episode, ropes, np.zeros_like(ropes), np.array([0.25, 0.3, 0.45]))
+    assert len(episode.ropes) == 2
+    assert np.allclose(episode.likely, (0.55, 0.45))
+    assert np.array_equal(episode.ropes[0], ropes[1])
