@@ -66,7 +66,7 @@ def test_how_a_rope_moves_tells_it_from_its_mirror_image(agent: Agent) -> None:
     agent.begin(0, np.random.default_rng(0), 50)
     episode = agent._episodes[0]
     for _ in range(4):
-        agent.reader.rope = rope[0] - rope[0].mean(axis=0)  # type: ignore[assignment]
+        agent.reader.rope = rope[0] - rope[0].mean(axis=0)
         agent._see(episode, picture[:, :128])
         episode.named = episode.ropes[0][25]
         episode.force, force = np.array([0.3, 0.2, 0.8]), np.array([[0.3, 0.2, 0.8]])
