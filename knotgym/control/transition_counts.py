@@ -47,7 +47,8 @@ _COLUMNS = (
     Column("template_places", "float16", ("templates", 2), finite=True),
 )
 _Element = tuple[bool, bool, bool]  # symmetry element: reverse, switch, reflect
-ELEMENTS: tuple[_Element, ...] = tuple(product((False, True), repeat=3))  # as `symmetry.images`
+_BOTH = (False, True)
+ELEMENTS: tuple[_Element, ...] = tuple(product(_BOTH, _BOTH, _BOTH))  # as `symmetry.images`
 
 
 class InvalidTransitions(KnotgymError, ValueError):
