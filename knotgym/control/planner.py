@@ -23,6 +23,7 @@ from knotgym.control.macro_actions import (
     MacroAction,
     MacroActionConfig,
     WaypointController,
+    cumulative_shares,
     move_aside,
     pass_strand,
     propose,
@@ -305,7 +306,8 @@ class _Towards:
 
     def __init__(self, steps: list[Step]) -> None:
         self.steps = steps
-        self._shares = _cumulated(np.array([step.chance * step.gain for step in steps]))
+        weights = np.array([step.chance * step.gain for step in steps])
+        self._shares = cumulative_shares(weights) if steps else weights
 
     def draw(self, rng: np.random.Generator) -> MacroTemplate:
         """A template of one of them."""
@@ -522,14 +524,8 @@ def from_template(
 
 
 def _drawn(weights: Array, rng: np.random.Generator) -> int:
-    """A place, drawn by weights: as `rng.choice` draws it, whose checks take longer than this."""
-    return int(_cumulated(weights).searchsorted(rng.random(), side="right"))
-
-
-def _cumulated(weights: Array) -> Array:
-    """Shares of the weights, summed up to each; the last is 1."""
-    shares = (weights / weights.sum()).cumsum() if len(weights) else weights
-    return shares / shares[-1:]
+    """A place, drawn by weights."""
+    return int(cumulative_shares(weights).searchsorted(rng.random(), side="right"))
 
 
 def _plan_to(node: Node, solved: bool, spent: int) -> Plan:
