@@ -183,9 +183,10 @@ class TransitionCounts:
         templates: dict[tuple[GaussCode, GaussCode], list[MacroTemplate]] = {
             key: [] for key in keys
         }
+        by_row = [templates[key] for key in keys]
         columns = (read[f"template_{name}"] for name in ("of", "kind", "side", "places"))
         for row, kind, side, (bead, target) in zip(*columns, strict=True):
-            templates[keys[row]].append(MacroTemplate(KINDS[kind], side, bead, target))
+            by_row[row].append(MacroTemplate(KINDS[kind], side, bead, target))
         seen = Counter(dict(zip(keys, read["seen"], strict=True)))
         return cls(tried, seen, templates)
 
