@@ -9,7 +9,9 @@ from an integration state, so a plan that reaches the goal here reaches it.
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,6 +23,7 @@ from knotgym.control.macro_actions import (
     MacroAction,
     MacroActionConfig,
     WaypointController,
+    cumulative_shares,
     move_aside,
     pass_strand,
     propose,
@@ -151,6 +154,68 @@ class Plan:
     spent: int
 
 
+class _Pool:
+    """States met, by their codes, and how promising it is to set out from each code."""
+
+    def __init__(self, distances: Distances, config: PlannerConfig) -> None:
+        self._distances, self._config = distances, config
+        self._rows: dict[GaussCode, int] = {}
+        self._nodes: list[list[Node]] = []  # by row, as what follows
+        self._far = np.empty(0)
+        self._tries = np.empty(0, dtype=np.int64)
+        self._earliest = np.empty(0, dtype=np.int64)
+        self._left = np.empty(0)  # steps to the goal, about
+
+    def __iter__(self) -> Iterator[Node]:
+        return itertools.chain.from_iterable(self._nodes)
+
+    def hops(self, code: GaussCode) -> int:
+        """Changes of code from here to the goal, about."""
+        return self._distances.hops.get(code, self._config.unknown_hops)
+
+    def add(self, node: Node) -> None:
+        """Put a state in; of too many with one code the longest and most tried goes."""
+        row = self._row(node.code)
+        nodes = self._nodes[row]
+        nodes.append(node)
+        if len(nodes) > self._config.kept:
+            cost = self._config.try_cost
+            nodes.remove(max(nodes, key=lambda node: node.steps + cost * node.tries))
+        self._earliest[row] = min([node.steps for node in nodes])
+
+    def tries(self, code: GaussCode) -> int:
+        """How often a state with this code was set out from."""
+        return int(self._tries[self._rows[code]]) if code in self._rows else 0
+
+    def choose(self, rng: np.random.Generator) -> Node:
+        """Draw a code, near and early ones more often, then a state that shows it."""
+        config = self._config
+        late = self._earliest + self._left
+        weights = (
+            (1 + self._far) ** -config.greed
+            / (1 + self._tries / config.weariness)
+            * np.exp(-(late - late.min()) / config.patience)
+        )
+        row = _drawn(weights, rng)
+        nodes = self._nodes[row]
+        fresh = [np.exp(-node.steps / config.patience) / (1 + node.tries) for node in nodes]
+        node = nodes[_drawn(np.array(fresh), rng)]
+        node.tries += 1
+        self._tries[row] += 1
+        return node
+
+    def _row(self, code: GaussCode) -> int:
+        """The row of a code, which may be new."""
+        if code not in self._rows:
+            self._rows[code] = len(self._nodes)
+            self._nodes.append([])
+            self._far = np.append(self._far, self._distances(code))
+            self._tries = np.append(self._tries, 0)
+            self._earliest = np.append(self._earliest, 0)
+            self._left = np.append(self._left, self._config.stride * self.hops(code))
+        return self._rows[code]
+
+
 @dataclass(eq=False)
 class _Branch:
     """A copy of the rope under way from a node."""
@@ -210,7 +275,7 @@ def promising(
 ) -> MacroAction:
     """A macro-action that promises to lead towards the goal of `distances`."""
     code = find_crossings(points).code
-    steps = graph.steps(code, distances)
+    steps = _Towards(graph.steps(code, distances))
     return _most_promising(points, code, steps, distances, config, rng, Counter())
 
 
@@ -236,6 +301,20 @@ def reason(before: GaussCode, after: GaussCode, kind: str) -> str:
     return f"{move} {kind}"
 
 
+class _Towards:
+    """Changes out of a code that lead nearer to the goal, and how often each shall be tried."""
+
+    def __init__(self, steps: list[Step]) -> None:
+        self.steps = steps
+        weights = np.array([step.chance * step.gain for step in steps])
+        self._shares = cumulative_shares(weights) if steps else weights
+
+    def draw(self, rng: np.random.Generator) -> MacroTemplate:
+        """A template of one of them."""
+        step = self.steps[int(self._shares.searchsorted(rng.random(), side="right"))]
+        return step.template(int(rng.integers(len(step.examples))))
+
+
 class _Search:
     """One plan in the making."""
 
@@ -257,9 +336,9 @@ class _Search:
         simulation.restore(state[None], [0])
         self.root = Node(state, label_many(simulation.points[:1])[0])
         self.distances = graph.distances(goal)
-        self.pool: dict[GaussCode, list[Node]] = {self.root.code: [self.root]}
-        self.tries: dict[GaussCode, int] = {}
-        self.towards: dict[GaussCode, list[Step]] = {}
+        self.pool = _Pool(self.distances, config)
+        self.pool.add(self.root)
+        self.towards: dict[GaussCode, _Towards] = {}
         self.promises: Promises = Counter()
         self.controller = WaypointController(simulation.count, config.macro_actions)
         self.branches: dict[int, _Branch] = {}  # by the rope of the simulation
@@ -276,7 +355,7 @@ class _Search:
             if reached is not None:
                 return _plan_to(reached, True, self.spent)
         nearest = min(
-            (node for nodes in self.pool.values() for node in nodes),
+            self.pool,
             key=lambda node: (self.distances(node.code), node.steps),
         )
         return _plan_to(nearest, False, self.spent)
@@ -330,19 +409,17 @@ class _Search:
         """
         if code != branch.code:
             return True
-        stuck = self.tries.get(branch.node.code, 0) > self.config.stuck
+        stuck = self.pool.tries(branch.node.code) > self.config.stuck
         return ended and (stuck or code != branch.node.code)
 
     def _set_out(self, row: int) -> _Branch:
         """Choose a state and a macro-action, and lay a rope there."""
-        node = self._choose()
-        node.tries += 1
-        self.tries[node.code] = self.tries.get(node.code, 0) + 1
+        node = self.pool.choose(self.rng)
         self.simulation.restore(node.state[None], [row])
         points = self.simulation.points[row]
         if self.rng.random() < self.config.guided:
             if node.code not in self.towards:
-                self.towards[node.code] = self.graph.steps(node.code, self.distances)
+                self.towards[node.code] = _Towards(self.graph.steps(node.code, self.distances))
             macro_action = _most_promising(
                 points,
                 node.code,
@@ -357,37 +434,8 @@ class _Search:
         self.controller.begin(row, macro_action)
         return _Branch(node, macro_action.kind, node.code)
 
-    def _choose(self) -> Node:
-        """Draw a code, near and early ones more often, then a state that shows it."""
-        config = self.config
-        codes = [code for code, nodes in self.pool.items() if nodes]
-        far = np.array([self.distances(code) for code in codes])
-        tries = np.array([self.tries.get(code, 0) for code in codes])
-        earliest = [min(node.steps for node in self.pool[code]) for code in codes]
-        hops = [self._hops(code) for code in codes]
-        late = np.array(
-            [steps + config.stride * left for steps, left in zip(earliest, hops, strict=True)]
-        )
-        weights = (
-            (1 + far) ** -config.greed
-            / (1 + tries / config.weariness)
-            * np.exp(-(late - late.min()) / config.patience)
-        )
-        nodes = self.pool[codes[self.rng.choice(len(codes), p=weights / weights.sum())]]
-        fresh = np.array(
-            [np.exp(-node.steps / config.patience) / (1 + node.tries) for node in nodes]
-        )
-        return nodes[self.rng.choice(len(nodes), p=fresh / fresh.sum())]
-
-    def _hops(self, code: GaussCode) -> int:
-        """Changes of code from here to the goal, about."""
-        return self.distances.hops.get(code, self.config.unknown_hops)
-
     def _keep(self, row: int, branch: _Branch, code: GaussCode) -> Node:
-        """Put a state into the pool, if there are steps enough left to go on from it.
-
-        Of too many with one code the longest and most tried goes.
-        """
+        """Put a state into the pool, if there are steps enough left to go on from it."""
         node = Node(
             self.simulation.states([row])[0],
             code,
@@ -396,12 +444,8 @@ class _Search:
             branch.kind,
             tuple(branch.actions),
         )
-        if node.steps + self.config.least_stride * self._hops(code) <= self.steps:
-            nodes = self.pool.setdefault(code, [])
-            nodes.append(node)
-            if len(nodes) > self.config.kept:
-                cost = self.config.try_cost
-                nodes.remove(max(nodes, key=lambda node: node.steps + cost * node.tries))
+        if node.steps + self.config.least_stride * self.pool.hops(code) <= self.steps:
+            self.pool.add(node)
         return node
 
     def _hold_goal(self, row: int, node: Node) -> Node | None:
@@ -427,7 +471,7 @@ class _Search:
 def _most_promising(
     points: Array,
     code: GaussCode,
-    steps: list[Step],
+    towards: _Towards,
     distances: Distances,
     config: PlannerConfig,
     rng: np.random.Generator,
@@ -440,12 +484,10 @@ def _most_promising(
     is counted in `promises`.
     """
     places = Places(find_crossings(points), len(points))
-    weights = np.array([step.chance * step.gain for step in steps])
     here, best, promise, chosen = distances(code), -np.inf, code, None
     for number in range(config.surrogate_rollouts):
-        if steps and number % 2 == 0:
-            templates = steps[rng.choice(len(steps), p=weights / weights.sum())].templates
-            template = templates[rng.integers(len(templates))]
+        if towards.steps and number % 2 == 0:
+            template = towards.draw(rng)
             macro_action = from_template(points, template, places, config, rng)
         else:
             macro_action = propose(points, rng, config.macro_actions)
@@ -479,6 +521,11 @@ def from_template(
         target = bead(template.target)
         return pass_strand(points, kind, led, target, side, rng, config.macro_actions)
     return move_aside(points, kind, led, side, rng, config.macro_actions)
+
+
+def _drawn(weights: Array, rng: np.random.Generator) -> int:
+    """A place, drawn by weights."""
+    return int(cumulative_shares(weights).searchsorted(rng.random(), side="right"))
 
 
 def _plan_to(node: Node, solved: bool, spent: int) -> Plan:

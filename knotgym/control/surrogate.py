@@ -102,12 +102,17 @@ def _lead(
         for k in range(half):
             if taken[k] < _LEAST_SHARE:
                 break
-            now[(bead + 1 + k) % n] += taken[k] * move
-            now[(bead - k) % n] += taken[k] * move
-        for k in range(half - 1):
-            ahead, back = (bead + 1 + k) % n, (bead - k) % n
-            _follow(now, ahead, (ahead + 1) % n, lengths[ahead])
-            _follow(now, back, (back - 1) % n, lengths[(back - 1) % n])
+            for c in range(3):
+                now[(bead + 1 + k) % n, c] += taken[k] * move[c]
+                now[(bead - k) % n, c] += taken[k] * move[c]
+        ahead, back = (bead + 1) % n, bead
+        for _ in range(half - 1):
+            after, before = ahead + 1, back - 1
+            after = 0 if after == n else after
+            before = n - 1 if before < 0 else before
+            _follow(now, ahead, after, lengths[ahead])
+            _follow(now, back, before, lengths[before])
+            ahead, back = after, before
         walked += step
         if walked >= pace:
             walked = 0.0

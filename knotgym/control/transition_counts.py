@@ -17,6 +17,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
+from itertools import product
 from typing import Any, NamedTuple
 
 import h5py
@@ -29,7 +30,7 @@ from knotgym.errors import KnotgymError
 from knotgym.hdf5_files import Column, opened_hdf5, read_column
 from knotgym.topology.crossings import Crossings
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.symmetry import canonical_form, shifted_base, variants
+from knotgym.topology.symmetry import canonical_form, images, shifted_base
 
 FORMAT = "knotgym-transitions"
 FORMAT_VERSION = 2  # version 1, which is read too, calls templates grips
@@ -46,6 +47,8 @@ _COLUMNS = (
     Column("template_places", "float16", ("templates", 2), finite=True),
 )
 _Element = tuple[bool, bool, bool]  # symmetry element: reverse, switch, reflect
+_BOTH = (False, True)
+ELEMENTS: tuple[_Element, ...] = tuple(product(_BOTH, _BOTH, _BOTH))  # as `symmetry.images`
 
 
 class InvalidTransitions(KnotgymError, ValueError):
@@ -180,9 +183,10 @@ class TransitionCounts:
         templates: dict[tuple[GaussCode, GaussCode], list[MacroTemplate]] = {
             key: [] for key in keys
         }
+        by_row = [templates[key] for key in keys]
         columns = (read[f"template_{name}"] for name in ("of", "kind", "side", "places"))
         for row, kind, side, (bead, target) in zip(*columns, strict=True):
-            templates[keys[row]].append(MacroTemplate(KINDS[kind], side, bead, target))
+            by_row[row].append(MacroTemplate(KINDS[kind], side, bead, target))
         seen = Counter(dict(zip(keys, read["seen"], strict=True)))
         return cls(tried, seen, templates)
 
@@ -296,9 +300,7 @@ def elements(code: GaussCode) -> Iterator[_Element]:
 @lru_cache(maxsize=200_000)
 def _elements(code: GaussCode, wanted: GaussCode) -> tuple[_Element, ...]:
     return tuple(
-        (symmetry.reverse, symmetry.switch, symmetry.reflect)
-        for shown, symmetry in variants(code)
-        if shown == wanted
+        element for shown, element in zip(images(code), ELEMENTS, strict=True) if shown == wanted
     )
 
 

@@ -8,18 +8,23 @@ that the counts don't reach is as far as the last one reached and farther by its
 from __future__ import annotations
 
 import heapq
-import itertools
+import math
 from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from knotgym.configuration import check_numbers
-from knotgym.control.transition_counts import MacroTemplate, TransitionCounts, elements, transformed
+from knotgym.control.transition_counts import ELEMENTS, MacroTemplate, TransitionCounts
 from knotgym.topology.diagrams import chiralities
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.symmetry import canonical_form
+from knotgym.topology.symmetry import canonical_form, images
+
+_IMAGES = len(ELEMENTS)  # of a code
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,13 +51,26 @@ class Step(NamedTuple):
         after: the code it shows.
         chance: that a random macro-action makes it.
         gain: macro-actions that it saves.
-        templates: examples.
+        examples: templates of its class.
+        image: the symmetry element between the two, a place in `ELEMENTS`.
+        arcs: of the code set out from.
     """
 
     after: GaussCode
     chance: float
     gain: float
-    templates: tuple[MacroTemplate, ...]
+    examples: list[MacroTemplate]
+    image: int
+    arcs: int
+
+    @property
+    def templates(self) -> tuple[MacroTemplate, ...]:
+        """The examples, as they go for this change."""
+        return tuple(self.template(number) for number in range(len(self.examples)))
+
+    def template(self, number: int) -> MacroTemplate:
+        """One of them."""
+        return self.examples[number].transformed(ELEMENTS[self.image], self.arcs)
 
 
 @dataclass
@@ -66,6 +84,7 @@ class Distances:
         far: code -> expected macro-actions, for the codes known.
         hops: code -> changes of code on the way.
         beyond: what codes not in `far` are at least away.
+        by_place: float64, the distances of all the graph's codes, in its own order.
     """
 
     nx: int
@@ -74,91 +93,148 @@ class Distances:
     far: dict[GaussCode, float] = field(default_factory=dict)
     hops: dict[GaussCode, int] = field(default_factory=dict)
     beyond: float = 0.0
+    by_place: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
 
     def __call__(self, code: GaussCode) -> float:
         """Expected macro-actions from a code with chirality."""
-        unknown = self.beyond + self.strange * max(1, abs(code.nx - self.nx))
-        return self.far.get(code, unknown)
+        far = self.far.get(code)
+        return self._unknown(code) if far is None else far
+
+    def _unknown(self, code: GaussCode) -> float:
+        return self.beyond + self.strange * max(1, abs(code.nx - self.nx))
 
 
 class TransitionGraph:
-    """The graph of codes that transitions make, every symmetry used."""
+    """The graph of codes that transitions make, every symmetry used.
+
+    A code's images stand together, so that image k of the code at place p is at p ^ k; a code that
+    is its own image has several places, of which the first counts (`_first`).
+    """
 
     def __init__(self, transitions: TransitionCounts, config: TransitionGraphConfig) -> None:
         self._transitions, self._config = transitions, config
-        # class -> changes out of it, with their chances
-        self._after: dict[GaussCode, list[tuple[GaussCode, float]]] = {}
-        # class shown -> changes that lead to it
-        self._before: dict[GaussCode, list[tuple[GaussCode, GaussCode, float]]] = {}
-        for (before, after), seen in transitions.seen.items():
-            chance = seen / (transitions.tried[before] + config.doubt)
-            self._after.setdefault(before, []).append((after, chance))
-            self._before.setdefault(canonical_form(after), []).append((before, after, chance))
+        self._codes: list[GaussCode] = []  # by place
+        self._place: dict[GaussCode, int] = {}  # the first
+        keys = list(transitions.seen)
+        before = np.array([self._placed(key[0]) for key in keys], dtype=np.int64)
+        after = np.array([self._placed(key[1]) for key in keys], dtype=np.int64)
+        chance = np.array(
+            [
+                seen / (transitions.tried[key[0]] + config.doubt)
+                for key, seen in transitions.seen.items()
+            ],
+            dtype=np.float64,
+        )
+        self._first = np.array([self._place[code] for code in self._codes], dtype=np.int64)
+        self._nx = np.array([code.nx for code in self._codes], dtype=np.int64)
+        # class -> changes out of it: keys, places of the codes shown, chances
+        rows: dict[GaussCode, list[int]] = {}
+        for row, key in enumerate(keys):
+            rows.setdefault(key[0], []).append(row)
+        self._out = {
+            code: ([keys[row] for row in own], after[own], chance[own].tolist())
+            for code, own in rows.items()
+        }
+        self._leading = self._leading_to(before, after, chance)
         self._known: dict[GaussCode, Distances] = {}
-        self._backwards: dict[GaussCode, list[tuple[GaussCode, float]]] = {}
 
     def distances(self, goal: GaussCode) -> Distances:
         """Distances of all codes to a goal, whose chirality is left open.
 
-        They take about a third of a second and are kept.
+        They take about a twentieth of a second and are kept.
         """
         if goal.plain not in self._known:
             self._known[goal.plain] = self._search(goal.plain)
         return self._known[goal.plain]
 
     def steps(self, code: GaussCode, distances: Distances) -> list[Step]:
-        """Changes out of a code that lead nearer to the goal, for a rope that shows this code."""
+        """Changes out of a code that lead nearer to the goal, for a rope that shows this code.
+
+        Args:
+            code: with chirality.
+            distances: to the goal, of this graph.
+        """
+        base = canonical_form(code)
+        if base not in self._out:
+            return []
         towards = []
-        base, here, arcs = canonical_form(code), distances(code), 2 * code.nx + 1
-        for element in elements(code):
-            for shown, chance in self._after.get(base, []):
-                after = transformed(shown, element)
-                if distances(after) < here - 1e-9:
-                    templates = tuple(
-                        template.transformed(element, arcs)
-                        for template in self._transitions.templates[base, shown]
-                    )
-                    towards.append(Step(after, chance, here - distances(after), templates))
+        here, arcs = distances(code), 2 * code.nx + 1
+        keys, shown, chances = self._out[base]
+        for image, member in enumerate(images(code)):
+            if member != base:
+                continue
+            places = self._first[shown ^ image]
+            far = distances.by_place[places]
+            for change in np.flatnonzero(far < here - 1e-9).tolist():
+                after, gain = self._codes[places[change]], here - float(far[change])
+                examples = self._transitions.templates[keys[change]]
+                towards.append(Step(after, chances[change], gain, examples, image, arcs))
         return towards
+
+    def _placed(self, code: GaussCode) -> int:
+        """A code's first place; a new one's class is given places."""
+        if code not in self._place:
+            for image in images(code):
+                self._place.setdefault(image, len(self._codes))
+                self._codes.append(image)
+        return self._place[code]
+
+    def _leading_to(
+        self, before: NDArray[np.int64], after: NDArray[np.int64], chance: NDArray[np.float64]
+    ) -> dict[int, list[tuple[int, float]]]:
+        """Place of a code -> places from which a change leads to it, and the change's cost.
+
+        They come in the order of the first change counted between the two.
+        """
+        element = np.arange(_IMAGES)
+        target = self._first[after[:, None] ^ element].reshape(-1)
+        origin = self._first[before[:, None] ^ element].reshape(-1)
+        pair, first, which = np.unique(
+            target * len(self._codes) + origin, return_index=True, return_inverse=True
+        )
+        best = np.zeros(len(pair))
+        np.maximum.at(best, which, np.repeat(chance, _IMAGES))
+        leading: dict[int, list[tuple[int, float]]] = {}
+        order = np.argsort(first)
+        for to, start, likely in zip(
+            target[first][order].tolist(),
+            origin[first][order].tolist(),
+            best[order].tolist(),
+            strict=True,
+        ):
+            leading.setdefault(to, []).append((start, 1 / likely))
+        return leading
 
     def _search(self, goal: GaussCode) -> Distances:
         goals = frozenset(GaussCode(goal.visits, letters) for letters in chiralities(goal))
         distances = Distances(goal.nx, goals, self._config.strange)
-        ties = itertools.count()
-        queue: list[tuple[float, int, int, GaussCode]] = [
-            (0.0, next(ties), 0, code) for code in sorted(goals, key=lambda code: code.chiral)
-        ]
+        queue: list[tuple[float, int, int, int]] = []  # distance, tie, hops, place
+        codes = self._codes.copy()
+        for code in sorted(goals, key=lambda code: code.chiral):
+            queue.append((0.0, len(queue), 0, self._place.get(code, len(codes))))
+            if code not in self._place:
+                codes.append(code)
+        nearest = [math.inf] * len(codes)
+        for far, _, _, place in queue:
+            nearest[place] = far
+        ties = len(queue)
         while queue:
-            far, _, hops, code = heapq.heappop(queue)
+            far, _, hops, place = heapq.heappop(queue)
+            code = codes[place]
             if code in distances.far:
                 continue
             distances.far[code], distances.hops[code], distances.beyond = far, hops, far
-            for before, chance in self._leading_to(code):
-                if before not in distances.far:
-                    heapq.heappush(queue, (far + 1 / chance, next(ties), hops + 1, before))
+            for start, cost in self._leading.get(place, ()):
+                if far + cost < nearest[start]:
+                    nearest[start] = far + cost
+                    heapq.heappush(queue, (far + cost, ties, hops + 1, start))
+                    ties += 1
+        by_place = np.array(nearest[: len(self._codes)])[self._first]
+        strange = distances.beyond + self._config.strange * np.maximum(
+            1, np.abs(self._nx - goal.nx)
+        )
+        distances.by_place = np.where(np.isfinite(by_place), by_place, strange)
         return distances
-
-    def _leading_to(self, code: GaussCode) -> list[tuple[GaussCode, float]]:
-        """Codes from which a change leads to this one, with its chance."""
-        if code in self._backwards:
-            return self._backwards[code]
-        best: dict[GaussCode, float] = {}
-        for before, after, chance in self._before.get(canonical_form(code), []):
-            for element in _between(after, code):
-                origin = transformed(before, element)
-                best[origin] = max(best.get(origin, 0.0), chance)
-        self._backwards[code] = list(best.items())
-        return self._backwards[code]
-
-
-@lru_cache(maxsize=200_000)
-def _between(code: GaussCode, other: GaussCode) -> tuple[tuple[bool, bool, bool], ...]:
-    """The symmetry elements that take one code to another of its class."""
-    return tuple(
-        (reverse, switch, reflect)
-        for reverse, switch, reflect in itertools.product((False, True), repeat=3)
-        if transformed(code, (reverse, switch, reflect)) == other
-    )
 
 
 @lru_cache(maxsize=4)

@@ -33,7 +33,7 @@ from knotgym.topology.crossing_kernel import (
     scan,
     scan_many,
 )
-from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode
+from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode, trusted_code
 
 
 class InvalidPoints(KnotgymError, ValueError):
@@ -186,7 +186,7 @@ def _scanned(points: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.float64]]
 
 
 def _code(visits: NDArray[np.int64], signs: NDArray[Any]) -> GaussCode:
-    return GaussCode(
+    return trusted_code(
         tuple(visits.tolist()),
         "".join([POSITIVE if sign > 0 else NEGATIVE for sign in signs.tolist()]),
     )

@@ -20,6 +20,7 @@ from knotgym.errors import KnotgymError
 POSITIVE = "c"
 NEGATIVE = "a"
 
+_SWITCHED = {ord(NEGATIVE): POSITIVE, ord(POSITIVE): NEGATIVE}
 _VISIT = re.compile(r"\s*([1-9][0-9]*)\s*([+-])\s*([ac]?)\s*")
 
 
@@ -122,9 +123,10 @@ class GaussCode:
         >>> str(GaussCode.relabelled([7, -3, 3, -7]))
         '1+,2-,2+,1-'
         """
-        new: dict[int, int] = {}
-        renamed = tuple(_renamed(visit, new) for visit in visits)
-        return cls(renamed, None if letters is None else "".join(letters[label] for label in new))
+        visits = tuple(visits)
+        new = _numbers(visits)
+        renamed = tuple([new[abs(visit)] if visit > 0 else -new[abs(visit)] for visit in visits])
+        return cls(renamed, None if letters is None else "".join([letters[label] for label in new]))
 
     def __str__(self) -> str:
         return ",".join([f"{visit}+" if visit > 0 else f"{-visit}-" for visit in self.visits])
@@ -149,7 +151,9 @@ class GaussCode:
     @property
     def plain(self) -> GaussCode:
         """The same code without its chirality, as the reward compares it."""
-        return self if self.chirality is None else GaussCode(self.visits)
+        if self.chirality is None or not self.visits:
+            return self
+        return trusted_code(self.visits, None)
 
     @property
     def signs(self) -> tuple[int, ...]:
@@ -185,11 +189,11 @@ class GaussCode:
         >>> GaussCode.parse("1+c,1-c").mirrored().chiral
         '1-a,1+a'
         """
-        return GaussCode(tuple([-visit for visit in self.visits]), self._flipped())
+        return trusted_code(tuple([-visit for visit in self.visits]), self._flipped())
 
     def reflected(self) -> GaussCode:
         """Turn the picture over left to right (x -> -x): heights stay, letters change."""
-        return GaussCode(self.visits, self._flipped())
+        return trusted_code(self.visits, self._flipped())
 
     def reversed(self) -> GaussCode:
         """Walk the other way from the same base point.
@@ -197,7 +201,7 @@ class GaussCode:
         >>> str(GaussCode.parse("1+,2-,2+,1-").reversed())
         '1-,2+,2-,1+'
         """
-        return GaussCode.relabelled(self.visits[::-1], self._by_label())
+        return self._walked(self.visits[::-1])
 
     def rebased(self, k: int) -> GaussCode:
         """Start the walk just before visit k, counted modulo the number of visits.
@@ -208,7 +212,7 @@ class GaussCode:
         if not self.visits:
             return self
         k %= len(self.visits)
-        return GaussCode.relabelled(self.visits[k:] + self.visits[:k], self._by_label())
+        return self._walked(self.visits[k:] + self.visits[:k])
 
     def _letters(self) -> str:
         if self.chirality is None:
@@ -218,15 +222,30 @@ class GaussCode:
     def _flipped(self) -> str | None:
         if self.chirality is None:
             return None
-        return self.chirality.translate({ord("a"): "c", ord("c"): "a"})
+        return self.chirality.translate(_SWITCHED)
 
-    def _by_label(self) -> dict[int, str] | None:
-        return None if self.chirality is None else dict(enumerate(self.chirality, 1))
+    def _walked(self, visits: tuple[int, ...]) -> GaussCode:
+        """The code of its own visits in another order, numbered anew."""
+        new = _numbers(visits)
+        renamed = tuple([new[visit] if visit > 0 else -new[-visit] for visit in visits])
+        letters = self.chirality
+        if letters is not None:
+            letters = "".join([letters[label - 1] for label in new])
+        return trusted_code(renamed, letters)
 
 
-def _renamed(visit: int, new: dict[int, int]) -> int:
-    label = new.setdefault(abs(visit), len(new) + 1)
-    return label if visit > 0 else -label
+def trusted_code(visits: tuple[int, ...], chirality: str | None) -> GaussCode:
+    """A code from parts that are known to make one; nothing is checked, which takes a tenth."""
+    code = object.__new__(GaussCode)
+    object.__setattr__(code, "visits", visits)
+    object.__setattr__(code, "chirality", chirality)
+    return code
+
+
+def _numbers(visits: tuple[int, ...]) -> dict[int, int]:
+    """Labels -> their numbers in order of first visit."""
+    labels = dict.fromkeys([visit if visit > 0 else -visit for visit in visits])
+    return {label: number for number, label in enumerate(labels, 1)}
 
 
 def _check_visits(visits: Iterable[int], given: object = None) -> None:

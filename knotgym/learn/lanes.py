@@ -1,0 +1,151 @@
+"""Several numbers as one, in compiled code: what is written for one rope is done for four at once.
+
+`Lanes` are LANES float64 side by side, a SIMD vector where the processor has one. They stand in
+arrays along a last axis of length LANES, `load` and `put` take them out and in. Sums, differences,
+products, quotients, `math.sqrt`, `abs` and `max` go lane by lane, with plain numbers too; so no
+lane can tell what the others hold.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.core.datamodel import models
+from numba.core.typing.templates import AbstractTemplate, Signature, infer_global, signature
+from numba.extending import intrinsic, lower_builtin, lower_cast, register_model
+
+LANES = 4
+_VECTOR = ir.VectorType(ir.DoubleType(), LANES)
+_ITEM = 8  # bytes that an array's numbers are aligned to
+
+
+class Lanes(types.Type):
+    """The type that Numba knows them by."""
+
+    def __init__(self) -> None:
+        super().__init__(name="Lanes")
+
+
+_LANES = Lanes()
+
+
+@register_model(Lanes)
+class _LanesModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, type_: Lanes) -> None:
+        super().__init__(manager, type_, _VECTOR)
+
+
+@lower_cast(types.Float, Lanes)
+@lower_cast(types.Integer, Lanes)
+def _spread(context: Any, builder: Any, given: Any, to: Any, value: Any) -> Any:
+    """The same number in every lane."""
+    value = context.cast(builder, value, given, types.float64)
+    vector = ir.Constant(_VECTOR, ir.Undefined)
+    for lane in range(LANES):
+        vector = builder.insert_element(vector, value, ir.Constant(ir.IntType(32), lane))
+    return vector
+
+
+class _LaneByLane(AbstractTemplate):
+    """Lanes and numbers in, lanes out."""
+
+    def generic(self, args: Any, kws: Any) -> Signature | None:
+        if _LANES in args and all(isinstance(one, Lanes | types.Number) for one in args):
+            return signature(_LANES, *[_LANES] * len(args))
+        return None
+
+
+def _teach(function: Any, arguments: int, emit: Callable[..., Any]) -> None:
+    """Let Numba apply a function to lanes."""
+    infer_global(function)(type("_LaneByLane", (_LaneByLane,), {}))
+
+    def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return emit(builder, *args)
+
+    lower_builtin(function, *[Lanes] * arguments)(lower)
+
+
+def _of_one(name: str) -> Callable[..., Any]:
+    """A function of LLVM's that takes lanes."""
+
+    def emit(builder: Any, value: Any) -> Any:
+        kind = ir.FunctionType(_VECTOR, [_VECTOR])
+        function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.v{LANES}f64")
+        return builder.call(function, [value])
+
+    return emit
+
+
+def _larger(builder: Any, one: Any, other: Any) -> Any:
+    return builder.select(builder.fcmp_ordered(">", other, one), other, one)
+
+
+for _function, _emit in (
+    (operator.add, ir.IRBuilder.fadd),
+    (operator.iadd, ir.IRBuilder.fadd),
+    (operator.sub, ir.IRBuilder.fsub),
+    (operator.isub, ir.IRBuilder.fsub),
+    (operator.mul, ir.IRBuilder.fmul),
+    (operator.imul, ir.IRBuilder.fmul),
+    (operator.truediv, ir.IRBuilder.fdiv),
+    (max, _larger),
+):
+    _teach(_function, 2, _emit)
+_teach(operator.neg, 1, ir.IRBuilder.fneg)
+_teach(math.sqrt, 1, _of_one("sqrt"))
+_teach(abs, 1, _of_one("fabs"))
+
+
+def _pointer(context: Any, builder: Any, type_: Any, array: Any, place: Any) -> Any:
+    made = context.make_array(type_)(context, builder, array)
+    indices = [*cgutils.unpack_tuple(builder, place), ir.Constant(ir.IntType(64), 0)]
+    start = cgutils.get_item_pointer(context, builder, type_, made, indices)
+    return builder.bitcast(start, _VECTOR.as_pointer())
+
+
+def _at(array: Any, place: Any) -> Any:
+    """The type of a place in an array of lanes: every index but the last, as int64."""
+    if not isinstance(place, types.BaseTuple) or len(place) != array.ndim - 1:
+        return None
+    return types.UniTuple(types.int64, len(place))
+
+
+@intrinsic
+def load(typing: Any, array: Any, place: Any) -> Any:
+    """The lanes at `array[place]`, a place being a tuple of indices, none of them negative."""
+
+    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        pointer = _pointer(context, builder, sig.args[0], *args)
+        return builder.load(pointer, align=_ITEM)
+
+    return _LANES(array, _at(array, place)), emit
+
+
+@intrinsic
+def put(typing: Any, array: Any, place: Any, value: Any) -> Any:
+    """Write lanes, or one number into all of them, to `array[place]`."""
+
+    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        pointer = _pointer(context, builder, sig.args[0], *args[:2])
+        builder.store(args[2], pointer, align=_ITEM)
+        return context.get_dummy_value()
+
+    return types.void(array, _at(array, place), _LANES), emit
+
+
+@intrinsic
+def any_below(typing: Any, value: Any, bound: Any) -> Any:
+    """Whether some lane is less than a number."""
+
+    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        below = builder.fcmp_ordered("<", args[0], args[1])
+        bits = builder.bitcast(below, ir.IntType(LANES))
+        return builder.icmp_unsigned("!=", bits, ir.Constant(ir.IntType(LANES), 0))
+
+    return types.boolean(_LANES, _LANES), emit
