@@ -48,7 +48,8 @@ class Pixels(NamedTuple):
 
 def decode(picture: NDArray[np.uint8]) -> Pixels:
     """The pixels of a picture uint8 (SIZE, SIZE, 3) that show a rope."""
-    rows, columns = np.nonzero(picture.max(axis=2) > _DARK)
+    brightest = np.maximum(np.maximum(picture[..., 0], picture[..., 1]), picture[..., 2])
+    rows, columns = np.nonzero(brightest > _DARK)
     colours = picture[rows, columns] / 255.0 @ _UNMIX.T
     wave = np.hypot(colours[:, 1], colours[:, 2])
     purity = wave / np.maximum(colours[:, 0], 1e-6)
