@@ -33,7 +33,8 @@ _ALIKE = 0.008  # metres in height, between ropes that count as one
 _TOWS = np.array(
     [(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
 )  # forces of tows that are thought through
-_MOST = 24  # beads that a pull may have moved, that are thought through
+_ASKED = 2  # ropes that are asked which bead was pulled
+_SURPRISE = 0.0005  # how likely a bead is pulled that no place of the rope says would be
 
 
 class Pull(NamedTuple):
@@ -196,20 +197,22 @@ class Agent:
         """Learn which bead the last action pulled, and so where the rope is."""
         assert episode.named is not None
         before = episode.ropes[0]
+        fit = np.full(BEADS, -np.inf)
+        for rope, speeds, likely in zip(
+            episode.ropes[:_ASKED], episode.velocities, episode.likely, strict=False
+        ):
+            after, _ = self.dynamics.step(
+                np.tile(rope, (BEADS, 1, 1)),
+                np.tile(speeds, (BEADS, 1, 1)),
+                np.arange(BEADS),
+                np.tile(episode.force, (BEADS, 1)),
+            )
+            own = self._fit(after - after.mean(axis=1, keepdims=True), read)
+            fit = np.logaddexp(fit, own + np.log(likely))
+        likelihood = np.exp(fit - fit.max())
         shares = episode.whereabouts.shares(before, episode.named)
-        beads = np.argsort(-shares, kind="stable")[:_MOST]
-        beads = beads[shares[beads] > 0]
-        after, _ = self.dynamics.step(
-            np.tile(before, (len(beads), 1, 1)),
-            np.tile(episode.velocities[0], (len(beads), 1, 1)),
-            beads,
-            np.tile(episode.force, (len(beads), 1)),
-        )
-        fit = self._fit(after - after.mean(axis=1, keepdims=True), read)
-        likelihood = np.zeros(BEADS)
-        likelihood[beads] = np.exp(fit - fit.max())
+        episode.bead = int(np.argmax(likelihood * (shares + _SURPRISE)))
         episode.whereabouts.pulled(before, episode.named, likelihood)
-        episode.bead = int(beads[np.argmax(fit + np.log(shares[beads]))])
 
     def _fit(self, foreseen: Array, read: Array) -> Array:
         """Logarithms of how likely a rope is read so, for each foreseen, (n,)."""

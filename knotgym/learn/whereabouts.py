@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 PARTICLES = 384
 _BLUR = 0.02  # metres, of a place met in training
-_FRESH = 0.05  # of the particles, begun anew after a pull
+_FRESH = 0.02  # how likely it is that the particles are all wrong, and it lies where ropes begin
 _DRIFT = 0.004  # metres, how much less is known after a pull
 _NEAR = np.array([1.0, 0.7, 0.3])  # worth of a bead so many beads off the one that is meant
 _MARGINS = (0.0, 0.015, 0.04, 0.12, 0.5)  # metres beyond a bead that a point may lie
@@ -61,11 +61,12 @@ class Whereabouts:
 
     def pulled(self, points: Array, named: Array, likelihood: Array) -> None:
         """Learn from a pull: likelihood (beads,) of what was seen after, for each bead."""
-        weights = likelihood[_nearest(points, self.places, named)] + 1e-6
-        picked = self._rng.choice(PARTICLES, size=PARTICLES, p=weights / weights.sum())
-        self.places = self.places[picked] + self._rng.normal(0, _DRIFT, (PARTICLES, 3))
-        anew = int(_FRESH * PARTICLES)
-        self.places[:anew] = self._drawn(anew)
+        places = np.concatenate([self.places, self._drawn(PARTICLES)])
+        weights = likelihood[_nearest(points, places, named)] + 1e-9
+        weights[:PARTICLES] *= 1 - _FRESH
+        weights[PARTICLES:] *= _FRESH
+        picked = self._rng.choice(len(places), size=PARTICLES, p=weights / weights.sum())
+        self.places = places[picked] + self._rng.normal(0, _DRIFT, (PARTICLES, 3))
 
     def _drawn(self, count: int) -> Array:
         drawn = self._met[self._rng.integers(len(self._met), size=count)]
