@@ -1,5 +1,4 @@
 from importlib.resources import files
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,7 @@ from hypothesis import strategies as st
 from knotgym.control.expert import BLIND, Expert
 from knotgym.control.planner import InvalidPlanner, PlannerConfig, plan, reason
 from knotgym.control.transition_counts import (
+    ELEMENTS,
     InvalidTransitions,
     MacroTemplate,
     Places,
@@ -85,7 +85,7 @@ def test_distances_are_those_of_plain_shortest_paths() -> None:
     table = TransitionCounts.load(SHIPPED).pruned(max_nx=3, least=40)
     graph, cost = TransitionGraph(table, GRAPH), dict[tuple[GaussCode, GaussCode], float]()
     for (before, after), seen in table.seen.items():
-        for element in product((False, True), repeat=3):
+        for element in ELEMENTS:
             pair = transformed(before, element), transformed(after, element)
             cost[pair] = min(
                 cost.get(pair, np.inf), 1 / (seen / (table.tried[before] + GRAPH.doubt))
