@@ -4,7 +4,7 @@ The led bead goes straight to its waypoints and takes its neighbours along; from
 sides every vertex follows the one before it at its distance, as the links of a chain do in
 something thick. Inertia, contact and the drag in the joints are left out: of the codes that
 surrogate rollouts show one in four is one that the simulated rope goes through. A rollout takes
-about a seventh of a millisecond.
+about a fourteenth of a millisecond.
 """
 
 from __future__ import annotations

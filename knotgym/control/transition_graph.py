@@ -141,7 +141,7 @@ class TransitionGraph:
     def distances(self, goal: GaussCode) -> Distances:
         """Distances of all codes to a goal, whose chirality is left open.
 
-        They take about a twentieth of a second and are kept.
+        They take about a twelfth of a second and are kept.
         """
         if goal.plain not in self._known:
             self._known[goal.plain] = self._search(goal.plain)

@@ -73,16 +73,20 @@ def stepped(
     coupling = np.empty((BEADS, _REACH + 1, _BLOCK, _BLOCK, LANES))
     band = np.empty((_BLOCK * BEADS, _WIDTH + 1, LANES))
     for first in range(0, len(points), LANES):
-        pull[:] = 0.0
         for lane in range(LANES):
             rope = min(first + lane, len(points) - 1)  # lanes left over do what the last rope does
-            own[:, :, lane], speed[:, :, lane] = points[rope], velocities[rope]
-            for end in range(2):
-                pull[(beads[rope] + end) % BEADS, :, lane] += 0.5 * forces[rope]
+            one, other = beads[rope], (beads[rope] + 1) % BEADS
+            for i in range(BEADS):
+                for c in range(3):
+                    own[i, c, lane], speed[i, c, lane] = points[rope, i, c], velocities[rope, i, c]
+                    pull[i, c, lane] = 0.5 * forces[rope, c] if i == one or i == other else 0.0
         for _ in range(substeps):
             _substep(own, speed, pull, numbers, DURATION / substeps, coupling, band)
         for lane in range(min(LANES, len(points) - first)):
-            points[first + lane], velocities[first + lane] = own[:, :, lane], speed[:, :, lane]
+            for i in range(BEADS):
+                for c in range(3):
+                    points[first + lane, i, c] = own[i, c, lane]
+                    velocities[first + lane, i, c] = speed[i, c, lane]
 
 
 @njit(nogil=True, fastmath=True)
@@ -99,13 +103,12 @@ def _substep(
 
     What `coupling` and `band` hold is overwritten.
     """
-    tangent, push, drag = np.empty(own.shape), np.empty(own.shape), np.empty((BEADS, 3, 3, LANES))
-    right = np.empty((_BLOCK * BEADS, LANES))
+    new, tangent, push = np.empty_like(own), np.empty_like(own), np.empty_like(own)
+    drag, right = np.empty((BEADS, 3, 3, LANES)), np.empty((_BLOCK * BEADS, LANES))
     _set_tangents(own, tangent)
     _couple(tangent, numbers, h, coupling)
-    new = speed.copy()
-    for _ in range(2):  # resistance is made linear about the speed found before
-        _resist(tangent, new, numbers, drag, push)
+    for linearisation in range(2):  # of the resistance, about the speed found before
+        _resist(tangent, new if linearisation else speed, numbers, drag, push)
         _fill(coupling, drag, band)
         for i in range(BEADS):
             at = _BLOCK * _PLACE[i]
@@ -117,8 +120,10 @@ def _substep(
         for i in range(BEADS):
             for c in range(3):
                 put(new, (i, c), load(right, (_BLOCK * _PLACE[i] + c,)))
-    own += h * new
-    speed[:] = new
+    for i in range(BEADS):
+        for c in range(3):
+            put(speed, (i, c), load(new, (i, c)))
+            _add(own, (i, c), h * load(new, (i, c)))
     _push_apart(own, numbers[4])
     _set_chords(own)
 
@@ -148,7 +153,11 @@ def _couple(tangent: Array, numbers: Array, h: float, coupling: Array) -> None:
 
     Block (i, d) of `coupling` couples vertex i with vertex i + d.
     """
-    coupling.reshape(-1)[:] = 0.0
+    for i in range(BEADS):
+        for ahead in range(_REACH + 1):
+            for a in range(_BLOCK):
+                for b in range(_BLOCK):
+                    put(coupling, (i, ahead, a, b), 0.0)
     for i in range(BEADS):
         j = (i + 1) % BEADS
         for c in range(3):
@@ -172,7 +181,7 @@ def _couple_joint(h: int, i: int, j: int, tangent: Array, bending: float, coupli
     s_i. The joint resists the difference r of the two beads' rates, and the matrix has the second
     derivatives of bending r^2 / 2.
     """
-    bend, cross = bending / CHORD**2, bending / CHORD
+    bend, cross = bending / CHORD / CHORD, bending / CHORD
     cosine = (
         load(tangent, (h, 0)) * load(tangent, (i, 0))
         + load(tangent, (h, 1)) * load(tangent, (i, 1))
@@ -218,7 +227,9 @@ def _resist(tangent: Array, speed: Array, numbers: Array, drag: Array, push: Arr
     `push` of a vertex is a force.
     """
     across, along = numbers[1], numbers[2]
-    push[:] = 0.0
+    for i in range(BEADS):
+        for c in range(3):
+            put(push, (i, c), 0.0)
     for i in range(BEADS):
         j = (i + 1) % BEADS
         tx, ty, tz = load(tangent, (i, 0)), load(tangent, (i, 1)), load(tangent, (i, 2))

@@ -1,3 +1,4 @@
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 from knotgym.control.expert import BLIND, Expert
 from knotgym.control.planner import InvalidPlanner, PlannerConfig, plan, reason
 from knotgym.control.transition_counts import (
+    ELEMENTS,
     InvalidTransitions,
     MacroTemplate,
     Places,
@@ -31,6 +33,7 @@ from knotgym.topology.knots import codes_of
 KINK = GaussCode.parse("1+a,1-a")
 FLAT = GaussCode.parse("")
 GRAPH = TransitionGraphConfig()
+SHIPPED = Path(str(files("knotgym.control") / "data" / "transitions.h5"))
 
 
 def kinks() -> TransitionCounts:
@@ -76,6 +79,35 @@ def test_every_member_of_a_class_is_as_far_as_the_goal_turned_with_it() -> None:
     assert graph.distances(GaussCode.parse("1-,1+"))(FLAT) == graph.distances(
         GaussCode.parse("1+,1-")
     )(FLAT)
+
+
+def test_distances_are_those_of_plain_shortest_paths() -> None:
+    table = TransitionCounts.load(SHIPPED).pruned(max_nx=3, least=40)
+    graph, cost = TransitionGraph(table, GRAPH), dict[tuple[GaussCode, GaussCode], float]()
+    for (before, after), seen in table.seen.items():
+        for element in ELEMENTS:
+            pair = transformed(before, element), transformed(after, element)
+            cost[pair] = min(
+                cost.get(pair, np.inf), 1 / (seen / (table.tried[before] + GRAPH.doubt))
+            )
+    goal = graph.distances(GaussCode.parse("1+,1-"))
+    far = dict.fromkeys(goal.goals, 0.0)
+    while nearer := {
+        before: far[after] + step
+        for (before, after), step in cost.items()
+        if after in far and far[after] + step < far.get(before, np.inf)
+    }:
+        far |= nearer
+    assert goal.far == pytest.approx(far) and len(far) > 20
+    code = max(far, key=lambda code: far[code])
+    towards = {step.after: step.gain for step in graph.steps(code, goal)}
+    assert towards == pytest.approx(
+        {
+            after: far[code] - far[after]
+            for before, after in cost
+            if before == code and far.get(after, np.inf) < far[code] - 1e-9
+        }
+    )
 
 
 def test_steps_come_with_templates_turned_for_the_rope() -> None:

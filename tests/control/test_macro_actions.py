@@ -13,6 +13,7 @@ from knotgym.control.macro_actions import (
     MacroAction,
     MacroActionConfig,
     WaypointController,
+    cumulative_shares,
     pass_strand,
     propose,
 )
@@ -129,3 +130,12 @@ def test_shares_decide_what_is_drawn(rope: Rope) -> None:
 def test_settings_that_make_no_sense_are_refused(settings: dict[str, Any], problem: str) -> None:
     with pytest.raises(InvalidConfig, match=problem):
         MacroActionConfig(**settings)
+
+
+def test_cumulative_shares_draw_as_generators_choose() -> None:
+    for seed in range(300):
+        weights = np.random.default_rng(seed).random(1 + seed % 40) ** 4
+        rng, other = np.random.default_rng(seed), np.random.default_rng(seed)
+        drawn = cumulative_shares(weights).searchsorted(rng.random(), side="right")
+        assert drawn == other.choice(len(weights), p=weights / weights.sum())
+        assert rng.bit_generator.state == other.bit_generator.state

@@ -15,6 +15,7 @@ from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import (
     Symmetry,
     canonical_form,
+    images,
     mirror_images,
     mirrorings,
     shifted_base,
@@ -63,6 +64,17 @@ def test_mirror_images_are_the_mirrorings_once_each(code: GaussCode) -> None:
         {shown.chiral for shown, _ in mirrorings(code)}
     )
     assert all(mirror_images(one) == mirror_images(code) for one in mirror_images(code))
+
+
+@given(codes, st.integers(0, 7), st.integers(0, 7))
+def test_image_i_of_image_k_is_image_i_xor_k(code: GaussCode, i: int, k: int) -> None:
+    assert images(code) == tuple(shown for shown, _ in variants(code))
+    assert images(images(code)[k])[i] == images(code)[i ^ k]
+
+
+@given(codes)
+def test_images_are_codes_that_pass_every_check(code: GaussCode) -> None:
+    assert all(GaussCode(image.visits, image.chirality) == image for image in images(code))
 
 
 @given(codes)

@@ -1,0 +1,47 @@
+"""Lanes reckon as NumPy does, each for itself."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numba import njit
+
+from knotgym.learn.lanes import LANES, any_below, load, put
+
+pytestmark = pytest.mark.clients  # as what is built on them
+
+
+@njit
+def reckoned(one: np.ndarray, other: np.ndarray, out: np.ndarray) -> None:
+    for i in range(len(one)):
+        x, y = load(one, (i, 1)), load(other, (i,))
+        x += 2 * y
+        x -= 1
+        x *= y / 3.0
+        if any_below(y, 0.25):
+            x = max(abs(-x), 0.5)
+        put(out, (i,), math.sqrt(abs(x - y)))
+
+
+def test_lanes_reckon_as_numpy_does() -> None:
+    rng = np.random.default_rng(0)
+    one, other = rng.random((20, 2, LANES)), rng.random((20, LANES))
+    out = np.empty((20, LANES))
+    reckoned(one, other, out)
+    x = (one[:, 1] + 2 * other - 1) * (other / 3.0)
+    low = (other < 0.25).any(axis=1)
+    assert 0 < low.sum() < 20
+    x[low] = np.maximum(abs(x[low]), 0.5)
+    assert np.array_equal(out, np.sqrt(abs(x - other)))
+
+
+def test_a_number_goes_into_every_lane() -> None:
+    @njit
+    def fill(array: np.ndarray) -> None:
+        put(array, (1,), 7)
+
+    array = np.zeros((2, LANES))
+    fill(array)
+    assert array.tolist() == [[0.0] * LANES, [7.0] * LANES]
