@@ -20,7 +20,7 @@ from knotgym.learn.reader import PIXEL, Reader
 from knotgym.learn.rope_model import BEADS, Dynamics
 from knotgym.learn.whereabouts import Whereabouts
 from knotgym.rendering.picture import draw
-from knotgym.topology.crossings import label, label_many
+from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
 
 Array = NDArray[np.float64]
@@ -34,6 +34,7 @@ _TOWS = np.array(
     [(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
 )  # forces of tows that are thought through
 _ASKED = 2  # ropes that are asked which bead was pulled
+_MISLED = 0.05  # how likely a code shown for sure is the goal, though the episode goes on
 _SURPRISE = 0.0005  # how likely a bead is pulled that no place of the rope says would be
 
 
@@ -68,6 +69,7 @@ class AgentConfig:
         ropes: kept at most, that may be the one seen.
         varied: ropes tried beside them after every pull, each a kept one with other heights.
         wave: metres by which heights are varied, about.
+        varied_codes: ropes looked at for the codes that a reading may stand for.
         fresh: how likely it is that none of them is, and a new reading is better.
         rise: share of a probe's force that is upward.
         planner: of imagination.
@@ -89,6 +91,7 @@ class AgentConfig:
     ropes: int = 12
     varied: int = 8
     wave: float = 0.008
+    varied_codes: int = 30
     fresh: float = 0.05
     rise: float = 0.6
     blur: float = 0.003
@@ -102,7 +105,8 @@ class _Episode:
     rng: np.random.Generator
     horizon: int
     whereabouts: Whereabouts
-    goal: GaussCode | None = None
+    goals: dict[GaussCode, float] = field(default_factory=dict)  # what it may be, and how likely
+    goal: GaussCode | None = None  # the likeliest
     ropes: Array = field(default_factory=lambda: np.zeros((1, BEADS, 3)))  # likeliest first
     velocities: Array = field(default_factory=lambda: np.zeros((1, BEADS, 3)))
     likely: Array = field(default_factory=lambda: np.ones(1))  # of the ropes, sums to 1
@@ -131,7 +135,6 @@ class Agent:
         self.config = config or AgentConfig()
         self._imagination = Imagination(dynamics, self.config.planner.batch_size)
         self._episodes: dict[int, _Episode] = {}
-        self._goals: dict[bytes, GaussCode] = {}
 
     def begin(self, index: int, rng: np.random.Generator, horizon: int) -> None:
         """Episode `index` begins, of `horizon` steps; every draw for it comes from `rng`."""
@@ -141,9 +144,12 @@ class Agent:
         """Decide by a picture of rope and goal, uint8 (128, 256, 3): an action (6,), and why."""
         episode = self._episodes[index]
         size = picture.shape[0]
-        if episode.goal is None:
-            episode.goal = self._goal(np.ascontiguousarray(picture[:, size:]))
-        self._see(episode, np.ascontiguousarray(picture[:, :size]))
+        if not episode.goals:
+            goal = np.ascontiguousarray(picture[:, size:])
+            episode.goals = self._codes(goal, *self.reader.read(goal), episode.rng)
+        picture = np.ascontiguousarray(picture[:, :size])
+        self._see(episode, picture)
+        self._aim(episode, picture)
         move = self._decide(episode)
         episode.step += 1
         assert episode.named is not None
@@ -154,11 +160,31 @@ class Agent:
         """Imagined actions of an episode."""
         return self._episodes[index].imagined
 
-    def _goal(self, picture: NDArray[np.uint8]) -> GaussCode:
-        key = picture.tobytes()
-        if key not in self._goals:
-            self._goals[key] = label(self.reader.read(picture)[0][0]).plain
-        return self._goals[key]
+    def _codes(
+        self, picture: NDArray[np.uint8], ropes: Array, likely: Array, rng: np.random.Generator
+    ) -> dict[GaussCode, float]:
+        """Codes that a picture may show, without chirality, and how likely each is.
+
+        A reading is a millimetre off here and there, so a small kink may be missed or made up.
+        """
+        varied = self.reader.varied(picture, ropes, self.config.varied_codes, rng)
+        codes: dict[GaussCode, float] = {}
+        for code, share in zip(
+            label_many(varied), np.repeat(likely, len(varied) // len(ropes)), strict=True
+        ):
+            codes[code.plain] = codes.get(code.plain, 0.0) + float(share)
+        total = sum(codes.values())
+        return {code: share / total for code, share in codes.items()}
+
+    def _aim(self, episode: _Episode, picture: NDArray[np.uint8]) -> None:
+        """Say which code is the goal: not the one shown now, for the episode would be over."""
+        count = min(_ASKED, len(episode.ropes))
+        shown = self._codes(picture, episode.ropes[:count], episode.likely[:count], episode.rng)
+        for code in episode.goals:
+            episode.goals[code] *= 1.0 - (1.0 - _MISLED) * shown.get(code, 0.0)
+        goal = max(episode.goals, key=lambda code: episode.goals[code])
+        if goal != episode.goal:
+            episode.goal, episode.plan = goal, []
 
     def _see(self, episode: _Episode, picture: NDArray[np.uint8]) -> None:
         """Read the rope; if it was pulled, learn what moved."""

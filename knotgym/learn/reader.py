@@ -29,6 +29,7 @@ _COLOURS = bead_colours(BEADS).astype(np.float64)
 _GATE = 4.0  # pixels from a guess within which pixels count
 _LEAST = 0.3  # weight of a bead that an axis goes through
 _AXIS_SCALE, _OFF_SCALE, _HEIGHT_SCALE, _MOVE_SCALE = 32.0, 3.0, 0.05, 0.02
+_OFF, _OFF_WAVES = 0.0012, 40  # metres that readings are off, and in how many waves
 _APART = 0.009  # metres between strands that cross, at least
 _LIFTED = 5  # beads to either side that are lifted along
 _CHORD = 1.33 / BEADS / PIXEL  # pixels
@@ -104,9 +105,18 @@ class Reader(nn.Module):
         seen = [look(picture)] * len(foreseen)
         with torch.no_grad():
             vertices = self.corrected(seen, foreseen, moves).double().numpy()
-        for own in vertices:
-            flat = np.column_stack([own[:, :2] / PIXEL, own[:, 2]])
-            settle(own, votes(picture, flat, _COLOURS), _APART, _LIFTED)
+        _settle_all(vertices, picture)
+        return vertices
+
+    def varied(
+        self, picture: NDArray[np.uint8], ropes: Array, count: int, rng: np.random.Generator
+    ) -> Array:
+        """Ropes that readings (n, BEADS, 3) of a picture may stand for, `count` for each, float64
+        (n count, BEADS, 3): off by as much as readings are.
+        """
+        vertices = np.repeat(ropes, count, axis=0)
+        vertices[..., :2] += _OFF * waves(len(vertices), _OFF_WAVES, rng)[..., :2]
+        _settle_all(vertices, picture)
         return vertices
 
     def _told(
@@ -123,6 +133,23 @@ class Reader(nn.Module):
             told[:, 15:18] = moves.transpose(0, 2, 1) / _MOVE_SCALE
             told[:, 18] = (moves != 0).any(axis=2)
         return network(torch.from_numpy(told)).transpose(1, 2)
+
+
+def _settle_all(vertices: Array, picture: NDArray[np.uint8]) -> None:
+    """Make ropes (n, BEADS, 3) cross as a picture shows it, in place."""
+    for own in vertices:
+        flat = np.column_stack([own[:, :2] / PIXEL, own[:, 2]])
+        settle(own, votes(picture, flat, _COLOURS), _APART, _LIFTED)
+
+
+def waves(count: int, most: int, rng: np.random.Generator) -> Array:
+    """Smooth vectors round the loop, of about 1, of up to `most` waves, float64 (count, BEADS, 3)."""
+    angle = 2 * np.pi * np.arange(BEADS) / BEADS
+    numbers = np.arange(1, most + 1)[:, None, None]
+    phase = rng.uniform(0, 2 * np.pi, (count, most, 1, 3))
+    size = rng.normal(size=(count, most, 1, 3)) * np.sqrt(2 / most)
+    summed: Array = (size * np.cos(numbers * angle[:, None] + phase)).sum(axis=1)
+    return summed
 
 
 def look(picture: NDArray[np.uint8]) -> Seen:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from knotgym.learn.reader import PIXEL, Reader, look
+from knotgym.learn.reader import PIXEL, Reader, look, waves
 from knotgym.learn.rope_model import BEADS, MAX_FORCE, Dynamics
 from knotgym.learn.training_data import TrainingData
 from knotgym.rendering.picture import draw
@@ -114,7 +114,7 @@ def _drawn(
     true = data.frames[rows].astype(np.float64)
     before = data.frames[rows - ~begins].astype(np.float64)
     speeds = _speeds(data, dynamics, rows - ~begins)
-    before += rng.uniform(0, 1, (count, 1, 1)) * _GUESSES * _waves(count, rng)
+    before += rng.uniform(0, 1, (count, 1, 1)) * _GUESSES * waves(count, _WAVES, rng)
     after, _ = dynamics.step(before, speeds, np.maximum(beads, 0), forces)
     after[begins] = before[begins]
     moves = after - before
@@ -145,16 +145,6 @@ def _varied(vectors: Array, rng: np.random.Generator) -> Array:
     if rng.random() < 0.5:
         own = own[::-1]
     return np.roll(own, int(rng.integers(BEADS)), axis=0)
-
-
-def _waves(count: int, rng: np.random.Generator) -> Array:
-    """Smooth errors round the loop, of about 1, float64 (count, BEADS, 3)."""
-    angle = 2 * np.pi * np.arange(BEADS) / BEADS
-    numbers = np.arange(1, _WAVES + 1)[:, None, None]
-    phase = rng.uniform(0, 2 * np.pi, (count, _WAVES, 1, 3))
-    size = rng.normal(size=(count, _WAVES, 1, 3)) * math.sqrt(2 / _WAVES)
-    waves: Array = (size * np.cos(numbers * angle[:, None] + phase)).sum(axis=1)
-    return waves
 
 
 def _loss_of_best(readings: Tensor, likely: Tensor, true: Tensor) -> tuple[Tensor, Tensor]:

@@ -33,6 +33,9 @@ class TwoReadings:
         mirrored = self.rope * (1.0, 1.0, -1.0)
         return np.stack([mirrored, self.rope]), np.array([0.5, 0.5])
 
+    def varied(self, picture: Any, ropes: Array, count: int, rng: Any) -> Array:
+        return np.repeat(ropes, count, axis=0)
+
     def follow(self, picture: Any, foreseen: Array, moves: Array) -> Array:
         followed = foreseen.copy()
         followed[..., :2] = self.rope[:, :2]
