@@ -26,7 +26,6 @@ from knotgym.topology.gauss import GaussCode
 Array = NDArray[np.float64]
 
 REACH = 2.0  # metres that an action's coordinate of 1 stands for
-_BLUR = 1.5 * PIXEL  # metres by which foreseen and read beads differ, about
 _TOGETHER = 25.0  # neighbouring beads that err alike
 _ASTRAY = 0.5  # levels a pixel by which a rope led astray looks worse than a new reading
 _ALIKE = 0.008  # metres in height, between ropes that count as one
@@ -57,12 +56,15 @@ class AgentConfig:
     """How hard to think.
 
     Attributes:
-        budget: imagined actions of one plan.
-        episode_budget: of all an episode's plans; then plans get `least_budget`.
-        tries: plans made, of which the surest is taken.
+        budget: imagined actions that are planned with at one step.
+        episode_budget: at all of an episode's; then a step gets `least_budget`.
+        tries: plans made at most at one step, of which the surest is taken.
         patience: steps that a plan is kept to, however unsure.
         enough: share of the copies that a plan must lead to the goal to be taken at once.
         copies: imagined ropes, each a little different, on which a plan is tried.
+        doubt: metres by which their heights differ, about.
+        slip: beads by which the bead pulled differs, standard deviation.
+        gain: that of the logarithm by which forces differ.
         sure: share of them that a plan must lead to the goal to be gone on with.
         named: how well a bead must be named before it is pulled.
         probes: pulls at most that are spent on finding where the rope is.
@@ -71,13 +73,14 @@ class AgentConfig:
         wave: metres by which heights are varied, about.
         varied_codes: ropes looked at for the codes that a reading may stand for.
         fresh: how likely it is that none of them is, and a new reading is better.
-        rise: share of a probe's force that is upward.
+        rise: upward force of a probe, in units of the largest.
+        blur: metres by which vertices foreseen and read differ, about.
         planner: of imagination.
     """
 
     budget: int = 1500
-    episode_budget: int = 9000
-    least_budget: int = 160
+    episode_budget: int = 12000
+    least_budget: int = 500
     tries: int = 6
     patience: int = 2
     enough: float = 0.85
@@ -88,8 +91,8 @@ class AgentConfig:
     sure: float = 0.3
     named: float = 0.45
     probes: int = 3
-    ropes: int = 12
-    varied: int = 8
+    ropes: int = 24
+    varied: int = 24
     wave: float = 0.008
     varied_codes: int = 30
     fresh: float = 0.05

@@ -115,7 +115,7 @@ def train(
     made = {
         "knotgym": knotgym.__version__,
         **request,
-        "data": [str(one) for one in datasets],
+        "data": ["/".join(Path(str(one)).parts[-3:]) for one in datasets],
         "episodes": len(data.starts),
         "frames": len(data.frames),
         "fit_error_mm": dict(zip(STAGES, errors.round(decimals=3).tolist(), strict=True)),
