@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from knotgym.control.planner import PlannerConfig, plan
 from knotgym.control.transition_graph import TransitionGraph
 from knotgym.learn.imagination import Imagination, passed_through, state
-from knotgym.learn.reader import PIXEL, Reader
+from knotgym.learn.reader import Reader
 from knotgym.learn.rope_model import BEADS, Dynamics
 from knotgym.learn.whereabouts import Whereabouts
 from knotgym.rendering.picture import draw

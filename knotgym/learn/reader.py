@@ -143,7 +143,7 @@ def _settle_all(vertices: Array, picture: NDArray[np.uint8]) -> None:
 
 
 def waves(count: int, most: int, rng: np.random.Generator) -> Array:
-    """Smooth vectors round the loop, of about 1, of up to `most` waves, float64 (count, BEADS, 3)."""
+    """Smooth vectors round the loop, of about 1, in `most` waves, float64 (count, BEADS, 3)."""
     angle = 2 * np.pi * np.arange(BEADS) / BEADS
     numbers = np.arange(1, most + 1)[:, None, None]
     phase = rng.uniform(0, 2 * np.pi, (count, most, 1, 3))
