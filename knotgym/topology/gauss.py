@@ -20,6 +20,7 @@ from knotgym.errors import KnotgymError
 POSITIVE = "c"
 NEGATIVE = "a"
 
+_FLIPPED = str.maketrans(POSITIVE + NEGATIVE, NEGATIVE + POSITIVE)
 _VISIT = re.compile(r"\s*([1-9][0-9]*)\s*([+-])\s*([ac]?)\s*")
 
 
@@ -149,7 +150,7 @@ class GaussCode:
     @property
     def plain(self) -> GaussCode:
         """The same code without its chirality, as the reward compares it."""
-        return self if self.chirality is None else GaussCode(self.visits)
+        return self if self.chirality is None or not self.visits else _unchecked(self.visits, None)
 
     @property
     def signs(self) -> tuple[int, ...]:
@@ -185,11 +186,11 @@ class GaussCode:
         >>> GaussCode.parse("1+c,1-c").mirrored().chiral
         '1-a,1+a'
         """
-        return GaussCode(tuple([-visit for visit in self.visits]), self._flipped())
+        return _unchecked(tuple([-visit for visit in self.visits]), self._flipped())
 
     def reflected(self) -> GaussCode:
         """Turn the picture over left to right (x -> -x): heights stay, letters change."""
-        return GaussCode(self.visits, self._flipped())
+        return _unchecked(self.visits, self._flipped())
 
     def reversed(self) -> GaussCode:
         """Walk the other way from the same base point.
@@ -197,7 +198,7 @@ class GaussCode:
         >>> str(GaussCode.parse("1+,2-,2+,1-").reversed())
         '1-,2+,2-,1+'
         """
-        return GaussCode.relabelled(self.visits[::-1], self._by_label())
+        return self._walked(self.visits[::-1])
 
     def rebased(self, k: int) -> GaussCode:
         """Start the walk just before visit k, counted modulo the number of visits.
@@ -208,7 +209,7 @@ class GaussCode:
         if not self.visits:
             return self
         k %= len(self.visits)
-        return GaussCode.relabelled(self.visits[k:] + self.visits[:k], self._by_label())
+        return self._walked(self.visits[k:] + self.visits[:k])
 
     def _letters(self) -> str:
         if self.chirality is None:
@@ -216,17 +217,30 @@ class GaussCode:
         return self.chirality
 
     def _flipped(self) -> str | None:
-        if self.chirality is None:
-            return None
-        return self.chirality.translate({ord("a"): "c", ord("c"): "a"})
+        return None if self.chirality is None else self.chirality.translate(_FLIPPED)
 
-    def _by_label(self) -> dict[int, str] | None:
-        return None if self.chirality is None else dict(enumerate(self.chirality, 1))
+    def _walked(self, visits: tuple[int, ...]) -> GaussCode:
+        """The code whose walk makes this one's visits in another order; labels are given anew."""
+        new: dict[int, int] = {}
+        renamed = tuple([_renamed(visit, new) for visit in visits])
+        letters = self.chirality
+        if letters is not None:
+            letters = "".join([letters[label - 1] for label in new])
+        return _unchecked(renamed, letters)
+
+
+def _unchecked(visits: tuple[int, ...], chirality: str | None) -> GaussCode:
+    """A code that need not be looked through again, for it was made of one."""
+    code = object.__new__(GaussCode)
+    object.__setattr__(code, "visits", visits)
+    object.__setattr__(code, "chirality", chirality)
+    return code
 
 
 def _renamed(visit: int, new: dict[int, int]) -> int:
-    label = new.setdefault(abs(visit), len(new) + 1)
-    return label if visit > 0 else -label
+    if visit > 0:
+        return new.setdefault(visit, len(new) + 1)
+    return -new.setdefault(-visit, len(new) + 1)
 
 
 def _check_visits(visits: Iterable[int], given: object = None) -> None:
