@@ -42,7 +42,10 @@ def start_qpos(
     """
     if scale == 0:
         return qpos.copy()
-    least = min(clearance(points), 2 * rope.config.radius) - 0.001
+    free = clearance(
+        np.require(points, np.float64, ["C", "W"])
+    )  # else compiled anew for read-only ones
+    least = min(free, 2 * rope.config.radius) - 0.001
     for draw in range(FULL_DRAWS + SMALLER_DRAWS):
         moved = noised(points, scale * 0.5 ** max(0, draw - FULL_DRAWS + 1), rng)
         if clearance(moved) >= least and label(moved) == code:

@@ -169,7 +169,9 @@ class Rope:
         Returns:
             float64 (..., beads, 3) and float64 (...), metres.
         """
-        q = np.ascontiguousarray(qpos, dtype=np.float64)
+        q = np.require(
+            qpos, np.float64, ["C", "W"]
+        )  # `forward` is compiled for arrays to be written
         rows = q.reshape(-1, self.nq)
         points, gaps = np.empty((len(rows), self.config.beads, 3)), np.empty(len(rows))
         forward(

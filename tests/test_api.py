@@ -17,6 +17,8 @@ import pytest
 import knotgym
 from knotgym.datasets.states import States, write_states
 
+from .fresh_interpreter import modules_after
+
 ROOT = Path(__file__).parents[1]
 PACKAGES = (
     "knotgym",
@@ -55,15 +57,6 @@ def lazy_imports(name: str) -> dict[str, str]:
     return {
         public: place if ":" in place else f"{place}:{public}" for public, place in table.items()
     }
-
-
-def modules_after(statement: str) -> set[str]:
-    """The modules that a fresh interpreter holds after a statement."""
-    code = f"import sys\n{statement}\nprint(*sys.modules)"
-    run = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True
-    )
-    return set(run.stdout.split())
 
 
 def test_the_names_a_user_needs_are_there() -> None:

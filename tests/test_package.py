@@ -28,6 +28,8 @@ from knotgym.topology.diagrams import drawn
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.reference_labeller import pyknotid_code
 
+from .fresh_interpreter import modules_after
+
 ROOT = Path(__file__).parents[1]
 HEAVY = (
     "torch",
@@ -55,13 +57,10 @@ DRAWING = (
 )
 
 
-def imported(statement: str, folder: Path | None = None) -> set[str]:
-    """The modules that a fresh interpreter holds after a statement."""
-    code = f"import sys\n{statement}\nprint(*sys.modules)"
-    run = subprocess.run(
-        [sys.executable, "-c", code], cwd=folder or ROOT, capture_output=True, text=True, check=True
-    )
-    return set(run.stdout.split())
+def made_alone(task: str, states_path: str) -> str:
+    """The statement that makes an environment where nothing of ours was imported before."""
+    made = f"gymnasium.make('knotgym:knotgym/{task}-v0', states={states_path!r})"
+    return f"import gymnasium; {made}.reset(seed=0)"
 
 
 def every_error() -> list[type[KnotgymError]]:
@@ -82,17 +81,13 @@ def every_error() -> list[type[KnotgymError]]:
 
 
 def test_importing_knotgym_is_light() -> None:
-    assert imported("import knotgym") & {*HEAVY, *DRAWING} == set()
+    assert modules_after("import knotgym") & {*HEAVY, *DRAWING} == set()
 
 
 def test_making_an_environment_pulls_in_no_learner_and_no_more_of_a_renderer_than_mujoco_does(
     states_path: str,
 ) -> None:
-    statement = (
-        "import gymnasium, knotgym; gymnasium.make('knotgym/Tie-v0',"
-        f" states={states_path!r}).reset(seed=0)"
-    )
-    extra = imported(statement) - imported("import mujoco.batch")
+    extra = modules_after(made_alone("Tie", states_path)) - modules_after("import mujoco.batch")
     assert (
         extra
         & {
@@ -112,18 +107,18 @@ def test_making_an_environment_pulls_in_no_learner_and_no_more_of_a_renderer_tha
 
 @pytest.mark.parametrize("room", ["knotgym.datasets", "knotgym.loaders"])
 def test_importing_a_room_pulls_in_neither_torch_nor_dask_nor_a_renderer(room: str) -> None:
-    assert imported(f"import {room}") & {"torch", "dask", "distributed", *DRAWING} == set()
+    assert modules_after(f"import {room}") & {"torch", "dask", "distributed", *DRAWING} == set()
 
 
 def test_datasets_do_not_import_the_environment() -> None:
-    modules = imported("import knotgym.datasets.states, knotgym.atomic_files")
+    modules = modules_after("import knotgym.datasets.states, knotgym.atomic_files")
     assert (
         modules & {"knotgym.env", "knotgym.episode_batch", "knotgym.simulation", "mujoco"} == set()
     )
 
 
 def test_the_core_imports_neither_generate_nor_loaders() -> None:
-    modules = imported(
+    modules = modules_after(
         "import knotgym.env, knotgym.topology.crossings, knotgym.topology.knots,"
         " knotgym.topology.reference_labeller, knotgym.rendering.picture"
     )
@@ -134,7 +129,7 @@ def test_the_core_imports_neither_generate_nor_loaders() -> None:
 
 def test_nothing_is_imported_through_the_links() -> None:
     names = "knotgym.env, knotgym.generate, knotgym.datasets.states, knotgym.loaders"
-    assert imported(f"import {names}") & {"generate", "datasets", "loaders"} == set()
+    assert modules_after(f"import {names}") & {"generate", "datasets", "loaders"} == set()
 
 
 def test_the_version_is_that_of_the_distribution() -> None:
@@ -150,11 +145,7 @@ def test_three_environments_are_registered() -> None:
 
 @pytest.mark.parametrize("task", ["Unknot", "Tie", "Convert"])
 def test_a_task_is_made_alone_in_a_fresh_process(task: str, states_path: str) -> None:
-    modules = imported(
-        f"import gymnasium; gymnasium.make('knotgym:knotgym/{task}-v0', states={states_path!r},"
-        " observation='state').reset(seed=0)"
-    )
-    assert "knotgym.env" in modules
+    assert "knotgym.env" in modules_after(made_alone(task, states_path))
 
 
 @pytest.mark.parametrize(

@@ -43,6 +43,7 @@ from knotgym.simulation import Simulation
 from knotgym.topology.crossings import label
 
 _SHOWN = 64  # pictures or episodes of a gallery, at most
+_LARGE = 4_000_000  # bytes of a table that is checked sooner by several processes than by this one
 
 
 def states_file(path: Path) -> Path:
@@ -89,7 +90,9 @@ def faults(named: str, progress: Progress) -> Iterator[str]:
     if not given[0].exists() and not leads_out(named):
         given = [minari_root() / named]
     try_files([*given, *(file for one in given for file in sorted(one.glob("**/*.h*5")))])
-    with executor(0) as pool:
+    tables = [file for one in given for file in (one, *one.glob("**/*.parquet")) if file.is_file()]
+    large = sum(file.stat().st_size for file in tables) > _LARGE
+    with executor(0 if large else 1) as pool:
         for _, path in places(named):
             progress.stage(f"checking {path}")
             yield from verification.faults(path, pool.map)

@@ -9,7 +9,7 @@ from knotgym.datasets.states import read_states, shipped, write_states
 
 from ..scripts import ROOT, run_script
 
-COPIES = 8
+COPIES = 4
 
 
 def test_no_damaged_file_ends_in_a_traceback_or_a_crash(tmp_path: Path) -> None:

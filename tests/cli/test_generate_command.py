@@ -578,6 +578,7 @@ def test_too_few_attempts_are_a_failure_that_can_be_resumed(
 ) -> None:
     hard = json.loads(SETTINGS.read_text())
     hard["candidate"]["limits"] = {"clearance": 1000.0}  # millimetres: no rope has as much
+    hard["candidate"]["loop"] = {"draws": 2}
     (tmp_path / "hard.json").write_text(json.dumps(hard))
     words = ("--nx", 1, "--count", 2, "--attempts", 1, "--settings", tmp_path / "hard.json")
     out = tmp_path / "runs" / "a"

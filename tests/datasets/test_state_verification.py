@@ -40,6 +40,21 @@ def light(copy: Path) -> Path:
     return copy
 
 
+@pytest.fixture
+def one_set(copy: Path) -> Path:
+    """The same with one of its sets of trajectories."""
+    for folder in (copy / "minari" / "knotgym").iterdir():
+        for dataset in folder.iterdir():
+            if copy / TRAJECTORIES not in dataset.rglob("main_data.hdf5"):
+                shutil.rmtree(dataset)
+    manifest = json.loads((copy / "manifest.json").read_text())
+    manifest["files"] = {
+        name: digest for name, digest in manifest["files"].items() if (copy / name).is_file()
+    }
+    (copy / "manifest.json").write_text(json.dumps(manifest))
+    return copy
+
+
 @contextmanager
 def opened(path: Path) -> Iterator[h5py.File]:
     with h5py.File(path, "a") as file:
@@ -88,9 +103,9 @@ def test_a_changed_byte_in_any_file_is_named(light: Path) -> None:
     assert sorted(folder_faults(light)) == expected
 
 
-def test_a_missing_file_is_named(copy: Path) -> None:
-    (copy / TRAJECTORIES).unlink()
-    assert list(folder_faults(copy)) == [f"{TRAJECTORIES} is missing"]
+def test_a_missing_file_is_named(one_set: Path) -> None:
+    (one_set / TRAJECTORIES).unlink()
+    assert list(folder_faults(one_set)) == [f"{TRAJECTORIES} is missing"]
 
 
 def test_missing_states_are_named(copy: Path) -> None:
@@ -146,10 +161,11 @@ def test_two_rows_of_a_file_have_no_fault_themselves(pair: Path) -> None:
     assert list(state_faults(read_states(pair))) == []
 
 
-def test_the_least_change_of_one_qpos_is_found(copy: Path) -> None:
-    with opened(copy / "states.h5") as file:
+def test_the_least_change_of_one_qpos_is_found(pair: Path, tmp_path: Path) -> None:
+    harmed = Path(shutil.copy(pair, tmp_path / "states.h5"))
+    with opened(harmed) as file:
         file["qpos"][0, 10] = np.nextafter(file["qpos"][0, 10], 1)
-    assert any("row 0: replay" in one for one in state_faults(read_states(copy / "states.h5")))
+    assert any("row 0: replay" in one for one in state_faults(read_states(harmed)))
 
 
 def test_a_swapped_split_is_found(light: Path) -> None:
@@ -201,23 +217,23 @@ def test_truncated_states_are_named(copy: Path, share: float) -> None:
     )
 
 
-def test_a_truncated_trajectory_file_is_named(copy: Path) -> None:
-    (copy / TRAJECTORIES).write_bytes((copy / TRAJECTORIES).read_bytes()[:-5000])
-    found = faults(copy)
+def test_a_truncated_trajectory_file_is_named(one_set: Path) -> None:
+    (one_set / TRAJECTORIES).write_bytes((one_set / TRAJECTORIES).read_bytes()[:-5000])
+    found = faults(one_set)
     assert found and all(TRAJECTORIES in fault for fault in found)
 
 
-def test_an_edited_trajectory_is_named_with_its_episode(copy: Path) -> None:
-    with opened(copy / TRAJECTORIES) as file:
+def test_an_edited_trajectory_is_named_with_its_episode(one_set: Path) -> None:
+    with opened(one_set / TRAJECTORIES) as file:
         file["episode_1/actions"][1, 1] = 0.0625
-    found = faults(copy)
+    found = faults(one_set)
     assert found and all(f"{TRAJECTORIES}, episode 1" in fault for fault in found)
 
 
-def test_edited_pixels_of_a_trajectory_are_named_with_their_episode(copy: Path) -> None:
-    with opened(copy / TRAJECTORIES) as file:
+def test_edited_pixels_of_a_trajectory_are_named_with_their_episode(one_set: Path) -> None:
+    with opened(one_set / TRAJECTORIES) as file:
         file["episode_1/observations/pixels"][0, 3, 3] = (9, 9, 9)
-    assert [fault.split(": ", 1)[0].endswith("episode 1") for fault in faults(copy)] == [True]
+    assert [fault.split(": ", 1)[0].endswith("episode 1") for fault in faults(one_set)] == [True]
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"files": 3, "config": {}}'])

@@ -17,6 +17,7 @@ from knotgym.generate.states.candidates import (
     CandidateTask,
     make_candidate,
 )
+from knotgym.generate.states.curves import LoopConfig
 from knotgym.quality import Limits, measure
 from knotgym.rope import Rope
 from knotgym.simulation import Simulation
@@ -189,7 +190,8 @@ def test_a_sequence_that_misses_the_code_is_rejected_for_it(searched: Archive, r
 
 
 def test_limits_that_nothing_meets_reject_everything(searched: Archive) -> None:
-    strict = replace(SMALL.candidate, limits=Limits(crossing_angle=91.0))
+    few = LoopConfig(draws=2)  # in vain
+    strict = replace(SMALL.candidate, limits=Limits(crossing_angle=91.0), loop=few)
     task = tasks(searched, strict)[0]
     assert make_candidate(task).faults == ("crossing_angle",)
 

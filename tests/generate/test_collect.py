@@ -120,7 +120,7 @@ def test_minari_does_with_a_dataset_all_that_it_does(
     observation: str, states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     task = TaskConfig(
-        task="tie", nx=1, states=states_path, observation=observation, horizon=6, image_size=32
+        task="tie", nx=1, states=states_path, observation=observation, horizon=3, image_size=32
     )
     name = "tests/scripted-v3"
     collect(
@@ -128,7 +128,7 @@ def test_minari_does_with_a_dataset_all_that_it_does(
             states_path,
             task=task,
             policy=PolicyConfig(policy="scripted"),
-            episodes=5,
+            episodes=3,
             dataset_id=name,
         ),
         tmp_path,
@@ -262,7 +262,7 @@ def test_a_killed_run_leaves_nothing_under_its_name_and_resumes_to_the_same_byte
         "--states",
         states_path,
         "--horizon",
-        "8",
+        "4",
         "--episodes",
         "24",
     ]

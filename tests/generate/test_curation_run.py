@@ -17,6 +17,7 @@ from knotgym.generate.states.archive import Archive, ArchiveConfig
 from knotgym.generate.states.candidates import Candidate, CandidateTask, make_candidate
 from knotgym.generate.states.code_frequencies import FrequencyConfig, frequencies
 from knotgym.generate.states.curation_run import CurationRun, search_config, start_of
+from knotgym.generate.states.curves import LoopConfig
 from knotgym.generate.states.generate_config import GenerateConfig, InvalidGenerateConfig
 from knotgym.generate.states.search import advance, new_archive
 from knotgym.generate.states.targeted_search import reach
@@ -29,6 +30,9 @@ from knotgym.topology.gauss import GaussCode
 
 from ..conftest import curled, trefoil
 from ..small_job import SMALL
+
+# What no rope meets; few loops are drawn in vain.
+HOPELESS = replace(SMALL.candidate, limits=Limits(crossing_angle=91.0), loop=LoopConfig(draws=2))
 
 
 def config(**changes: Any) -> GenerateConfig:
@@ -239,7 +243,7 @@ def test_what_cannot_be_accepted_ends_with_a_line_that_says_so() -> None:
         count=1,
         attempts=2,
         wave=2,
-        candidate=replace(SMALL.candidate, limits=Limits(crossing_angle=91.0)),
+        candidate=HOPELESS,
     )
     with pytest.raises(
         NotEnough,
@@ -269,7 +273,7 @@ def test_cycles_that_accept_nothing_end_with_a_line_that_says_so() -> None:
         count=1,
         cycles=1,
         wave=2,
-        candidate=replace(SMALL.candidate, limits=Limits(crossing_angle=91.0)),
+        candidate=HOPELESS,
     )
     with pytest.raises(
         NotEnough, match="no state accepted in 1 cycles; use --resume and more --cycles"

@@ -62,11 +62,11 @@ pytestmark = pytest.mark.skipif(
 
 CONFIG = ImagesConfig(
     nx=(0, 1, 2),
-    count=36,
+    count=18,
     test_share=0.2,
     steps=4,
     stride=2,
-    rows_per_file=10,
+    rows_per_file=5,
     appearance=AppearanceConfig(vary=VARIED, sizes=(64, 128)),
 )
 
@@ -102,7 +102,7 @@ def rows(folder: Path) -> list[dict[str, Any]]:
 
 def test_there_are_as_many_pictures_as_asked_for_of_each_nx(rows: list[dict[str, Any]]) -> None:
     assert len(rows) == CONFIG.count
-    assert [sum(row["nx"] == nx for row in rows) for nx in CONFIG.nx] == [12, 12, 12]
+    assert [sum(row["nx"] == nx for row in rows) for nx in CONFIG.nx] == [6, 6, 6]
 
 
 def test_the_largest_nx_is_for_test_nx_alone(rows: list[dict[str, Any]]) -> None:
@@ -141,8 +141,8 @@ def test_a_run_that_was_interrupted_and_resumed_on_other_workers_gives_the_same_
 
 def test_another_run_is_not_resumed_and_what_differs_is_named(folder: Path, tmp_path: Path) -> None:
     shutil.copytree(folder, tmp_path / "table")
-    with pytest.raises(InvalidRun, match="config.count is 36 there and 30 here"):
-        made(tmp_path / "table", replace(CONFIG, count=30), resume=True)
+    with pytest.raises(InvalidRun, match="config.count is 18 there and 15 here"):
+        made(tmp_path / "table", replace(CONFIG, count=15), resume=True)
 
 
 @pytest.mark.parametrize(

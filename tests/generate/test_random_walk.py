@@ -1,7 +1,6 @@
 """Random walks: states as random play meets them, made again from nothing but a key."""
 
 import json
-import shutil
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +11,7 @@ import pytest
 
 from knotgym.configuration import as_json, updated
 from knotgym.datasets.state_verification import folder_faults, state_faults
-from knotgym.datasets.states import read_states
+from knotgym.datasets.states import read_states, write_states
 from knotgym.generate.states.generate_config import InvalidGenerateConfig
 from knotgym.generate.states.random_walk import (
     RandomWalkConfig,
@@ -94,7 +93,8 @@ def test_a_unit_gives_the_same_states_again(walked: Path, unit: Walked) -> None:
 def test_a_provenance_that_does_not_lead_there_is_named(
     walked: Path, tmp_path: Path, name: str, value: object, fault: str
 ) -> None:
-    path = Path(shutil.copy(walked / "states.h5", tmp_path))
+    path = tmp_path / "states.h5"
+    write_states(path, read_states(walked / "states.h5").taken(np.array([0])))
     with h5py.File(path, "a") as file:
         file[name][0] = value
     found = [line.removeprefix("states.h5 row 0: ") for line in state_faults(read_states(path))]

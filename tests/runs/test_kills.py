@@ -39,7 +39,7 @@ COLLECT = (
     "--policy",
     "random",
     "--horizon",
-    10,
+    6,
     "--episodes",
     16,
     "--id",
@@ -51,7 +51,7 @@ COMMANDS = [
     pytest.param(COLLECT, id="collect"),
     pytest.param(IMAGES, id="images", marks=with_arrow),
 ]
-# Where a whole run has to follow, one kind of run stands for all, and the others are slow.
+# Where a whole run or a process has to follow, one kind stands for all, and the others are slow.
 RESUMABLE = [
     pytest.param(GENERATE, id="generate", marks=pytest.mark.slow),
     pytest.param(COLLECT, id="collect"),
@@ -135,7 +135,7 @@ def test_a_full_disk_is_one_line_and_room_makes_it_go_on(
             and not any(".partial" in part for part in path.parts)
         ] == []
         remounted(disk, "size=128m")
-        assert run(*command, "--workers", 1, "--quiet", "--out", out, "--resume").returncode == 0
+        assert knotgym(*command, "--workers", 1, "--quiet", "--out", out, "--resume") == 0
         assert made(out) == unbroken(command)
 
 
@@ -229,7 +229,7 @@ def test_a_worker_that_dies_is_one_line_and_the_rest_is_kept(
     assert made(tmp_path / "a") == unbroken(COLLECT)
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", RESUMABLE)
 def test_asked_to_stop_twice_it_says_so_once(command: tuple[object, ...], tmp_path: Path) -> None:
     words = typed(*command, "--workers", 2, "--quiet", "--out", tmp_path / "a")
     stopped = subprocess.Popen(
