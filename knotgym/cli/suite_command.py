@@ -9,6 +9,7 @@ import typer
 
 from knotgym.cli.options import (
     ENVIRONMENT,
+    BudgetOption,
     EngineOption,
     ObservationOption,
     QuietOption,
@@ -42,10 +43,11 @@ def suite(
                 "Of each set: 100, or by policy expert=3000,random=100; those not named keep their"
                 " size."
             ),
-            show_default="random=500,scripted=1000,noisy-expert=500,expert=1000",
+            show_default="random=250,scripted=500,noisy-expert=100,expert=1000",
         ),
     ] = "",
     observation: ObservationOption = "state",
+    budget: BudgetOption = 2000,
     out: Annotated[
         Path | None, typer.Option(help="Root of the datasets' ids; Minari's own by default.")
     ] = None,
@@ -95,6 +97,7 @@ def suite(
             states=words(states),
             episodes=_sizes(episodes, words(policies)),
             observation=observation,
+            budget=budget,
             seed=seed,
         )
         options = run_options(engine, scheduler, workers, "", resume, quiet)

@@ -27,10 +27,15 @@ from ..scripts import ROOT, run_script
 FOLDER = ROOT / "examples"
 SCRIPTS = [
     FOLDER / "behaviour_cloning.py",
+    FOLDER / "learners" / "goal_conditioned.py",
+    FOLDER / "learners" / "offline_rl.py",
     FOLDER / "perception" / "read.py",
     FOLDER / "perception" / "trace.py",
 ]
-MODULES = [FOLDER / "perception" / "misread.py"]  # what the scripts share
+MODULES = [
+    FOLDER / "learners" / "protocol.py",
+    FOLDER / "perception" / "misread.py",
+]  # what the scripts share
 GOALS = 20  # episodes of which every tenth is held out
 
 with_arrow = pytest.mark.skipif(
@@ -51,6 +56,8 @@ def test_every_example_says_how_to_use_it(
     torch.tensor = np.array
     for name, module in (("torch", torch), ("torch.nn", torch.nn)):
         monkeypatch.setitem(sys.modules, name, module)
+    for name in ("d3rlpy", "structlog"):
+        monkeypatch.setitem(sys.modules, name, mock.MagicMock())
     with pytest.raises(SystemExit) as ended:
         run_script(script, "--help")
     assert ended.value.code == 0 and f"usage: {script.name}" in capsys.readouterr().out
@@ -120,7 +127,7 @@ def test_a_code_is_read_off_a_picture_by_tracing_its_colours(
     ]
     write_rows(tmp_path / "table.parquet", rows)
     page = tmp_path / "misread.png"
-    run_script(SCRIPTS[2], tmp_path / "table.parquet", "--page", page)
+    run_script(FOLDER / "perception" / "trace.py", tmp_path / "table.parquet", "--page", page)
     told = capsys.readouterr().out.splitlines()
     [total] = [line for line in told if line.startswith("all")]
     assert total.split() == ["all", "4", "100.0", "%", "100.0", "%", "0.00"]
@@ -134,7 +141,16 @@ def test_a_code_is_read_off_a_picture_by_tracing_its_colours(
 def test_a_network_is_trained_to_read_and_says_how_well(tmp_path: Path) -> None:
     config = ImagesConfig(nx=(0, 1), count=20, test_nx=(), test_share=0.3, steps=4)
     folder = make_images(config, tmp_path / "pictures", RunOptions(workers=1, quiet=True))
-    run_script(SCRIPTS[1], folder, "--steps", 2, "--batch", 4, "--out", tmp_path / "reader")
+    run_script(
+        FOLDER / "perception" / "read.py",
+        folder,
+        "--steps",
+        2,
+        "--batch",
+        4,
+        "--out",
+        tmp_path / "reader",
+    )
     report = json.loads((tmp_path / "reader" / "report.json").read_text())
     assert report["steps"] == 2 and report["scores"]["test"]["all"]["pictures"] > 0
 

@@ -20,6 +20,7 @@ from typing import Any
 
 import knotgym
 from knotgym.atomic_files import atomic_write, sha256
+from knotgym.control.planner import PlannerConfig
 from knotgym.control.policies import MIXED, PolicyConfig
 from knotgym.datasets.states import minari_root
 from knotgym.errors import KnotgymError, one_line
@@ -43,7 +44,9 @@ from knotgym.tasks import TASKS, TaskConfig
 SETUPS = tuple((task, nx) for task in TASKS for nx in (2, 3, 4))
 POLICIES = MIXED  # random, scripted, noisy-expert, expert: cheapest first
 STATES = ("readable", "random-walk")
-EPISODES = {"random": 500, "scripted": 1000, "noisy-expert": 500, "expert": 1000}
+EPISODES = {"random": 250, "scripted": 500, "noisy-expert": 100, "expert": 1000}
+# few episodes need more, and those needed all the time: tie at nx 4 took 17 to 50 s an episode
+BUDGET = 2000
 # not 0, the usual seed of an evaluation: one of the train split would begin as these episodes do
 SEED = 1
 _RATES = Path(__file__).parent / "data" / "suite_rates.json"
@@ -63,6 +66,7 @@ class SuiteConfig:
         states: of STATES.
         episodes: policy -> played in each set-up, on each set of states.
         observation: stored, see `TaskConfig`; pictures can be drawn from any of them.
+        budget: actions that the experts may simulate for an episode, see `PlannerConfig`.
         seed: of every set.
     """
 
@@ -72,6 +76,7 @@ class SuiteConfig:
     states: tuple[str, ...] = STATES
     episodes: Mapping[str, int] = field(default_factory=lambda: dict(EPISODES))
     observation: str = "state"
+    budget: int = BUDGET
     seed: int = SEED
 
     def __post_init__(self) -> None:
@@ -108,7 +113,7 @@ class SuiteConfig:
                         yield self._set(states, task, nx, name)
 
     def _set(self, states: str, task: str, nx: int, name: str) -> CollectConfig:
-        policy = PolicyConfig(policy=name)
+        policy = PolicyConfig(policy=name, planner=PlannerConfig(budget=self.budget))
         setup = TaskConfig(
             task=task,
             nx=nx,
