@@ -148,7 +148,7 @@ def main() -> None:
         encoding="utf-8",
     )
     table = Table(
-        "way", "transitions / CPU s", "pictures / CPU s", "transitions / s", title="Random batches"
+        "way", "trans./CPU s", "pictures/CPU s", "trans./s", title="Random batches of transitions"
     )
     for name, figures in results.items():
         cpu = figures["transitions_per_cpu_s"]

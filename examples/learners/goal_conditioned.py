@@ -55,14 +55,15 @@ def arrays_of(datasets: list[str]) -> dict[str, NDArray[Any]]:
     return {name: np.concatenate(values) for name, values in parts.items()}
 
 
-def acting(agent: Any) -> Any:
+def acting(agent: Any, key: Any) -> Any:
     """A function of observations (n, 600), vertices of rope and goal, to actions (n, 6)."""
 
     def act(observations: NDArray[np.float32]) -> NDArray[np.float32]:
         count = len(observations)
         several = np.resize(SCALE * observations, (max(count, SIDE_BY_SIDE), 600))
         rope, goal = np.split(several, 2, axis=1)
-        actions = agent.sample_actions(observations=rope, goals=goal, temperature=0.0)
+        # at temperature 0 as OGBench evaluates; the key then decides next to nothing
+        actions = agent.sample_actions(observations=rope, goals=goal, seed=key, temperature=0.0)
         return np.clip(np.asarray(actions)[:count], -1, 1)
 
     return act
@@ -96,7 +97,12 @@ def main() -> None:
         agent, _ = agent.update(batches.sample(given.batch))
     (given.out / "agent.msgpack").write_bytes(serialization.to_bytes(agent.network.params))
     name = f"ogbench-{given.learner}"
-    measure(name, ModelPolicy(acting(agent), name), given, training.ended())
+    measure(
+        name,
+        ModelPolicy(acting(agent, jax.random.PRNGKey(given.seed)), name),
+        given,
+        training.ended(),
+    )
 
 
 if __name__ == "__main__":
