@@ -15,6 +15,7 @@ from rich.console import Console
 from knotgym.cli.options import numbers, words
 from knotgym.control.policies import Policy, PolicyConfig, register_policy
 from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.minari_dataset import metadata_of
 from knotgym.generate.episodes.evaluate import EvaluateConfig, run
 from knotgym.tasks import TaskConfig
 
@@ -49,7 +50,7 @@ class Training:
         readers = [EpisodeReader(source) for source in given.datasets]
         self._told: dict[str, Any] = {
             "library": library,
-            "datasets": [Path(source).as_posix() for source in given.datasets],
+            "datasets": [_called(source) for source in given.datasets],
             "episodes": sum(len(reader) for reader in readers),
             "transitions": int(sum(reader.lengths.sum() for reader in readers)),
             "steps": given.steps,
@@ -66,6 +67,12 @@ class Training:
             "seconds": round(time.perf_counter() - self._began, 1),
             "cpu_seconds": round(time.process_time() - self._spent, 1),
         }
+
+
+def _called(source: str) -> str:
+    """The id of a dataset; of an episode file that has none, its name."""
+    metadata = metadata_of(source)
+    return Path(source).name if metadata is None else metadata.dataset_id
 
 
 def measure(

@@ -43,11 +43,11 @@ def suite(
                 "Of each set: 100, or by policy expert=3000,random=100; those not named keep their"
                 " size."
             ),
-            show_default="random=250,scripted=500,noisy-expert=100,expert=1000",
+            show_default="random=250,scripted=500,noisy-expert=150,expert=1000",
         ),
     ] = "",
     observation: ObservationOption = "state",
-    budget: BudgetOption = 2000,
+    budget: BudgetOption = 1000,
     out: Annotated[
         Path | None, typer.Option(help="Root of the datasets' ids; Minari's own by default.")
     ] = None,
