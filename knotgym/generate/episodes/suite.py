@@ -45,8 +45,8 @@ SETUPS = tuple((task, nx) for task in TASKS for nx in (2, 3, 4))
 POLICIES = MIXED  # random, scripted, noisy-expert, expert: cheapest first
 STATES = ("readable", "random-walk")
 EPISODES = {"random": 250, "scripted": 500, "noisy-expert": 150, "expert": 1000}
-# for the sake of eight hours: with 20,000, as elsewhere, every episode that was measured reached its
-# goal, but tie and convert at nx 4 took 13 to 50 s each, 4 to 7 s with this, and some fail
+# for the sake of eight hours: with 20,000, as elsewhere, every episode that was timed reached its
+# goal, but tie and convert at nx 4 took 13 to 50 s each; with this they take 4 to 7, and some fail
 BUDGET = 1000
 # not 0, the usual seed of an evaluation: one of the train split would begin as these episodes do
 SEED = 1
@@ -136,8 +136,8 @@ class SuiteConfig:
 
 def core_seconds(config: CollectConfig) -> float:
     """What a set costs on one core, from `data/suite_rates.json`: CPU seconds an episode, the mean
-    of 2 to 8 on a machine that others used; where a noisy expert wasn't measured, 1.5 times the
-    expert's; with BUDGET, at most, so that a larger one takes longer.
+    of 2 to 8 on a machine that others used, and where a noisy expert wasn't timed, 1.5 times the
+    expert's. They hold for BUDGET; a larger one takes longer.
     """
     rates: dict[str, Any] = json.loads(_RATES.read_text(encoding="utf-8"))
     setup = f"{config.task.task}-nx{config.task.nx}"
