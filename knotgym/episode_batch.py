@@ -75,7 +75,7 @@ class EpisodeBatch:
         """The rows of the state file that the "start" or the "goal" is drawn from."""
         if side == "start":
             return self._starts.rows(self.config.start_nx, self.config.split)
-        return self._goals.rows(self.config.goal_nx, self.config.split)
+        return self._goals.rows(self.config.goal_nx, self.config.split)[: self.config.max_goals]
 
     def begin(
         self, index: int, rng: np.random.Generator, options: dict[str, Any] | None = None
@@ -231,8 +231,10 @@ class EpisodeBatch:
         if isinstance(row, np.ndarray) and not row.ndim:  # as numeric infos say it
             row = row.item()
         if isinstance(row, bool) or not isinstance(row, (int, np.integer)) or row not in rows:
+            few = self.config.max_goals if name == "goal" else None
+            first = "" if few is None else f", of the first {few}"
             raise InvalidSetting(
-                f"{name} must be a row with nx = {nx} of the {self.config.split} split:"
+                f"{name} must be a row with nx = {nx} of the {self.config.split} split{first}:"
                 f" {_few(rows)}; got {row!r}"
             )
         return int(row), side

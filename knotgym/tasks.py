@@ -71,6 +71,8 @@ class TaskConfig:
             carries one. Plain loops, and they alone, come from the readable set where a file has
             none.
         observation: "pixels", "state", "both" or "symbolic".
+        max_goals: so many goal configurations of the split at most are drawn from, the first by
+            row; None for all.
         horizon: steps until truncation.
         hold: consecutive steps the goal code must show.
         tow_limit: metres that the rope's centre may be from where it was at reset; farther off no
@@ -98,6 +100,7 @@ class TaskConfig:
     split: str = "train"
     states: str | None = None
     observation: str = "pixels"
+    max_goals: int | None = None
     horizon: int = 50
     hold: int = 1
     tow_limit: float | None = None
@@ -140,6 +143,11 @@ class TaskConfig:
             if not whole or value < least or (most is not None and value > most):
                 right = f"from {least} to {most}" if most else f"of at least {least}"
                 raise InvalidSetting(f"{name} must be a whole number {right}, got {value!r}")
+        goals = self.max_goals
+        if goals is not None and (not isinstance(goals, int) or goals is True or goals < 1):
+            raise InvalidSetting(
+                f"max_goals must be a whole number of at least 1, or None, got {goals!r}"
+            )
         if not isinstance(self.numeric_infos, bool):
             raise InvalidSetting(f"numeric_infos must be True or False, got {self.numeric_infos!r}")
         if self.states is not None and not isinstance(self.states, str):

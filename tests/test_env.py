@@ -780,3 +780,33 @@ def test_render_gives_nothing_where_no_mode_was_asked_for(make: Make) -> None:
     env = make("tie", render_mode=None)
     env.reset(seed=0)
     assert env.render() is None
+
+
+@pytest.mark.parametrize("few", [1, 3, 1000])
+def test_goals_are_the_first_rows_of_the_split(few: int) -> None:
+    whole = KnotEnv("tie", nx=3, split="test", observation="symbolic").episodes.rows("goal")
+    env = KnotEnv("tie", nx=3, split="test", observation="symbolic", max_goals=few)
+    assert env.episodes.rows("goal").tolist() == whole.tolist()[:few]
+    drawn = {env.reset(seed=seed)[1]["goal"] for seed in range(24)}
+    assert drawn <= {*whole[:few].tolist()} and (few > 1) == (len(drawn) > 1)
+    starts = {env.reset(seed=seed)[1]["start"] for seed in range(24)}
+    assert len(starts) > 1  # are drawn from as many as ever
+
+
+def test_without_a_limit_of_goals_episodes_begin_as_they_always_did() -> None:
+    told = [KnotEnv("tie", nx=3, **few).reset(seed=7)[1] for few in ({}, {"max_goals": None})]
+    assert told[0]["goal"] == told[1]["goal"] and told[0]["start"] == told[1]["start"]
+
+
+def test_a_goal_beyond_the_first_is_refused() -> None:
+    env = KnotEnv("tie", nx=3, observation="symbolic", max_goals=2)
+    rows = env.episodes.rows("goal").tolist()
+    assert env.reset(options={"goal": rows[1]})[1]["goal"] == rows[1]
+    with pytest.raises(InvalidSetting, match="of the train split, of the first 2: "):
+        env.reset(options={"goal": max(rows) + 1})
+
+
+@pytest.mark.parametrize("few", [0, -1, 1.5, True, "3"])
+def test_a_limit_of_goals_is_a_whole_number(few: object) -> None:
+    with pytest.raises(InvalidSetting, match="max_goals must be a whole number of at least 1"):
+        KnotEnv("tie", nx=3, max_goals=few)

@@ -19,6 +19,7 @@ from knotgym.cli.learning_commands import train
 from knotgym.cli.policy_commands import collect, evaluate
 from knotgym.cli.prompt_commands import prompt
 from knotgym.cli.run_commands import generate, images
+from knotgym.cli.suite_command import suite
 from knotgym.errors import KnotgymError, printable
 from knotgym.runs.pools import LostWorkers
 from knotgym.runs.run_options import NotEnough
@@ -50,7 +51,7 @@ _APP: dict[str, Any] = {**_HELP, "add_completion": False, "pretty_exceptions_ena
 
 app = typer.Typer(cls=Group, no_args_is_help=True, **_APP)
 app.add_typer(dataset_app, name="dataset", cls=Group, **_HELP)
-for _command in (generate, collect, train, evaluate, images, prompt):
+for _command in (generate, collect, suite, train, evaluate, images, prompt):
     app.command(cls=Command)(_command)
 for _listed in dataset_app.registered_commands:
     _listed.cls = Command

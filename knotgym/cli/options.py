@@ -42,6 +42,14 @@ StatesOption = Annotated[
 ObservationOption = Annotated[
     str, option("--observation", help="pixels, state, both or symbolic.", group=ENVIRONMENT)
 ]
+MaxGoalsOption = Annotated[
+    int | None,
+    option(
+        "--max-goals",
+        help="So many goal configurations of the split at most, the first by row; all by default.",
+        group=ENVIRONMENT,
+    ),
+]
 ImageSizeOption = Annotated[
     int, option("--image-size", help="Pixels, each half of the picture.", group=ENVIRONMENT)
 ]

@@ -280,8 +280,13 @@ def minari_entries(metadata: MinariMetadata, task: TaskConfig) -> dict[str, Any]
         "observation_space": _bounds(replace(task, split="train", states=None)),
         "action_space": serialize_space(action_space()),
         "env_spec": environment_spec(task).to_json(),
-        "eval_env_spec": environment_spec(replace(task, split=metadata.eval_split)).to_json(),
+        "eval_env_spec": environment_spec(_evaluated(task, metadata.eval_split)).to_json(),
     }
+
+
+def _evaluated(task: TaskConfig, split: str) -> TaskConfig:
+    """The environment to evaluate in: of another split all goals, however few were trained on."""
+    return replace(task, split=split, max_goals=task.max_goals if split == task.split else None)
 
 
 @lru_cache(maxsize=16)

@@ -87,6 +87,9 @@ class _Side:
         self.rope = Rope(reader.task.rope)
         self.mine = states.split == reader.task.split
         self.known: dict[bytes, int | None] = {}
+        self.allowed = {
+            *states.rows(reader.task.goal_nx, reader.task.split)[: reader.task.max_goals]
+        }
         # where the ways to the states of a split begin is no other split's
         self.origins: set[bytes] = set()
         if name == "start" and "start_qpos" in states.source:
@@ -120,6 +123,9 @@ class _Side:
             goal = self.reader.column(index, "goal_points")
             if not np.array_equal(goal, states.points[named]):
                 return split, [f"its goal isn't row {named}, as options/goal says"]
+            if self.reader.task.max_goals is not None and named not in self.allowed:
+                few = self.reader.task.max_goals
+                return split, [f"its goal is row {named}, not of the first {few}, max_goals"]
         return split, []
 
     def _row_at(self, index: int) -> int | None:

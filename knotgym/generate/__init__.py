@@ -1,5 +1,5 @@
-"""Data made: curated states (`states`), a policy's episodes and success rates (`episodes`),
-labelled pictures (`images`); what the commands do, to be called from Python.
+"""Data made: curated states (`states`), a policy's episodes, success rates and the fixed benchmark
+(`episodes`), labelled pictures (`images`); what the commands do, to be called from Python.
 
 The names below are imported when they are first used.
 """
@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from knotgym.generate.episodes.collect import CollectConfig, InvalidCollection, collect
     from knotgym.generate.episodes.evaluate import EvaluateConfig, InvalidEvaluation
     from knotgym.generate.episodes.evaluate import run as evaluate
+    from knotgym.generate.episodes.suite import InvalidSuite, SuiteConfig, make_suite
+    from knotgym.generate.episodes.suite_scores import InvalidScores
     from knotgym.generate.images.image_recipe import make_images
     from knotgym.generate.images.images_config import ImagesConfig, InvalidImagesConfig
     from knotgym.generate.states.drawn_states import DrawnStatesConfig
@@ -41,15 +43,19 @@ else:
             "InvalidGenerateConfig": "knotgym.generate.states.generate_config",
             "InvalidImagesConfig": "knotgym.generate.images.images_config",
             "InvalidRun": "knotgym.runs.run_options",
+            "InvalidScores": "knotgym.generate.episodes.suite_scores",
+            "InvalidSuite": "knotgym.generate.episodes.suite",
             "NotEnough": "knotgym.runs.run_options",
             "Occupied": "knotgym.runs.staging",
             "RandomWalkConfig": "knotgym.generate.states.random_walk",
             "RunOptions": "knotgym.runs.run_options",
+            "SuiteConfig": "knotgym.generate.episodes.suite",
             "collect": "knotgym.generate.episodes.collect",
             "draw_state_set": "knotgym.generate.states.drawn_states_recipe",
             "evaluate": "knotgym.generate.episodes.evaluate:run",
             "make_images": "knotgym.generate.images.image_recipe",
             "make_states": "knotgym.generate.states.state_recipe:generate",
+            "make_suite": "knotgym.generate.episodes.suite",
             "walk_states": "knotgym.generate.states.random_walk_recipe",
         },
     )
@@ -65,14 +71,18 @@ __all__ = [
     "InvalidGenerateConfig",
     "InvalidImagesConfig",
     "InvalidRun",
+    "InvalidScores",
+    "InvalidSuite",
     "NotEnough",
     "Occupied",
     "RandomWalkConfig",
     "RunOptions",
+    "SuiteConfig",
     "collect",
     "draw_state_set",
     "evaluate",
     "make_images",
     "make_states",
+    "make_suite",
     "walk_states",
 ]

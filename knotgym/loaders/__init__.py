@@ -9,6 +9,9 @@ Every loader takes a dataset as a Minari id, a folder, an episode file (compact 
                     camera or colours, from other views, with depth or without
     relabel         "last" or "all": hindsight, the code reached becomes the goal (see
                     `Transitions`)
+    cache           a folder for pictures, uncompressed, each once, made when first asked for: then
+                    batches come quickly; or a `FrameCache`, which says how much it may take. The
+                    pictures are the same to the byte
 
 Torch, d3rlpy and TensorDict are imported only by the loaders that are for them; the names below
 when they are first used.
@@ -24,6 +27,7 @@ if __name__ == "loaders":
 if TYPE_CHECKING:
     from knotgym.errors import MissingExtra
     from knotgym.loaders.converters import to_d3rlpy, to_tensordict, torch_dataset
+    from knotgym.loaders.frame_cache import FrameCache, NoCache
     from knotgym.loaders.perception import images
     from knotgym.loaders.rows import arrays
     from knotgym.loaders.transitions import Transitions
@@ -33,7 +37,9 @@ else:
     __getattr__, __dir__ = lazy_exports(
         __name__,
         {
+            "FrameCache": "knotgym.loaders.frame_cache",
             "MissingExtra": "knotgym.errors",
+            "NoCache": "knotgym.loaders.frame_cache",
             "Transitions": "knotgym.loaders.transitions",
             "arrays": "knotgym.loaders.rows",
             "images": "knotgym.loaders.perception",
@@ -44,7 +50,9 @@ else:
     )
 
 __all__ = [
+    "FrameCache",
     "MissingExtra",
+    "NoCache",
     "Transitions",
     "arrays",
     "images",

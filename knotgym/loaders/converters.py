@@ -39,15 +39,17 @@ def torch_dataset(
     observation: str | None = None,
     picture: Any = None,
     relabel: str | None = None,
+    cache: Any = None,
 ) -> Any:
     """Make a `torch.utils.data.Dataset` that reads from the file when asked.
 
     Any number of DataLoader workers may share it.
 
     Args:
-        dataset, observation, picture, relabel: see `knotgym.loaders`.
+        dataset, observation, picture, relabel, cache: see `knotgym.loaders`.
         kind: what an item is:
-            "transitions": observation, action, reward, next_observation, terminal, timeout;
+            "transitions": observation, action, reward, next_observation, terminal, timeout; asked
+                for a list of numbers, as a BatchSampler does, a batch of them;
             "episodes": observations (T + 1, ...), actions, rewards, terminals, timeouts (T, ...),
                 of unequal T;
             "frames": observation, gauss_code, crossings, episode, step: a state, the last of an
@@ -68,12 +70,17 @@ def torch_dataset(
     if kind not in KINDS:
         raise UnknownKind(kind, KINDS)
     return KINDS[kind](
-        Transitions(dataset, observation=observation, picture=picture, relabel=relabel)
+        Transitions(dataset, observation=observation, picture=picture, relabel=relabel, cache=cache)
     )
 
 
 def to_d3rlpy(
-    dataset: Any, *, observation: str | None = None, picture: Any = None, relabel: str | None = None
+    dataset: Any,
+    *,
+    observation: str | None = None,
+    picture: Any = None,
+    relabel: str | None = None,
+    cache: Any = None,
 ) -> Any:
     """Make a `d3rlpy.dataset.ReplayBuffer` that holds every transition.
 
@@ -84,13 +91,15 @@ def to_d3rlpy(
     one more step, of a zero action and reward: no transition starts there, one ends there.
 
     Args:
-        dataset, observation, picture, relabel: see `knotgym.loaders`.
+        dataset, observation, picture, relabel, cache: see `knotgym.loaders`.
 
     Raises:
         MissingExtra: d3rlpy isn't installed.
     """
     d3rlpy = _needed("d3rlpy")
-    transitions = Transitions(dataset, observation=observation, picture=picture, relabel=relabel)
+    transitions = Transitions(
+        dataset, observation=observation, picture=picture, relabel=relabel, cache=cache
+    )
     episodes = []
     for segment in range(transitions.segments):
         part = slice(*transitions.starts[segment : segment + 2])
@@ -116,12 +125,17 @@ def to_d3rlpy(
 
 
 def to_tensordict(
-    dataset: Any, *, observation: str | None = None, picture: Any = None, relabel: str | None = None
+    dataset: Any,
+    *,
+    observation: str | None = None,
+    picture: Any = None,
+    relabel: str | None = None,
+    cache: Any = None,
 ) -> Any:
     """Make a `tensordict.TensorDict` of N transitions, ready for a TorchRL buffer's `extend`.
 
     Args:
-        dataset, observation, picture, relabel: see `knotgym.loaders`.
+        dataset, observation, picture, relabel, cache: see `knotgym.loaders`.
 
     Returns:
         batch size [N]: observation (or pixels and state, for "both"), action, done, terminated,
@@ -132,7 +146,9 @@ def to_tensordict(
         MissingExtra: tensordict or torch isn't installed.
     """
     tensordict = _needed("tensordict")
-    transitions = Transitions(dataset, observation=observation, picture=picture, relabel=relabel)
+    transitions = Transitions(
+        dataset, observation=observation, picture=picture, relabel=relabel, cache=cache
+    )
     columns = rows(transitions)
     terminated, truncated = columns["terminals"][:, None], columns["timeouts"][:, None]
     running = np.zeros_like(terminated)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,11 @@ from knotgym.loaders.transitions import Transitions
 
 
 class TransitionDataset(Dataset[dict[str, Any]]):
-    """An item is a transition."""
+    """An item is a transition; asked for a list of them, a batch.
+
+    So `DataLoader(data, sampler=BatchSampler(RandomSampler(data), 256, False), batch_size=None)`
+    reads batches whole.
+    """
 
     def __init__(self, transitions: Transitions) -> None:
         self.transitions = transitions
@@ -20,8 +25,10 @@ class TransitionDataset(Dataset[dict[str, Any]]):
     def __len__(self) -> int:
         return len(self.transitions)
 
-    def __getitem__(self, index: int) -> dict[str, Any]:
-        row = _checked(index, len(self))
+    def __getitem__(self, index: int | Sequence[int]) -> dict[str, Any]:
+        if not isinstance(index, (int, np.integer)):
+            return self._batch(index)
+        row = _checked(int(index), len(self))
         segment, step = self.transitions.place(row)
         seen = self.transitions.observations(segment, step, step + 2)
         own = self.transitions.columns(segment)
@@ -32,6 +39,20 @@ class TransitionDataset(Dataset[dict[str, Any]]):
             "next_observation": _tensor(_at(seen, 1)),
             "terminal": torch.tensor(bool(own.terminals[step])),
             "timeout": torch.tensor(bool(own.timeouts[step])),
+        }
+
+    def _batch(self, index: Sequence[int]) -> dict[str, Any]:
+        several = self.transitions.batch(index)
+        seen = {
+            name.removesuffix("s"): _tensor(several[name])
+            for name in ("observations", "next_observations")
+        }
+        return {
+            **seen,
+            "action": torch.from_numpy(several["actions"]),
+            "reward": torch.from_numpy(several["rewards"].astype(np.float32)),
+            "terminal": torch.from_numpy(several["terminals"]),
+            "timeout": torch.from_numpy(several["timeouts"]),
         }
 
 

@@ -10,12 +10,17 @@ from knotgym.loaders.transitions import Transitions
 
 
 def arrays(
-    dataset: Any, *, observation: str | None = None, picture: Any = None, relabel: str | None = None
+    dataset: Any,
+    *,
+    observation: str | None = None,
+    picture: Any = None,
+    relabel: str | None = None,
+    cache: Any = None,
 ) -> dict[str, Any]:
     """Load a dataset of N transitions, episode after episode.
 
     Args:
-        dataset, observation, picture, relabel: see `knotgym.loaders`.
+        dataset, observation, picture, relabel, cache: see `knotgym.loaders`.
 
     Returns:
         observations, next_observations: uint8 (N, views * size, 2 size, 3 or 4), float32
@@ -25,7 +30,9 @@ def arrays(
         rewards: float64 (N,).
         terminals, timeouts: bool (N,); each episode's last row has one of them set.
     """
-    return rows(Transitions(dataset, observation=observation, picture=picture, relabel=relabel))
+    return rows(
+        Transitions(dataset, observation=observation, picture=picture, relabel=relabel, cache=cache)
+    )
 
 
 def rows(transitions: Transitions) -> dict[str, Any]:

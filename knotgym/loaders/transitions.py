@@ -11,10 +11,11 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.trajectory import codes_in_bounds, goal_steps
+from knotgym.loaders.frame_cache import CachedFrames, FrameCache, NoCache, goal_axis
 from knotgym.reward import success_at_last
 
 _KEPT = 256  # segments whose codes are kept
@@ -51,6 +52,7 @@ class Transitions:
         observation: str | None = None,
         picture: Any = None,
         relabel: str | None = None,
+        cache: Any = None,
     ) -> None:
         """Find the segments.
 
@@ -63,10 +65,15 @@ class Transitions:
             relabel: hindsight: None; "last": of each episode the part up to the last new code it
                 reached, that code the goal; "all": one such part for every code it reached. An
                 episode that shows no code but its first gives none.
+            cache: a folder, or a `FrameCache`, for pictures uncompressed; see `knotgym.loaders`.
+
+        Raises:
+            NoCache: no pictures are shown, or there is no room for them.
         """
         self._reader = EpisodeReader(dataset)
         self._seen: dict[str, Any] = {"observation": observation or "", "picture": picture}
         self._relabelled = relabel is not None
+        self._frames = None if cache is None else self._cached(cache)
         self._read: dict[int, Columns] = {}
         self._codes: dict[int, list[str]] = {}
         if relabel is None:
@@ -83,6 +90,11 @@ class Transitions:
             lengths = [goal for _, goal in parts]
         self.episode, self.goal_step = np.array(parts, dtype=np.int64).reshape(-1, 2).T
         self.starts: NDArray[np.int64] = np.cumsum([0, *lengths])
+
+    @property
+    def _shown(self) -> str:
+        """What is observed."""
+        return str(self._seen["observation"] or self._reader.task.observation)
 
     @cached_property
     def actions(self) -> NDArray[np.float32]:
@@ -103,6 +115,16 @@ class Transitions:
     def timeouts(self) -> NDArray[np.bool_]:
         """All of them."""
         return self._all(3, np.empty(0, bool))
+
+    def _cached(self, cache: Any) -> CachedFrames:
+        if self._shown not in ("pixels", "both"):
+            raise NoCache(
+                f"a cache keeps pictures, and observation {self._shown!r} shows none: leave it out,"
+                ' or ask for observation="pixels"'
+            )
+        if not isinstance(cache, FrameCache):
+            cache = FrameCache(cache)
+        return CachedFrames(self._reader, self._seen["picture"], cache)
 
     def columns(self, segment: int) -> Columns:
         """The small columns of a segment, read when first asked for and then kept."""
@@ -160,9 +182,81 @@ class Transitions:
         last = int(self.starts[segment + 1] - self.starts[segment]) + 1
         goal = int(self.goal_step[segment])
         steps = slice(start, last if stop is None else min(stop, last))
-        return self._reader.observations(
-            int(self.episode[segment]), steps, goal_step=None if goal < 0 else goal, **self._seen
-        )
+        episode, goal_step = int(self.episode[segment]), None if goal < 0 else goal
+        if self._frames is None:
+            return self._reader.observations(episode, steps, goal_step=goal_step, **self._seen)
+        ropes = self._frames.offsets[episode] + np.arange(last)[steps]
+        goals = self._frames.goal(self.episode[[segment]], self.goal_step[[segment]])
+        pictures = self._frames.pictures(ropes, np.broadcast_to(goals, ropes.shape))
+        if self._shown == "pixels":
+            return pictures
+        state = self._reader.observations(episode, steps, goal_step=goal_step, observation="state")
+        return {"pixels": pictures, "state": state}
+
+    def batch(self, rows: ArrayLike, *, apart: bool = False) -> dict[str, Any]:
+        """Any n transitions, such as a random batch; with a `cache` of pictures, quickly.
+
+        Args:
+            rows: int (n,), which of the N.
+            apart: rope and goal in arrays of their own, the goal, which is that of both states,
+                once: less to copy by half.
+
+        Returns:
+            As `arrays`, n rows: observations, actions, rewards, next_observations, terminals,
+            timeouts. With `apart` the observations are of the rope alone, uint8 (n, views * size,
+            size, 3 or 4), float32 (n, 3 beads), a dict of both or int16 (n, 1, symbols), and goals
+            are as they.
+
+        Raises:
+            IndexError: there is no such transition.
+        """
+        wanted = np.asarray(rows, dtype=np.int64)
+        if wanted.ndim != 1 or not len(wanted):
+            raise IndexError(f"a batch is of a list of transitions, at least one, got {rows!r}")
+        if wanted.min() < -len(self) or wanted.max() >= len(self):
+            raise IndexError(
+                f"transitions {wanted.min()} to {wanted.max()} aren't all among {len(self)}"
+            )
+        wanted = wanted % len(self)
+        seen = self._observed(wanted, apart)
+        return {
+            "observations": seen[0],
+            "actions": self.actions[wanted],
+            "rewards": self.rewards[wanted],
+            "next_observations": seen[1],
+            "terminals": self.terminals[wanted],
+            "timeouts": self.timeouts[wanted],
+            **({"goals": seen[2]} if apart else {}),
+        }
+
+    def _observed(self, wanted: NDArray[np.int64], apart: bool) -> tuple[Any, ...]:
+        """Observations of both states of some transitions; and of their goals, if apart."""
+        segments = np.searchsorted(self.starts, wanted, side="right") - 1
+        steps = wanted - self.starts[segments]
+        if self._frames is not None and self._shown == "pixels":
+            episodes = self.episode[segments]
+            ropes = self._frames.offsets[episodes] + steps
+            goals = self._frames.goal(episodes, self.goal_step[segments])
+            if apart:
+                return tuple(self._frames.frames[rows] for rows in (ropes, ropes + 1, goals))
+            return tuple(self._frames.pictures(rows, goals) for rows in (ropes, ropes + 1))
+        pairs = [
+            self.observations(segment, step, step + 2)
+            for segment, step in zip(segments.tolist(), steps.tolist(), strict=True)
+        ]
+        if self._shown != "both":
+            return self._states(self._shown, pairs, apart)
+        each = [self._states(kind, [pair[kind] for pair in pairs], apart) for kind in pairs[0]]
+        return tuple(dict(zip(pairs[0], kinds, strict=True)) for kinds in zip(*each, strict=True))
+
+    def _states(self, kind: str, pairs: list[NDArray[Any]], apart: bool) -> tuple[Any, ...]:
+        """Both states of n transitions, (n, ...) each, of n pairs of them."""
+        both = np.stack(pairs)
+        if not apart:
+            return both[:, 0], both[:, 1]
+        layout = goal_axis(self._reader.task.layout) if kind == "pixels" else 1
+        rope, goal = np.split(both, 2, axis=layout + 1)
+        return rope[:, 0], rope[:, 1], goal[:, 0]
 
     def codes(self, segment: int) -> list[str]:
         """The Gauss codes of a segment's T + 1 states; of the last segments asked for, kept."""

@@ -108,18 +108,12 @@ def run(recipe: Recipe, out: Path, options: RunOptions, progress: Progress | Non
         with Progress(options.quiet) as progress:
             return run(recipe, out, options, progress)
     began = time.perf_counter()
-    request = {
-        **recipe.request(),
-        "shard": {"number": options.shard.number, "of": options.shard.of},
-        "versions": versions(),
-        "rope": RopeConfig().fingerprint,
-    }
-    request = json.loads(json.dumps(request))
+    request = whole_request(recipe, options)
     if out.exists():
         made_by = request_of(out)
         if not options.resume or made_by is None:
             raise Occupied(f"{out} is there already; choose another --out, or remove it")
-        _require_same(made_by, request, recipe.flexible, out)
+        require_same(made_by, request, recipe.flexible, out)
         shutil.rmtree(staging_folder(out), ignore_errors=True)  # killed between its last two steps
         progress.say(f"{out} is finished already")
         return out
@@ -128,7 +122,7 @@ def run(recipe: Recipe, out: Path, options: RunOptions, progress: Progress | Non
         with lock_folder(staging_folder(out)):  # nobody is at it
             left = request_of(staging_folder(out))
             if left is not None and options.resume:
-                _require_same(left, request, recipe.flexible, staging_folder(out))
+                require_same(left, request, recipe.flexible, staging_folder(out))
             elif left is not None:
                 progress.say(
                     f"{staging_folder(out)}: what an interrupted run left goes; --resume would have"
@@ -161,6 +155,18 @@ def run(recipe: Recipe, out: Path, options: RunOptions, progress: Progress | Non
     return out
 
 
+def whole_request(recipe: Recipe, options: RunOptions) -> dict[str, Any]:
+    """All that decides the bytes that a recipe makes, as JSON has it."""
+    request = {
+        **recipe.request(),
+        "shard": {"number": options.shard.number, "of": options.shard.of},
+        "versions": versions(),
+        "rope": RopeConfig().fingerprint,
+    }
+    found: dict[str, Any] = json.loads(json.dumps(request))
+    return found
+
+
 def versions() -> dict[str, str]:
     """Versions of all whose change could change a byte."""
     return {
@@ -182,9 +188,14 @@ def request_of(folder: Path) -> dict[str, Any] | None:
     return None
 
 
-def _require_same(
+def require_same(
     there: dict[str, Any], asked: dict[str, Any], flexible: tuple[str, ...], folder: Path
 ) -> None:
+    """Refuse to go on in a folder with another request than the one that began it.
+
+    Raises:
+        InvalidRun: they differ in more than the fields of the configuration named `flexible`.
+    """
     found = [
         difference
         for difference in differences(there, asked)

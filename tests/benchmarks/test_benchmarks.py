@@ -225,6 +225,13 @@ def test_frames_are_read_at_random(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_random_batches_are_timed_by_every_way(tmp_path: Path) -> None:
+    rates = figures("batches", tmp_path, "--frames", 100, "--seconds", 0.01)["batches"]
+    assert {"dataset, read", "dataset, drawn", "memory map", "cache"} <= rates.keys()
+    assert all(one["batches"] >= 1 for one in rates.values())
+
+
+@pytest.mark.slow
 @pytest.mark.skipif(
     importlib.util.find_spec("mujoco_warp") is None, reason="mujoco-warp isn't installed"
 )

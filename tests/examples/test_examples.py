@@ -9,16 +9,13 @@ from unittest import mock
 import numpy as np
 import pytest
 
-from knotgym.datasets.episode_writer import EpisodeWriter
 from knotgym.datasets.image_rows import Row, record
 from knotgym.datasets.image_table import write_rows
-from knotgym.datasets.trajectory import Episode
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.rendering.appearance import AppearanceConfig
 from knotgym.rope import Rope
 from knotgym.runs.run_options import RunOptions
-from knotgym.tasks import TaskConfig
 from knotgym.topology.crossings import label
 
 from ..conftest import curled
@@ -26,12 +23,15 @@ from ..scripts import ROOT, run_script
 
 FOLDER = ROOT / "examples"
 SCRIPTS = [
-    FOLDER / "behaviour_cloning.py",
+    FOLDER / "learners" / "goal_conditioned.py",
+    FOLDER / "learners" / "offline_rl.py",
     FOLDER / "perception" / "read.py",
     FOLDER / "perception" / "trace.py",
 ]
-MODULES = [FOLDER / "perception" / "misread.py"]  # what the scripts share
-GOALS = 20  # episodes of which every tenth is held out
+MODULES = [
+    FOLDER / "learners" / "protocol.py",
+    FOLDER / "perception" / "misread.py",
+]  # what the scripts share
 
 with_arrow = pytest.mark.skipif(
     importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed"
@@ -51,61 +51,13 @@ def test_every_example_says_how_to_use_it(
     torch.tensor = np.array
     for name, module in (("torch", torch), ("torch.nn", torch.nn)):
         monkeypatch.setitem(sys.modules, name, module)
+    for name in ("d3rlpy", "structlog"):
+        monkeypatch.setitem(sys.modules, name, mock.MagicMock())
     with pytest.raises(SystemExit) as ended:
         run_script(script, "--help")
     assert ended.value.code == 0 and f"usage: {script.name}" in capsys.readouterr().out
     usage = f"\n    python {script.relative_to(ROOT).as_posix()}"
     assert usage in script.read_text(encoding="utf-8")
-
-
-def wound(rope: Rope, path: Path) -> None:
-    """Episodes in each of which one action takes a loop to a curl, and the goal is reached."""
-    with EpisodeWriter(path, TaskConfig(task="tie", nx=1, observation="state")) as writer:
-        for number in range(GOALS):
-            loop, curl = rope.loop(), rope.from_curve(curled(1, 0.3 * number))
-            codes = [label(loop), label(curl)]
-            reached = np.array([False, True])
-            writer.add(
-                Episode(
-                    start_qpos=rope.qpos(loop),
-                    points=np.stack([loop, curl]),
-                    goal_points=curl,
-                    actions=np.full((1, 6), 0.25, dtype=np.float32),
-                    rewards=np.array([5.0]),
-                    terminations=reached[1:],
-                    truncations=~reached[1:],
-                    gauss_code=np.array([str(code) for code in codes]),
-                    gauss_code_chiral=np.array([code.chiral for code in codes]),
-                    crossings=np.array([code.nx for code in codes]),
-                    bead=np.array([-1, 40]),
-                    force=np.zeros((2, 3)),
-                    is_success=reached,
-                    simulation_failed=np.zeros(2, dtype=bool),
-                    goal_gauss_code=str(codes[1]),
-                    policy="by hand",
-                )
-            )
-
-
-def test_the_expert_is_cloned_and_the_clone_plays(rope: Rope, tmp_path: Path) -> None:
-    wound(rope, tmp_path / "expert.h5")
-    words = ("--nx", 1, "--epochs", 2, "--episodes", 1, "--expert-episodes", 0, "--workers", 1)
-    with mock.patch.object(sys, "path", [str(FOLDER), *sys.path]):  # where the command is typed
-        run_script(SCRIPTS[0], tmp_path / "expert.h5", *words, "--out", tmp_path / "clone")
-    made = {path.name for path in (tmp_path / "clone").iterdir()}
-    assert made == {"policy.npz", "curve.csv", "curve.png", "success.json"}
-    success = json.loads((tmp_path / "clone" / "success.json").read_text(encoding="utf-8"))
-    assert "behaviour_cloning:act" in json.dumps(success)
-    assert len((tmp_path / "clone" / "curve.csv").read_text().splitlines()) == 1 + 2
-
-
-def test_a_dataset_that_teaches_too_little_is_refused(
-    rope: Rope, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    wound(rope, tmp_path / "expert.h5")
-    with pytest.raises(SystemExit) as ended:
-        run_script(SCRIPTS[0], tmp_path / "expert.h5", "--nx", 2, "--out", tmp_path / "clone")
-    assert ended.value.code == 2 and "too little to learn from" in capsys.readouterr().err
 
 
 @with_arrow
@@ -120,7 +72,7 @@ def test_a_code_is_read_off_a_picture_by_tracing_its_colours(
     ]
     write_rows(tmp_path / "table.parquet", rows)
     page = tmp_path / "misread.png"
-    run_script(SCRIPTS[2], tmp_path / "table.parquet", "--page", page)
+    run_script(FOLDER / "perception" / "trace.py", tmp_path / "table.parquet", "--page", page)
     told = capsys.readouterr().out.splitlines()
     [total] = [line for line in told if line.startswith("all")]
     assert total.split() == ["all", "4", "100.0", "%", "100.0", "%", "0.00"]
@@ -134,7 +86,16 @@ def test_a_code_is_read_off_a_picture_by_tracing_its_colours(
 def test_a_network_is_trained_to_read_and_says_how_well(tmp_path: Path) -> None:
     config = ImagesConfig(nx=(0, 1), count=20, test_nx=(), test_share=0.3, steps=4)
     folder = make_images(config, tmp_path / "pictures", RunOptions(workers=1, quiet=True))
-    run_script(SCRIPTS[1], folder, "--steps", 2, "--batch", 4, "--out", tmp_path / "reader")
+    run_script(
+        FOLDER / "perception" / "read.py",
+        folder,
+        "--steps",
+        2,
+        "--batch",
+        4,
+        "--out",
+        tmp_path / "reader",
+    )
     report = json.loads((tmp_path / "reader" / "report.json").read_text())
     assert report["steps"] == 2 and report["scores"]["test"]["all"]["pictures"] > 0
 

@@ -389,3 +389,28 @@ def test_a_mistake_is_one_line_and_status_2(
     assert left.value.code == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_limit_of_goals_is_kept_stored_and_verified(tmp_path: Path) -> None:
+    words = ("--task", "tie", "--nx", 3, "--max-goals", 2, "--workers", 1, "--quiet")
+    random = ("collect", "--policy", "random", "--episodes", 6, "--horizon", 2)
+    assert knotgym(*random, "--observation", "state", *words, "--out", tmp_path) == 0
+    (folder,) = tmp_path.glob("knotgym/tie-nx3/random-rules*-v0")  # a set of its own
+    reader = EpisodeReader(folder)
+    goals = [reader.labels(k)["options/goal"] for k in range(6)]
+    env = gym.make("knotgym/Tie-v0", nx=3, max_goals=2).unwrapped
+    assert reader.task.max_goals == 2 and {*goals} == {*env.episodes.rows("goal")}  # type: ignore[attr-defined]
+    said = json.loads((folder / "data" / "metadata.json").read_text())
+    assert json.loads(said["env_spec"])["kwargs"]["max_goals"] == 2
+    assert json.loads(said["eval_env_spec"])["kwargs"]["max_goals"] is None  # of the test split
+    assert verify_episodes(folder) == []
+    reader.close()
+    with h5py.File(folder / "data" / "main_data.hdf5", "r+") as file:
+        task = {**json.loads(file.attrs["task"]), "max_goals": 1}
+        file.attrs["task"] = json.dumps(task)
+    assert any("not of the first 1, max_goals" in fault for fault in verify_episodes(folder))
+    scores = tmp_path / "scores.json"
+    assert knotgym("evaluate", "--episodes", 1, "--horizon", 1, *words, "--out", scores) == 0
+    assert json.loads(scores.read_text())["settings"]["task"]["max_goals"] == 2
+    assert knotgym("evaluate", "--max-goals", 0, "--out", tmp_path / "none.json") == 2
+    assert not (tmp_path / "none.json").exists()

@@ -338,7 +338,9 @@ def _metadata(config: CollectConfig, tally: Tally) -> MinariMetadata:
     reference scores.
     """
     task, policy = config.task, config.policy
-    scores = _references().get(f"{task.task}-nx{task.nx}", {}) if task.rope == RopeConfig() else {}
+    scores = (
+        reference_scores().get(f"{task.task}-nx{task.nx}", {}) if task.rope == RopeConfig() else {}
+    )
     noise = (
         f", each pull a random one with probability {policy.noise}"
         if policy.policy in ("noisy-expert", "mixed")
@@ -369,7 +371,10 @@ def _metadata(config: CollectConfig, tally: Tally) -> MinariMetadata:
     )
 
 
-def _references() -> dict[str, Any]:
+def reference_scores() -> dict[str, Any]:
+    """Mean returns of a random and of an expert policy by set-up, "tie-nx3", on readable states,
+    and the `episodes` they were taken over; empty where they aren't known.
+    """
     if not _REFERENCES.is_file():
         return {}
     found: dict[str, Any] = json.loads(_REFERENCES.read_text(encoding="utf-8"))

@@ -1,0 +1,99 @@
+"""Offline learners of d3rlpy on state observations: behaviour cloning, IQL, TD3+BC, CQL and a
+decision transformer.
+
+    knotgym suite --task tie,convert --nx 2,3 --states readable --out benchmark
+    python examples/learners/offline_rl.py iql benchmark/knotgym/*/scripted-v0 --out iql
+
+Needs d3rlpy, in an environment of its own, for it pins Gymnasium: pip install d3rlpy, then knotgym
+with --no-deps. With --relabel all, as it is, every code that an episode passes is also a goal that
+it reached. Writes `model.d3`, `evaluation.json`, and `policy.pt`, which `knotgym evaluate
+--policy` takes (none of the transformer, which remembers its episode).
+"""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import d3rlpy
+import numpy as np
+import structlog
+from numpy.typing import NDArray
+from protocol import Training, measure, parser
+
+from knotgym.control.learned_policies import ModelPolicy, load_model
+from knotgym.control.own_policies import OwnPolicy
+from knotgym.control.policy import Policy
+from knotgym.loaders import to_d3rlpy
+
+LEARNERS = {
+    "bc": "BCConfig",
+    "iql": "IQLConfig",
+    "td3bc": "TD3PlusBCConfig",
+    "cql": "CQLConfig",
+    "dt": "DecisionTransformerConfig",
+}
+RETURN = 5.0  # what an episode that reaches its goal pays
+
+
+class Transformer:
+    """A decision transformer in one episode, asked for the return of a success."""
+
+    def __init__(self, learner: Any) -> None:
+        self._learner, self._own = learner, None
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Transformer:
+        return Transformer(self._learner)  # an episode's own memory, everyone's weights
+
+    def reset(self) -> None:
+        self._own = self._learner.as_stateful_wrapper(target_return=RETURN)
+
+    def act(self, observation: NDArray[np.float32]) -> Any:
+        assert self._own is not None
+        return np.clip(self._own.predict(observation, 0.0), -1, 1)  # nothing is paid on the way
+
+
+def buffer_of(datasets: list[str], relabel: str | None) -> Any:
+    """One buffer of all the episodes."""
+    whole, *others = (to_d3rlpy(one, observation="state", relabel=relabel) for one in datasets)
+    for other in others:
+        for episode in other.episodes:
+            whole.append_episode(episode)
+    return whole
+
+
+def main() -> None:
+    options = parser(__doc__ or "", tuple(LEARNERS))
+    options.add_argument(
+        "--relabel", choices=("all", "last", "none"), default="all", help="hindsight"
+    )
+    given = options.parse_args()
+    # it tells of every setting, the mean of each of 600 numbers included
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.WARNING))
+    training = Training(f"d3rlpy {d3rlpy.__version__}", given)
+    d3rlpy.seed(given.seed)
+    config = getattr(d3rlpy.algos, LEARNERS[given.learner])(
+        batch_size=given.batch,
+        observation_scaler=d3rlpy.preprocessing.StandardObservationScaler(),
+    )
+    learner = config.create(device="cpu:0")
+    learner.fit(
+        buffer_of(given.datasets, None if given.relabel == "none" else given.relabel),
+        n_steps=given.steps,
+        n_steps_per_epoch=given.steps,
+        logger_adapter=d3rlpy.logging.NoopAdapterFactory(),
+        show_progress=False,
+    )
+    learner.save(str(given.out / "model.d3"))
+    name = f"d3rlpy-{given.learner}"
+    policy: Policy
+    if given.learner == "dt":
+        policy = OwnPolicy(Transformer(learner), name)
+    else:
+        learner.save_policy(str(given.out / "policy.pt"))
+        policy = ModelPolicy(load_model(given.out / "policy.pt"), name)
+    measure(name, policy, given, {**training.ended(), "relabel": given.relabel})
+
+
+if __name__ == "__main__":
+    main()

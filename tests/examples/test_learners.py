@@ -1,0 +1,71 @@
+"""The learners by libraries train, save and are measured; run with -m clients where they are."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.generate.episodes.suite_scores import read_scores
+
+from ..scripts import ROOT, run_script
+from ..small_job import knotgym
+
+FOLDER = ROOT / "examples" / "learners"
+CHECKOUT = os.environ.get("KNOTGYM_OGBENCH", "")  # of OGBench, whose agents can't be installed
+TINY = ("--steps", 2, "--batch", 4, "--task", "unknot", "--nx", 2, "--episodes", 1)
+
+pytestmark = pytest.mark.clients
+no_d3rlpy = pytest.mark.skipif(
+    importlib.util.find_spec("d3rlpy") is None, reason="d3rlpy isn't installed"
+)
+no_ogbench = pytest.mark.skipif(
+    not CHECKOUT or importlib.util.find_spec("jax") is None,
+    reason="jax isn't installed, or KNOTGYM_OGBENCH names no checkout",
+)
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("played")
+    words = ("--task", "unknot", "--nx", 2, "--policy", "scripted", "--observation", "state")
+    assert knotgym("collect", *words, "--episodes", 3, "--workers", 1, "--quiet", "--out", out) == 0
+    return out / "knotgym/unknot-nx2/scripted-v0"
+
+
+def check_scores(folder: Path, name: str) -> None:
+    """What `benchmarks/results.py` reads tells of the learner and its training."""
+    (row,) = read_scores([folder / "evaluation.json"])
+    assert (row["policy"], row["task"], row["nx"], row["episodes"]) == (name, "unknot", 2, 1)
+    assert row["training"]["steps"] == 2 and row["training"]["episodes"] == 6
+    assert row["training"]["cpu_seconds"] > 0
+
+
+@no_d3rlpy
+@pytest.mark.parametrize("learner", ["bc", "iql", "td3bc", "cql", "dt"])
+def test_a_learner_of_d3rlpy_is_trained_and_measured(
+    learner: str, dataset: Path, tmp_path: Path
+) -> None:
+    words = (learner, dataset, dataset, *TINY, "--out", tmp_path / "out")
+    run_script(FOLDER / "offline_rl.py", *words)
+    check_scores(tmp_path / "out", f"d3rlpy-{learner}")
+    assert (tmp_path / "out" / "model.d3").is_file()
+    if learner != "dt":
+        make_policy(PolicyConfig(policy=str(tmp_path / "out" / "policy.pt")))
+
+
+@no_ogbench
+@pytest.mark.parametrize("learner", ["gcbc", "gcivl", "gciql", "crl", "hiql"])
+def test_an_agent_of_ogbench_is_trained_and_measured(
+    learner: str, dataset: Path, tmp_path: Path
+) -> None:
+    words = (learner, dataset, dataset, *TINY, "--ogbench", CHECKOUT, "--out", tmp_path / "out")
+    run_script(FOLDER / "goal_conditioned.py", *words)
+    check_scores(tmp_path / "out", f"ogbench-{learner}")
+    told = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    assert told["training"]["library"].startswith("OGBench's agents, jax ")
+    assert (tmp_path / "out" / "agent.msgpack").stat().st_size > 0
