@@ -195,7 +195,7 @@ class Agent:
             if surest >= self.config.enough or left < self.config.planner.batch_size:
                 break
             made = plan(
-                self._imagination,  # type: ignore[arg-type]
+                self._imagination,
                 state(episode.belief.ropes[0], episode.belief.velocities[0]),
                 episode.goal,
                 self.graph,
