@@ -61,6 +61,7 @@ class AgentConfig:
         sure: share of them that a plan must lead to the goal to be gone on with.
         named: how well a bead must be named before it is pulled.
         probes: pulls at most that are spent on finding where the rope is.
+        tow: steps of a tow before another is chosen.
         rise: upward force of a probe, in units of the largest.
         belief: what is thought possible.
         planner: of imagination.
@@ -80,6 +81,7 @@ class AgentConfig:
     named: float = 0.45
     probes: int = 3
     rise: float = 0.6
+    tow: int = 14
     belief: BeliefConfig = BeliefConfig()
     planner: PlannerConfig = PlannerConfig(batch_size=32, surrogate_rollouts=2)
 
@@ -213,12 +215,12 @@ class Agent:
         episode.plan = best
 
     def _tow(self, episode: _Episode) -> tuple[list[Pull], float]:
-        """The tow that is surest to straighten the rope, and how sure."""
+        """One of the tows that are surest to straighten the rope, and how sure."""
         left = episode.horizon - episode.step
         tows = [[Pull(-1, force, REACH * force)] * left for force in _TOWS]
-        sure = [self._surety(episode, tow) for tow in tows]
-        best = int(np.argmax(sure))
-        return tows[best], sure[best]
+        sure = np.array([self._surety(episode, tow) for tow in tows])
+        best = int(episode.rng.choice(np.flatnonzero(sure >= sure.max() - 1 / self.config.copies)))
+        return tows[best][: self.config.tow], float(sure[best])
 
     def _surety(self, episode: _Episode, steps: list[Pull]) -> float:
         """The share of ropes, lying a little otherwise, that a plan leads to the goal."""
