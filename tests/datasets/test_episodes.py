@@ -306,7 +306,7 @@ def test_a_kill_leaves_nothing_under_the_final_name(tmp_path: Path) -> None:
     assert not (tmp_path / "a.h5").exists()
 
 
-@pytest.mark.parametrize("shards", [1, 2, 5])
+@pytest.mark.parametrize("shards", [pytest.param(k, marks=pytest.mark.slow) for k in (1, 2)] + [5])
 def test_merging_gives_the_same_bytes_whatever_the_shards(
     tmp_path: Path, root: Path, task: TaskConfig, episodes: list[Episode], shards: int
 ) -> None:
