@@ -434,7 +434,7 @@ def test_numbers_and_dicts_are_told_in_words() -> None:
     ("name", "told"),
     [
         ("", "8 labels, 8 demonstrations, "),
-        (WAYS, "2 episodes, "),
+        pytest.param(WAYS, "2 episodes, ", marks=pytest.mark.slow),  # of the eight above
         # above, verify tells a terminal the same
         pytest.param("states.h5", "8 labels: no faults", marks=pytest.mark.slow),
     ],

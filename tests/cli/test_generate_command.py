@@ -160,6 +160,7 @@ def test_pictures_are_those_of_the_points(states: States) -> None:
     )
 
 
+@pytest.mark.slow  # verification replays every row in test_commands
 def test_every_provenance_ends_in_its_row_bit_for_bit(states: States) -> None:
     simulation = Simulation()
     for row in range(len(states)):

@@ -192,6 +192,7 @@ def test_a_digest_changes_with_any_bit(episodes: list[Episode]) -> None:
     )
 
 
+@pytest.mark.slow  # verification acts them out below
 def test_replay_is_exact(episodes: list[Episode], task: TaskConfig) -> None:
     assert replay(episodes, task) == [None] * len(episodes)
 

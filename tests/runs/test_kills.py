@@ -176,6 +176,7 @@ def test_a_second_run_is_refused(
     assert said(capfd) == [f"knotgym: another run is writing {folder.name} now"]
 
 
+@pytest.mark.slow  # every run that was killed leaves one, and is resumed below
 @pytest.mark.parametrize("command", RESUMABLE)
 def test_a_stale_lock_is_not_in_the_way(
     command: tuple[object, ...], unbroken: Unbroken, tmp_path: Path
