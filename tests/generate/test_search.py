@@ -170,7 +170,7 @@ def test_every_rope_counts_as_a_visit(searched: Archive) -> None:
 
 
 def test_no_sequence_is_longer_than_the_longest_allowed() -> None:
-    archive = grown(2, replace(SEARCH, seed=4, longest=12))
+    archive = grown(3, replace(SEARCH, seed=4, longest=12))
     assert 8 < max(len(elite.sequence) for elite in elites(archive)) <= 12
 
 
