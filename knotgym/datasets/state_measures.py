@@ -95,7 +95,12 @@ def source_faults(states: States, row: int) -> Iterator[str]:
 
 
 def repeated_sources(states: States) -> Iterator[str]:
-    """Rows that say they come from one drawing or candidate, or end one episode."""
+    """Rows of one run that say they come from one drawing or candidate, or end one episode.
+
+    Runs whose files were merged count each for itself, so that theirs may.
+    """
+    if isinstance(json.loads(states.attributes.get("config", "{}")), list):
+        return
     seeds = [tuple(seed) for seed in states.source["seed"].tolist()]
     keyed = [seed if seed and seed[0] in _CHOSEN else None for seed in seeds]
     yield from _repeated("come from one seed", keyed)

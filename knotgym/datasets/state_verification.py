@@ -14,7 +14,7 @@ from knotgym.actions import drawn_actions
 from knotgym.configuration import from_json
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import verify_episodes
-from knotgym.datasets.manifest_check import listed_faults, read_manifest
+from knotgym.datasets.manifest_check import listed_faults, read_manifest, report_faults
 from knotgym.datasets.near_duplicates import NEAR, distances, repeated
 from knotgym.datasets.splits import STATE_SPLITS
 from knotgym.datasets.state_measures import (
@@ -80,6 +80,7 @@ def folder_faults(folder: Path) -> Iterator[str]:
     """
     manifest, faults = read_manifest(folder)
     yield from faults
+    yield from report_faults(manifest)
     yield from listed_faults(folder, manifest)
     try:
         states = read_states(folder / "states.h5")

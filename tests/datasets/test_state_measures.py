@@ -1,5 +1,6 @@
 """Measures and seeds of a lone state file: what is changed in them is found."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -74,12 +75,15 @@ def test_a_seed_of_another_number_of_crossings_is_found() -> None:
     assert "is of nx 1, the row has nx" in changed(curated, "source/seed", (1, 2), 1)[0]
 
 
-def test_two_rows_of_one_seed_and_of_one_episode_are_found() -> None:
-    twice = read_states(shipped(), images=False).taken(np.array([3, 3]))
-    assert list(repeated_sources(twice)) == [
-        "states.h5 rows 0 and 1 come from one seed",
-        "states.h5 rows 0 and 1 end one episode",
-    ]
+@pytest.mark.parametrize(
+    ("name", "told"), [("hard-unknots", "come from one seed"), ("random-walk", "end one episode")]
+)
+def test_two_rows_of_one_seed_or_of_one_episode_are_found(name: str, told: str) -> None:
+    twice = read_states(shipped(name), images=False).taken(np.array([3, 3]))
+    merged = replace(twice, attributes={"config": '[{"seed": 1}, {"seed": 1}]'})
+    assert list(repeated_sources(merged)) == []
+    one_run = replace(twice, attributes={"config": '{"seed": 1}'})
+    assert list(repeated_sources(one_run)) == [f"states.h5 rows 0 and 1 {told}"]
 
 
 def test_any_other_change_of_a_written_file_is_found_by_its_own_checksum(tmp_path: Path) -> None:
