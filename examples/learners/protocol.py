@@ -5,21 +5,16 @@
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from knotgym.cli.options import numbers, words
-from knotgym.control.policies import Policy, PolicyConfig, register_policy
+from knotgym.control.policy import Policy
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.minari_dataset import metadata_of
-from knotgym.generate.episodes.evaluate import EvaluateConfig, run
+from knotgym.generate.episodes.learner_evaluation import evaluate_learner
 from knotgym.tasks import TaskConfig
-
-EVALUATION = "evaluation.json"
 
 
 def parser(description: str, kinds: tuple[str, ...]) -> argparse.ArgumentParser:
@@ -83,18 +78,14 @@ def measure(
     Writes `evaluation.json` and returns what it holds: that of `knotgym evaluate --out`, and how
     the learner was trained.
     """
-    register_policy(name, lambda config: policy)
-    config = EvaluateConfig(
-        policies=(PolicyConfig(policy=name),),
+    return evaluate_learner(
+        name,
+        policy,
+        given.out,
+        training,
         tasks=words(given.task),
         nx=numbers(given.nx),
         splits=words(given.split),
         episodes=given.episodes,
         task=TaskConfig(task="tie", states=given.states, observation="state"),
     )
-    path = given.out / EVALUATION
-    run(config, workers=1, out=path, video=None, quiet=False, console=Console())
-    told: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    told["training"] = training
-    path.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
-    return told

@@ -256,3 +256,11 @@ def test_the_adapters_race_their_likes(tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3")
     rates = figures("adapters", tmp_path, "--envs", 2, "--steps", 1, "--repeats", 1)
     assert {*rates["steps_a_second"]["state"]} == {"sb3_vec_env", "DummyVecEnv", "SubprocVecEnv"}
+
+
+@pytest.mark.clients
+def test_ppo_collects_rollouts_of_pictures_on_each(tmp_path: Path) -> None:
+    pytest.importorskip("stable_baselines3")
+    words = ("--envs", 2, "--rollout", 32, "--repeats", 1, "--image-size", 36)
+    found = figures("ppo_rollouts", tmp_path, *words, "--start", "forkserver")
+    assert {*found["clock"]} == {*found["CPU"]} >= {"sb3_vec_env", "SubprocVecEnv"}

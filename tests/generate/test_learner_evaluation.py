@@ -1,0 +1,37 @@
+"""A learner is measured as `knotgym evaluate` measures, and the file says how it was trained."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from knotgym.control.basic_policies import RandomPolicy
+from knotgym.control.policies import InvalidPolicy
+from knotgym.generate.episodes.learner_evaluation import EVALUATION, evaluate_learner
+from knotgym.generate.episodes.suite_scores import read_scores
+from knotgym.tasks import TaskConfig
+
+
+def test_scores_stand_beside_the_training_and_a_name_is_had_once(tmp_path: Path) -> None:
+    task = TaskConfig(task="tie", observation="state", horizon=2)
+
+    def measured() -> None:
+        evaluate_learner(
+            "a-learner",
+            RandomPolicy(),
+            tmp_path,
+            {"steps": 7},
+            quiet=True,
+            tasks=("unknot",),
+            nx=(2,),
+            episodes=2,
+            task=task,
+        )
+
+    measured()
+    (row,) = read_scores([tmp_path / EVALUATION])
+    assert (row["policy"], row["task"], row["split"]) == ("a-learner", "unknot", "test")
+    assert row["episodes"] == 2 and row["training"] == {"steps": 7}
+    with pytest.raises(InvalidPolicy, match="there is a policy 'a-learner' already"):
+        measured()
