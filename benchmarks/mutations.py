@@ -1,6 +1,8 @@
-"""What becomes of damaged files: mutated copies of a state file and an episode file, each verified.
+"""What becomes of damaged files: mutated copies of a file of each kind, each verified.
 
     python benchmarks/mutations.py --count 500 --states A/states.h5 --episodes B/main_data.hdf5
+    python benchmarks/mutations.py --count 500 --pictures C/data/train-00000-of-00001.parquet
+    python benchmarks/mutations.py --count 500 --manifests A/manifest.json --policies D/policy.json
 
 Every copy is read in a process of its own, as a command would. Outcomes: "refused", one line of a
 `KnotgymError`; "found", a fault of `verify`; "unchanged", all that a reader gets is what the sound
@@ -22,6 +24,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+from damaged_files import DAMAGES, TOLD, copied
 
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import verify_episodes
@@ -30,6 +33,7 @@ from knotgym.datasets.states import read_states
 from knotgym.errors import KnotgymError
 
 LIMIT = 60.0  # seconds for a file
+KINDS = ("states", "episodes", *TOLD)
 TYPES = ("c16", "f4", "i1", "u8", "?", "S3", "V5", "i4,f8", "O", "ref", "enum")
 Random = np.random.Generator
 
@@ -141,6 +145,8 @@ CLASSES: dict[str, Callable[[Path, Random], None]] = {
 
 def told(kind: str, path: Path) -> tuple[list[str], dict[str, str]]:
     """The faults of a file, and digests of all that its reader gives."""
+    if kind in TOLD:
+        return TOLD[kind](path)
     given: dict[str, str] = {}
     if kind == "states":
         states = read_states(path)
@@ -189,6 +195,10 @@ def outcome(kind: str, path: Path, right: dict[str, str], limit: float = LIMIT) 
         child.join()
 
 
+def _classes(kind: str) -> dict[str, Callable[[Path, Random], None]]:
+    return {one.__name__: one for one in DAMAGES[kind]} if kind in DAMAGES else CLASSES
+
+
 def run(files: dict[str, Path], count: int, seed: int = 0) -> dict[str, Any]:
     """Mutate and read: `count` copies of each file, the classes in turn."""
     counts: dict[str, Counter[str]] = {}
@@ -196,11 +206,11 @@ def run(files: dict[str, Path], count: int, seed: int = 0) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         for kind, source in files.items():
             right = told(kind, source)[1]
+            classes = _classes(kind)
             for number in range(count):
-                name = list(CLASSES)[number % len(CLASSES)]
-                copy = Path(folder) / source.name
-                copy.write_bytes(source.read_bytes())
-                CLASSES[name](copy, np.random.default_rng([seed, number]))
+                name = list(classes)[number % len(classes)]
+                copy = copied(kind, source, Path(folder))
+                classes[name](copy, np.random.default_rng([seed, number]))
                 said = outcome(kind, copy, right)
                 counts.setdefault(f"{kind} {name}", Counter())[said.split(":")[0]] += 1
                 if said.split(":")[0] in ("traceback", "crash", "hang", "wrong"):
@@ -212,11 +222,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=400, help="copies of each file")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--states", type=Path)
-    parser.add_argument("--episodes", type=Path)
+    for kind in KINDS:
+        parser.add_argument(f"--{kind}", type=Path)
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
-    files = {"states": given.states, "episodes": given.episodes}
+    files = {kind: getattr(given, kind) for kind in KINDS}
     report = run({k: path for k, path in files.items() if path}, given.count, given.seed)
     outcomes = sorted({name for row in report["counts"].values() for name in row})
     print("| class |", " | ".join(outcomes), "|")

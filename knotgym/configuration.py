@@ -7,15 +7,24 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import types
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, fields, is_dataclass, replace
 from numbers import Integral
+from pathlib import Path
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from knotgym.errors import KnotgymError
+from knotgym.errors import KnotgymError, one_line
 
 Config = TypeVar("Config")
+
+
+MOST_JSON = 256 << 20  # bytes; of a file that is read as JSON
+
+
+class UnreadableJson(KnotgymError, ValueError):
+    """What should be a JSON file isn't one."""
 
 
 class InvalidConfig(KnotgymError, ValueError):
@@ -60,6 +69,26 @@ def check_numbers(
             value = getattr(config, name)
             if not fits(value):
                 raise error(f"{name} must be {right}, got {value!r}")
+
+
+def read_json(path: str | os.PathLike[str], most: int = MOST_JSON) -> Any:
+    """What a JSON file says; nothing that isn't a file of some size is opened.
+
+    Raises:
+        OSError: it can't be read.
+        UnreadableJson: it is no file, too large, no text, no JSON, or too deeply nested.
+    """
+    given = Path(path)
+    if given.exists() and not given.is_file():
+        raise UnreadableJson(f"{given} is no regular file")
+    with open(given, "rb") as file:
+        text = file.read(most + 1)
+    if len(text) > most:
+        raise UnreadableJson(f"{given} has more than {most} bytes, no JSON of ours is so large")
+    try:
+        return json.loads(text.decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise UnreadableJson(f"{given} is no JSON: {one_line(error)}") from error
 
 
 def as_json(config: Any) -> dict[str, Any]:

@@ -79,6 +79,11 @@ class Simulation:
         Simulation.__init__(self, saved["count"], Rope(saved["config"]), saved["threads"])
         self.restore(saved["states"])
 
+    @property
+    def max_force(self) -> float:
+        """The largest force of an action, newtons."""
+        return self.rope.config.max_force
+
     def qpos(self, ids: Ids = None) -> Array:
         """Copy of the generalized positions: float64 (len(ids), nq)."""
         return self._qpos[self._all(ids)].copy()

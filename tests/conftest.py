@@ -1,5 +1,7 @@
 """What several test modules share: ropes of known shape and a small state file made of them."""
 
+import os
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +18,7 @@ from knotgym.runs.executors import InProcess
 from knotgym.simulation import Simulation
 from knotgym.topology.crossings import label
 
-from .small_job import knotgym
+from .small_job import SECONDS, WANTED, begun, knotgym
 
 # Compiling, or another process on the same cores, is no failure.
 settings.register_profile("unhurried", deadline=None)
@@ -117,8 +119,17 @@ def curated(tmp_path_factory: pytest.TempPathFactory) -> Path:
     is done to copies.
     """
     folder = tmp_path_factory.mktemp("curated") / "nx0-1"
-    assert (
-        knotgym("generate", "--nx", "0,1", "--count", 4, "--workers", 1, "--out", folder, "--quiet")
-        == 0
-    )
+    assert knotgym("generate", *WANTED, "--workers", 1, "--out", folder, "--quiet") == 0
     return folder
+
+
+@pytest.fixture(scope="session")
+def killed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the same run was killed after its first cycle; none of its workers lives on (they would
+    hold its output open). Only ever read.
+    """
+    out = tmp_path_factory.mktemp("killed") / "nx0-1"
+    run = begun(out, "--workers", 2, saved=True)
+    os.kill(run.pid, signal.SIGKILL)
+    run.communicate(timeout=SECONDS)
+    return out

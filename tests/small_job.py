@@ -6,7 +6,9 @@ from __future__ import annotations
 
 import json
 import signal
+import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -16,6 +18,8 @@ from knotgym.configuration import updated
 from knotgym.generate.states.generate_config import GenerateConfig
 
 SETTINGS = Path(__file__).parent / "small.json"
+WANTED = ("--nx", "0,1", "--count", 4)  # what conftest's `curated` folder was asked for
+SECONDS = 120  # in which anything that is waited for must have happened
 SMALL = updated(GenerateConfig(), json.loads(SETTINGS.read_text(encoding="utf-8")))
 
 
@@ -35,6 +39,23 @@ def knotgym(*arguments: object) -> int:
 def typed(*arguments: object) -> list[str]:
     """The same as a command line for another process."""
     return [sys.executable, "-m", "knotgym", *_small(arguments)]
+
+
+def begun(out: Path, *arguments: object, saved: bool) -> subprocess.Popen[str]:
+    """A run in another process group, once it holds its folder, or once it has saved a cycle."""
+    run = subprocess.Popen(
+        typed("generate", *WANTED, *arguments, "--out", out),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    sign = out.parent / f".{out.name}.partial" / ("run.json" if saved else "lock")
+    until = time.monotonic() + SECONDS
+    while not sign.exists() and run.poll() is None and time.monotonic() < until:
+        time.sleep(0.02)
+    assert run.poll() is None and sign.exists()
+    return run
 
 
 def _small(arguments: tuple[object, ...]) -> list[str]:

@@ -143,7 +143,14 @@ def test_three_environments_are_registered() -> None:
     assert ids == {"knotgym/Unknot-v0", "knotgym/Tie-v0", "knotgym/Convert-v0"}
 
 
-@pytest.mark.parametrize("task", ["Unknot", "Tie", "Convert"])
+@pytest.mark.parametrize(
+    "task",
+    [
+        pytest.param("Unknot", marks=pytest.mark.slow),
+        pytest.param("Tie", marks=pytest.mark.slow),
+        "Convert",
+    ],
+)
 def test_a_task_is_made_alone_in_a_fresh_process(task: str, states_path: str) -> None:
     assert "knotgym.env" in modules_after(made_alone(task, states_path))
 

@@ -89,7 +89,7 @@ def test_the_bound_is_laid_anew_at_every_reset(states_path: str) -> None:
 
 
 def test_the_expert_s_plans_keep_to_the_bound(states_path: str) -> None:
-    expert = Expert(PlannerConfig(budget=1000, batch_size=4))
+    expert = Expert(PlannerConfig(budget=400, batch_size=4))
     (played,) = rollout(bounded(states_path, nx=1), expert, [1], 0)
     points = played.episode.points
     assert played.success and distances_towed(points, centres(points[:1])).max() <= LIMIT

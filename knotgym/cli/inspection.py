@@ -24,7 +24,7 @@ from knotgym.datasets.exports.huggingface_export import ToUpload, to_huggingface
 from knotgym.datasets.exports.minari_export import to_minari
 from knotgym.datasets.foreign_file import try_files
 from knotgym.datasets.gallery import contact_sheet, write_gallery, write_png
-from knotgym.datasets.image_table import read_rows, read_table
+from knotgym.datasets.image_table import decode, read_rows, read_table
 from knotgym.datasets.manifest_check import read_manifest
 from knotgym.datasets.minari_dataset import compact, merge_datasets
 from knotgym.datasets.page.page_data import dataset_name, page_data
@@ -129,9 +129,8 @@ def gallery(named: str, out: Path, columns: int) -> str:
         count, shown = len(read_table(path, columns=["nx"])), []
         columns_read = ["image", "gauss_code_chiral", "split"]
         for row in islice(read_rows(path, columns=columns_read), _SHOWN):
-            coded = np.frombuffer(row["image"], np.uint8)
-            picture = cv2.resize(np.asarray(cv2.imdecode(coded, cv2.IMREAD_COLOR)), (128, 128))
-            shown.append((picture[..., ::-1], row["gauss_code_chiral"], row["split"]))
+            picture = np.asarray(cv2.resize(decode(row["image"]), (128, 128)), np.uint8)
+            shown.append((picture, row["gauss_code_chiral"], row["split"]))
         what = "pictures"
     else:
         ends = [end for one in places(named) for end in _ends(one.path)]

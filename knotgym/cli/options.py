@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from knotgym.configuration import Config, InvalidConfig, updated
+from knotgym.configuration import Config, InvalidConfig, read_json, updated
 from knotgym.runs.executors import scheduler_of
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.shards import Shard
@@ -195,6 +194,8 @@ def code_list(path: Path | None) -> list[GaussCode]:
     """
     if path is None:
         return []
+    if path.exists() and not path.is_file():
+        raise typer.BadParameter(f"--codes {path} is no regular file")
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -255,7 +256,7 @@ def with_settings(config: Config, path: Path | None) -> Config:
     if path is None:
         return config
     try:
-        changes = json.loads(path.read_text(encoding="utf-8"))
+        changes = read_json(path)
     except (OSError, ValueError) as error:
         raise InvalidConfig(f"--settings {path} can't be read as JSON: {error}") from error
     return updated(config, changes)

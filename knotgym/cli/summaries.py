@@ -21,7 +21,7 @@ from knotgym.datasets.cards.state_card import (
 from knotgym.datasets.cards.state_card import summary as state_summary
 from knotgym.datasets.episode_verification import show_episodes
 from knotgym.datasets.image_table import GRADES, shards
-from knotgym.datasets.manifest_check import read_manifest
+from knotgym.datasets.manifest_check import read_manifest, run_report
 from knotgym.datasets.states import read_states
 from knotgym.prompting.reading_scores import HEAD, ReadingScores
 from knotgym.prompting.tally import tally
@@ -41,7 +41,7 @@ def print_states(path: str, file: Path, console: Console) -> None:
     """
     states = read_states(file, images=False)
     facts = state_summary(states)
-    report = read_manifest(file.parent)[0].get("report", {})
+    report = run_report(read_manifest(file.parent)[0])
     existing = report.get("existing_codes", {})
     counts = narrow_table(
         ("nx", "states", "codes", "of", "chiral", "train", "test", "both", "c / a", "actions"),

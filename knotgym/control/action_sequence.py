@@ -7,11 +7,41 @@ an agent can do.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.simulation import Ids, Simulation
+from knotgym.rope import Array
+from knotgym.simulation import Ids
+
+
+class Ropes(Protocol):
+    """Ropes that can be acted on and put back: a `Simulation`, or what foresees one.
+
+    Attributes:
+        count: how many.
+        points: float64 (count, beads, 3), metres.
+    """
+
+    count: int
+    points: Array
+
+    @property
+    def max_force(self) -> float:
+        """The force that actions count in, newtons."""
+
+    def states(self, ids: Any) -> Array:
+        """Copies of all that decides what comes next, float64 (len(ids), n)."""
+
+    def restore(self, states: Array, ids: Any) -> None:
+        """Put ropes back into states."""
+
+    def actions(self, beads: Any, forces: Any, ids: Any) -> NDArray[np.float32]:
+        """Actions float32 (len(ids), 6) that pull beads with forces in newtons."""
+
+    def act(self, actions: NDArray[np.float32], ids: Any) -> NDArray[np.bool_]:
+        """Take actions; which ropes held."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +82,7 @@ NO_ACTIONS = resting(0)
 
 
 def step_ropes(
-    simulation: Simulation,
+    ropes: Ropes,
     beads: NDArray[np.integer],
     forces: NDArray[np.floating],
     ids: Ids = None,
@@ -60,14 +90,14 @@ def step_ropes(
     """Take one step of each rope through the agent's interface.
 
     Args:
-        simulation: the ropes.
+        ropes: to act on.
         beads: int (len(ids),).
         forces: (len(ids), 3), in units of the largest force.
-        ids: the ropes.
+        ids: which of them.
 
     Returns:
         The actions float32 (len(ids), 6), and which ropes held.
     """
-    newtons = np.asarray(forces, dtype=np.float64) * simulation.rope.config.max_force
-    actions = simulation.actions(beads, newtons, ids)
-    return actions, simulation.act(actions, ids)
+    newtons = np.asarray(forces, dtype=np.float64) * ropes.max_force
+    actions = ropes.actions(beads, newtons, ids)
+    return actions, ropes.act(actions, ids)

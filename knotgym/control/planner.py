@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.configuration import check_numbers
-from knotgym.control.action_sequence import step_ropes
+from knotgym.control.action_sequence import Ropes, step_ropes
 from knotgym.control.macro_actions import (
     MacroAction,
     MacroActionConfig,
@@ -38,7 +38,6 @@ from knotgym.control.transition_graph import (
 )
 from knotgym.errors import KnotgymError
 from knotgym.rope import Array
-from knotgym.simulation import Simulation
 from knotgym.topology.crossings import find_crossings, label_many
 from knotgym.topology.gauss import GaussCode
 from knotgym.towing import TowBound
@@ -232,7 +231,7 @@ class _Branch:
 
 
 def plan(
-    simulation: Simulation,
+    simulation: Ropes,
     state: Array,
     goal: GaussCode,
     graph: TransitionGraph,
@@ -320,7 +319,7 @@ class _Search:
 
     def __init__(
         self,
-        simulation: Simulation,
+        simulation: Ropes,
         state: Array,
         goal: GaussCode,
         graph: TransitionGraph,

@@ -5,7 +5,6 @@ Points are compared bit for bit, as are rewards and observations; a code is aske
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
@@ -15,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.actions import steps_taken
-from knotgym.configuration import as_json
+from knotgym.configuration import as_json, read_json
 from knotgym.datasets.episode_reader import (
     GOAL_INFO,
     EpisodeReader,
@@ -210,7 +209,8 @@ def _file_faults(reader: EpisodeReader, rope: Rope) -> list[str]:
         )
     beside = reader.path.with_name("metadata.json")
     if beside.is_file():
-        entries = json.loads(beside.read_text(encoding="utf-8"))
+        read = read_json(beside)
+        entries = read if isinstance(read, dict) else {}
         for name, right in {
             "total_episodes": len(reader),
             "total_steps": int(reader.lengths.sum()),

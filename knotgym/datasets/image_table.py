@@ -11,6 +11,7 @@ from __future__ import annotations
 import importlib
 import json
 import os
+import struct
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,12 +23,17 @@ from numpy.typing import NDArray
 from knotgym.atomic_files import atomic_write
 from knotgym.datasets.splits import IMAGE_SPLITS
 from knotgym.errors import KnotgymError, MissingFile, one_line
+from knotgym.hdf5_files import require_regular
 from knotgym.quality_limits import UNITS
 
 FORMAT = "knotgym-images"
 FORMAT_VERSION = 1
 GRADES = ("easy", "medium", "hard", "extreme")
 ROW_GROUP = 100  # rows that are read together at least
+_LEAST_ROW = 64  # bytes that a shard stores of a row, and more: each has a picture of its own
+_MOST_EXPANDED = 1000  # bytes of a shard for each that it stores
+_LARGEST = 4096  # pixels of a side of a picture that is decoded
+_PNG = b"\x89PNG\r\n\x1a\n"
 
 # A column's type: the name of a value's type, {name: type} for a struct, [type, length or None] for
 # a list. Both schemas, pyarrow's and Hugging Face's, are made from this one.
@@ -149,7 +155,16 @@ def encode(image: NDArray[np.uint8]) -> bytes:
 
 
 def decode(data: bytes) -> NDArray[np.uint8]:
-    """The picture of a PNG: uint8 (size, size, 3), RGB."""
+    """The picture of a PNG: uint8 (size, size, 3), RGB.
+
+    Raises:
+        InvalidImages: it is none, or larger than any of ours.
+    """
+    if len(data) < 33 or data[:8] != _PNG:
+        raise InvalidImages(f"{len(data)} bytes are no picture")
+    width, height = struct.unpack(">II", data[16:24])
+    if not (0 < width <= _LARGEST and 0 < height <= _LARGEST):
+        raise InvalidImages(f"a picture of {width} x {height} pixels, none of ours is so large")
     image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
     if image is None:
         raise InvalidImages(f"{len(data)} bytes are no picture")
@@ -249,18 +264,65 @@ def points_of(table: Any) -> NDArray[np.float64]:
 
 def _read(path: Path, columns: list[str] | None) -> Any:
     pa, parquet = arrow(), arrow("pyarrow.parquet")
+    require_regular(path, "Parquet shard", InvalidImages)
     try:
         file = parquet.ParquetFile(path)
         named = json.loads((file.schema_arrow.metadata or {}).get(b"knotgym", b"{}"))
+        named = named if isinstance(named, dict) else {}
         name, version = named.get("format", "none"), named.get("format_version", "none")
         if (name, version) != (FORMAT, FORMAT_VERSION):
             raise InvalidImages(
                 f"{path} has format {name!r} version {version}; this version reads {FORMAT!r}"
                 f" version {FORMAT_VERSION}"
             )
-        return file.read(columns=columns)
-    except (OSError, KeyError, pa.ArrowException) as error:
+        _require_schema(file, os.path.getsize(path))
+        table = file.read(columns=columns)
+        table.validate(full=True)
+        for column, values in zip(table.column_names, table.columns, strict=True):
+            if column in COLUMNS and any(map(_has_nulls, values.chunks)):
+                raise InvalidImages(f"column {column} lacks values")
+        return table
+    except (OSError, KeyError, ValueError, RecursionError, MemoryError, pa.ArrowException) as error:
+        if str(error).startswith(f"{path} has format"):
+            raise
         raise InvalidImages(f"{path} isn't a whole Parquet shard: {one_line(error)}") from error
+
+
+def _require_schema(file: Any, stored: int) -> None:
+    """Refuse a shard of other columns or types, or one that declares far more than it stores.
+
+    Raises:
+        InvalidImages: it is.
+    """
+    there = file.schema_arrow
+    for wanted in schema():
+        at = there.get_all_field_indices(wanted.name)
+        if len(at) != 1:
+            raise InvalidImages(f"column {wanted.name} is there {len(at)} times")
+        if there.field(at[0]).type != wanted.type:
+            found = there.field(at[0]).type
+            raise InvalidImages(f"column {wanted.name} is {found}, should be {wanted.type}")
+    told = file.metadata
+    groups = [told.row_group(k) for k in range(told.num_row_groups)]
+    size = sum(group.total_byte_size for group in groups)
+    rows = sum(group.num_rows for group in groups)
+    if rows != told.num_rows or not 0 <= rows * _LEAST_ROW <= stored:
+        raise InvalidImages(f"it declares {told.num_rows} rows and stores {stored} bytes")
+    if not 0 <= size <= _MOST_EXPANDED * stored:
+        raise InvalidImages(f"it declares {size} bytes and stores {stored}")
+
+
+def _has_nulls(values: Any) -> bool:
+    """Whether a value is missing anywhere in an array of Arrow; the path of a picture always is."""
+    pa = arrow()
+    if values.null_count:
+        return True
+    if pa.types.is_struct(values.type):
+        names = [values.type.field(k).name for k in range(values.type.num_fields)]
+        return any(_has_nulls(values.field(name)) for name in names if name != "path")
+    if pa.types.is_list(values.type) or pa.types.is_fixed_size_list(values.type):
+        return _has_nulls(values.flatten())
+    return False
 
 
 def arrow_type(pa: Any, kind: Any) -> Any:

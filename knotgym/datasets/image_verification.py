@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,17 +28,21 @@ from knotgym.datasets.image_table import (
 from knotgym.datasets.manifest_check import listed_faults, read_manifest
 from knotgym.datasets.near_duplicates import NEAR, distances
 from knotgym.datasets.splits import IMAGE_SPLITS
+from knotgym.datasets.state_measures import measure_faults, spread_faults
 from knotgym.datasets.walks_file import InvalidWalks, read_walks, retrace
-from knotgym.errors import KnotgymError, MissingFile
+from knotgym.errors import KnotgymError, MissingFile, one_line
 from knotgym.label_limits import at_base, pressed_together, visits_too_close
 from knotgym.relaxation import RelaxationConfig, relaxed
-from knotgym.rendering.appearance import render
+from knotgym.rendering.appearance import SIZES, render
 from knotgym.rope import Array, Rope
 from knotgym.topology.crossings import find_crossings
 from knotgym.topology.reference_labeller import pyknotid_code
 from knotgym.topology.symmetry import Symmetry
 
 _BATCH = 32  # walks made again side by side
+_MOST_ROUNDS = 10_000  # of relaxing; more are a slip, and would take for ever
+_COLOURS = ("published", "single", "gradient")
+_DRAWN_WITH, _MOST_DRAWN = ("zoom", "width", "noise", "blur"), 1000.0
 
 Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # as the built-in `map`
 
@@ -93,13 +98,18 @@ def image_faults(path: str | Path, each: Map = map) -> Iterator[str]:
 def shard_faults(path: Path) -> list[str]:
     """Faults of the rows of a shard, each by itself."""
     try:
-        return [
-            f"{path.name} row {number}: {fault}"
-            for number, row in enumerate(read_rows(path))
-            for fault in row_faults(row)
-        ]
-    except InvalidImages as error:
+        rows = enumerate(read_rows(path))
+        return [f"{path.name} row {n}: {fault}" for n, row in rows for fault in _all_faults(row)]
+    except (InvalidImages, MissingFile) as error:
         return [str(error)]
+
+
+def _all_faults(row: dict[str, Any]) -> list[str]:
+    """Faults of a row, that it can't be drawn or measured among them."""
+    try:
+        return list(row_faults(row))
+    except (KnotgymError, ValueError, TypeError, ArithmeticError, LookupError, cv2.error) as error:
+        return [f"what it says can't be drawn or measured again: {one_line(error)}"]
 
 
 def row_faults(row: dict[str, Any]) -> Iterator[str]:
@@ -108,14 +118,25 @@ def row_faults(row: dict[str, Any]) -> Iterator[str]:
     if not np.isfinite(points).all():
         yield "coordinates are not finite"
         return
+    across = list(spread_faults(points, Rope()))
+    if across:
+        yield from across
+        return
     crossings, look = find_crossings(points), appearance_of(row["appearance"])
+    if not SIZES[0] <= look.size <= SIZES[1]:
+        yield f"appearance.size is {look.size}, should be {SIZES[0]} to {SIZES[1]} pixels"
+        return
+    odd = [name for name in _DRAWN_WITH if not 0 <= getattr(look, name) <= _MOST_DRAWN]
+    if odd:
+        yield f"appearance.{odd[0]} is {getattr(look, odd[0])}, should be 0 to {_MOST_DRAWN:g}"
+        return
     right = {**labels(points, crossings, look), **measures(points, crossings, row["source"])}
     for name in ("gauss_code", "gauss_code_chiral", "nx", "knot", "crossings", "accepted", "grade"):
         if row[name] != right[name]:
             yield f"{name} is {row[name]!s}, recomputed {right[name]!s}"
-    for name, value in right["quality"].items():
-        if row["quality"][name] != value:
-            yield f"quality.{name} is {row['quality'][name]!s}, recomputed {value!s}"
+    yield from measure_faults(row["quality"], right["quality"])
+    if look.colours not in _COLOURS:
+        yield f"appearance.colours is {look.colours!r}, should be {' or '.join(_COLOURS)}"
     second = pyknotid_code(points)
     if second != crossings.code:
         yield f"pyknotid reads {second.chiral} where ours is {crossings.code.chiral}"
@@ -224,6 +245,12 @@ def _walk_faults(batch: _WalkBatch) -> list[str]:
     rope, faults = Rope(), []
     traces = retrace(batch.states, batch.beads, batch.forces)
     for row, place, source, stored in batch.rows:
+        if not (0 <= source["pulls"] < traces.shape[1] and 0 <= source["rounds"] <= _MOST_ROUNDS):
+            faults.append(
+                f"row {row}: its walk has {traces.shape[1] - 1} steps and at most {_MOST_ROUNDS}"
+                f" rounds, its source says {source['pulls']} and {source['rounds']}"
+            )
+            continue
         frame = traces[place, source["pulls"]]
         rounds = source["rounds"]
         points = relaxed(frame, rounds, rope, batch.relaxation) if rounds else frame

@@ -2,22 +2,66 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
 from knotgym.atomic_files import sha256
+from knotgym.configuration import read_json
+from knotgym.datasets.states import leads_out
+from knotgym.errors import KnotgymError, one_line, printable
+
+_NUMBER = (Real,)
+_COUNTS = {str: _NUMBER}
+# what is read of a run's report, where it is there: {type: shape} for an object of such, [shape]
+# for a list, (type, ...) for a value
+_REPORT: dict[str, Any] = {
+    "attempts": _NUMBER,
+    "actions": _NUMBER,
+    "existing_codes": {str: (Real, type(None))},
+    "rejected": {str: _COUNTS},
+    "growth": [{"steps": _NUMBER, "known": _COUNTS, "accepted": _COUNTS}],
+}
+
+
+class InvalidManifest(KnotgymError, ValueError):
+    """A manifest that says what none of ours says."""
 
 
 def read_manifest(folder: Path) -> tuple[dict[str, Any], list[str]]:
     """The manifest, which has `files` and `config`, empty if it can't be read; and that fault."""
     try:
-        manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+        manifest = read_json(folder / "manifest.json")
         checked = {"files": dict(manifest["files"]), "config": dict(manifest["config"])}
+        _require_inside(checked["files"])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        return {}, [f"manifest.json can't be read: {error}"]
+        return {}, [f"manifest.json can't be read: {one_line(error)}"]
     return {**manifest, **checked}, []
+
+
+def run_report(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """What a manifest reports of the run that made states, empty if it isn't such a report."""
+    report = manifest.get("report")
+    if not isinstance(report, dict) or report_faults(manifest):
+        return {}
+    return report
+
+
+def report_faults(manifest: Mapping[str, Any]) -> list[str]:
+    """What is wrong in the report of a run that made states."""
+    report = manifest.get("report", {})
+    if not isinstance(report, dict):
+        return ["manifest.json: report should be an object"]
+    faults = [
+        f"manifest.json: report.{name} isn't what a run reports"
+        for name, shape in _REPORT.items()
+        if name in report and not _fits(report[name], shape)
+    ]
+    grown = [] if faults else report.get("growth", [])
+    if any(not row["known"].keys() == row["accepted"].keys() for row in grown):
+        faults.append("manifest.json: report.growth counts different nx in a row")
+    return faults
 
 
 def listed_faults(folder: Path, manifest: Mapping[str, Any]) -> Iterator[str]:
@@ -27,3 +71,27 @@ def listed_faults(folder: Path, manifest: Mapping[str, Any]) -> Iterator[str]:
             yield f"{name} is missing"
         elif sha256(folder / name) != digest:
             yield f"{name} is not the file the manifest lists (SHA-256 differs)"
+
+
+def _require_inside(files: Mapping[str, Any]) -> None:
+    """Refuse names of files that lie elsewhere, or that no file of ours has.
+
+    Raises:
+        InvalidManifest: one is such.
+    """
+    for name in files:
+        if not name or leads_out(name) or not name.isprintable():
+            raise InvalidManifest(f"it lists {printable(name)!r}, which is no file in the folder")
+
+
+def _fits(value: Any, shape: Any) -> bool:
+    """Whether a value of JSON is of a shape, as _REPORT spells them."""
+    if isinstance(shape, tuple):
+        return isinstance(value, shape) and not isinstance(value, bool)
+    if isinstance(shape, list):
+        return isinstance(value, list) and all(_fits(one, shape[0]) for one in value)
+    if not isinstance(value, dict):
+        return False
+    if str in shape:
+        return all(name.isprintable() and _fits(one, shape[str]) for name, one in value.items())
+    return all(name in value and _fits(value[name], inner) for name, inner in shape.items())

@@ -1,7 +1,7 @@
 """The columns of the state file, `states.h5`: their names, types, shapes and units.
 
 What is read, written, merged and verified follows this one list. The file's attributes are `format`
-and `format_version`, and ATTRIBUTES; `quality/*` may hold other measures too.
+and `format_version`, ATTRIBUTES and DIGEST; `quality/*` may hold other measures too.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ ATTRIBUTES = {
     "rope": "fingerprint of the rope model, see `RopeConfig.fingerprint`",
     "config": "the generating configuration, JSON; a list of them in a merged file",
 }
-
+DIGEST = "content_sha256"  # an attribute too: of all columns, see `states.content_digest`
 
 ROOT = (
     Column(

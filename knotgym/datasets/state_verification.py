@@ -14,18 +14,24 @@ from knotgym.actions import drawn_actions
 from knotgym.configuration import from_json
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import verify_episodes
-from knotgym.datasets.manifest_check import listed_faults, read_manifest
+from knotgym.datasets.manifest_check import listed_faults, read_manifest, report_faults
 from knotgym.datasets.near_duplicates import NEAR, distances, repeated
 from knotgym.datasets.splits import STATE_SPLITS
+from knotgym.datasets.state_measures import (
+    quality_faults,
+    repeated_sources,
+    source_faults,
+    spread_faults,
+)
 from knotgym.datasets.state_schema import COLUMNS, RANDOM_WALK, REPLAYED
-from knotgym.datasets.states import InvalidStates, States, read_states
+from knotgym.datasets.states import InvalidStates, States, content_digest, read_states
 from knotgym.drawing.drawn_curve import DrawingConfig, drawn_curve
 from knotgym.errors import KnotgymError, MissingFile
 from knotgym.rendering.picture import draw
 from knotgym.rope import Array, Rope
 from knotgym.simulation import Simulation
 from knotgym.streams import InvalidSeed, Stream, generator_of, key
-from knotgym.topology.crossings import label
+from knotgym.topology.crossings import find_crossings
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import knot_type
 from knotgym.topology.reference_labeller import pyknotid_code
@@ -38,7 +44,10 @@ _LONGEST = 100_000  # actions of a random walk; more are a slip, and would fill 
 
 
 def state_faults(states: States) -> Iterator[str]:
-    """Faults of the rows: schema, labels, pictures, replay of the provenance, split leakage."""
+    """Faults of the rows: schema, labels, measures, pictures, replay of the provenance, splits.
+
+    Of a file that says the checksum of its columns also whether they are those.
+    """
     rope = Rope()
     if states.attributes.get("rope") != rope.config.fingerprint:
         yield (
@@ -59,6 +68,9 @@ def state_faults(states: States) -> Iterator[str]:
     yield from _leaks(states)
     for first, row in repeated(states.points):
         yield f"states.h5 rows {first} and {row} are the same configuration"
+    yield from repeated_sources(states)
+    if states.digest and states.image is not None and states.digest != content_digest(states):
+        yield "states.h5: its columns are not those written into it (SHA-256 differs)"
 
 
 def folder_faults(folder: Path) -> Iterator[str]:
@@ -68,6 +80,7 @@ def folder_faults(folder: Path) -> Iterator[str]:
     """
     manifest, faults = read_manifest(folder)
     yield from faults
+    yield from report_faults(manifest)
     yield from listed_faults(folder, manifest)
     try:
         states = read_states(folder / "states.h5")
@@ -115,7 +128,12 @@ def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iter
         return
     if not np.array_equal(rope.points(qpos), points):
         yield "points are not those of qpos"
-    code = label(points)
+    across = list(spread_faults(points, rope))
+    if across:
+        yield from across
+        return
+    crossings = find_crossings(points)
+    code = crossings.code
     for name, stored, right in (
         ("gauss_code", states.gauss_code[row], str(code)),
         ("gauss_code_chiral", states.gauss_code_chiral[row], code.chiral),
@@ -131,6 +149,8 @@ def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iter
         yield "image is not the picture of points"
     if states.split[row] not in STATE_SPLITS:
         yield f"split is {str(states.split[row])!r}"
+    yield from quality_faults(states, row, crossings)
+    yield from source_faults(states, row)
     try:
         actions_of(states, row)
     except InvalidSource as error:

@@ -5,6 +5,7 @@ Its columns and attributes are listed in `state_schema`.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Mapping, Sequence
@@ -22,6 +23,7 @@ from knotgym.datasets.near_duplicates import repeated
 from knotgym.datasets.state_schema import (
     ATTRIBUTES,
     COLUMNS,
+    DIGEST,
     FORMAT,
     FORMAT_VERSION,
     READ_VERSIONS,
@@ -61,6 +63,7 @@ class States:
             (n, T, 6), of which the first `steps` are taken, end in the row's qpos bit for bit;
             `seed`, `policy`, `dataset` and `trajectory` say where from.
         attributes: of the file.
+        digest: `content_digest` of the file when it was written; "" where that isn't known.
     """
 
     qpos: NDArray[np.float64]
@@ -75,6 +78,7 @@ class States:
     units: dict[str, str] = field(default_factory=dict)
     source: dict[str, NDArray[Any]] = field(default_factory=dict)
     attributes: dict[str, Any] = field(default_factory=dict)
+    digest: str = ""
 
     def __post_init__(self) -> None:
         for name, values in self.columns().items():
@@ -99,7 +103,7 @@ class States:
 
     def with_columns(self, columns: Mapping[str, NDArray[Any]]) -> States:
         """The same with all its columns replaced; those not given are gone."""
-        return replace(self, **_fields_of(columns))
+        return replace(self, **_fields_of(columns), digest="")
 
     def rows(self, nx: int, split: str) -> NDArray[np.int64]:
         """Indices of the rows with nx crossings in a split."""
@@ -186,6 +190,7 @@ def write_states(path: str | os.PathLike[str], states: States) -> None:
         file.attrs["format"], file.attrs["format_version"] = FORMAT, FORMAT_VERSION
         for name, value in states.attributes.items():
             file.attrs[name] = json.dumps(value) if isinstance(value, dict) else value
+        file.attrs[DIGEST] = content_digest(states)
         for group in _GROUPS:  # there even if empty
             file.create_group(group)
         for name, values in states.columns().items():
@@ -230,7 +235,19 @@ def read_states(path: str | os.PathLike[str], *, images: bool = True) -> States:
                 if name.startswith("quality/")
             },
             attributes=_attributes(file),
+            digest=read_attribute(file, Column(DIGEST, "text", ())) if DIGEST in file.attrs else "",
         )
+
+
+def content_digest(states: States) -> str:
+    """SHA-256 of all columns with their names, hexadecimal; how they are stored doesn't matter."""
+    whole = hashlib.sha256()
+    for name, values in sorted(states.columns().items()):
+        text = values.dtype.kind == "U"
+        told = [name, "text" if text else values.dtype.str, values.shape]
+        whole.update(json.dumps([*told, values.tolist()] if text else told).encode())
+        whole.update(b"" if text else np.ascontiguousarray(values).tobytes())
+    return whole.hexdigest()
 
 
 def _whole(name: str) -> Column:
@@ -250,7 +267,7 @@ def _attributes(file: h5py.File) -> dict[str, Any]:
     found = {
         name: read_attribute(file, Column(name, "text" if name in ATTRIBUTES else "any", ()))
         for name in file.attrs
-        if name not in ("format", "format_version")
+        if name not in ("format", "format_version", DIGEST)
     }
     json.loads(found.get("config", "{}"))
     return found

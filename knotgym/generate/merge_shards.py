@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.atomic_files import sha256
-from knotgym.configuration import from_json
+from knotgym.configuration import from_json, read_json
 from knotgym.datasets import image_folder
 from knotgym.datasets.episode_reader import Chosen
 from knotgym.datasets.image_table import (
@@ -88,7 +88,7 @@ def shard_folder_of(source: str) -> ShardFolder | None:
     folder = Path(source)
     for name in ("manifest.json", REPORT):
         try:
-            manifest = json.loads((folder / name).read_text(encoding="utf-8"))
+            manifest = read_json(folder / name)
             request = {key: manifest[key] for key in LISTED}
             shard = Shard(**request.pop("shard"))
             kind = _KINDS[manifest["format"]]

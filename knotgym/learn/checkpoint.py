@@ -20,7 +20,9 @@ from safetensors import SafetensorError
 from safetensors.torch import load, save
 
 from knotgym.atomic_files import atomic_write, sha256
+from knotgym.configuration import read_json
 from knotgym.errors import KnotgymError
+from knotgym.hdf5_files import require_regular
 from knotgym.learn.reader import Reader
 from knotgym.learn.rope_model import FIRST_GUESS
 
@@ -84,6 +86,7 @@ def load_policy(name: str) -> Learned:
     folder = policy_folder(name)
     card = read_card(folder)
     try:
+        require_regular(folder / WEIGHTS, "weights", InvalidCheckpoint)
         content = (folder / WEIGHTS).read_bytes()
     except OSError as error:
         raise InvalidCheckpoint(f"{folder} has no {WEIGHTS} beside its {CARD}") from error
@@ -103,12 +106,21 @@ def load_policy(name: str) -> Learned:
             }
         )
         rope, places = tensors["rope"].numpy(), tensors["places"].numpy()
-    except (SafetensorError, KeyError, RuntimeError) as error:
+    except (SafetensorError, KeyError, RuntimeError, TypeError, ValueError) as error:
         raise InvalidCheckpoint(
             f"{folder / WEIGHTS} holds no learner: {' '.join(str(error).split())[:200]}"
         ) from error
     if rope.shape != FIRST_GUESS.shape or places.ndim != 2 or places.shape[1:] != (3,):
         raise InvalidCheckpoint(f"{folder / WEIGHTS} holds arrays of another shape")
+    if (rope.dtype, places.dtype) != (np.float64, np.float32):
+        raise InvalidCheckpoint(
+            f"{folder / WEIGHTS}: rope is {rope.dtype} and places {places.dtype}, should be float64"
+            " and float32"
+        )
+    own = {"rope": torch.from_numpy(rope), "places": torch.from_numpy(places)}
+    for name, values in {**own, **reader.state_dict()}.items():
+        if not torch.isfinite(values).all():
+            raise InvalidCheckpoint(f"{folder / WEIGHTS}: {name} has numbers that aren't finite")
     return Learned(reader.eval(), rope, places)
 
 
@@ -119,7 +131,7 @@ def read_card(folder: Path) -> dict[str, Any]:
         InvalidCheckpoint: as `load_policy`.
     """
     try:
-        card = json.loads((folder / CARD).read_text(encoding="utf-8"))
+        card = read_json(folder / CARD)
     except (OSError, ValueError) as error:
         raise InvalidCheckpoint(
             f"no learner at {folder}: it needs a {CARD} that can be read; knotgym train makes one"

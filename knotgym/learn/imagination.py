@@ -7,7 +7,7 @@ It takes the place of `simulation.Simulation` in `control.planner`. An imagined 
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,23 +19,16 @@ from knotgym.topology.gauss import GaussCode
 Array = NDArray[np.float64]
 
 
-class _Config(NamedTuple):
-    max_force: float = 1.0
-
-
-class _Rope(NamedTuple):
-    config: _Config = _Config()
-
-
 class Imagination:
-    """`count` imagined ropes; the part of `Simulation` that the planner needs.
+    """`count` imagined ropes, `control.action_sequence.Ropes`.
 
     Attributes:
+        max_force: 1, for forces are in units of the largest.
         points: float64 (count, BEADS, 3), metres.
         velocities: the same, m/s.
     """
 
-    rope = _Rope()
+    max_force = 1.0
 
     def __init__(self, dynamics: Dynamics, count: int) -> None:
         self.dynamics, self.count = dynamics, count

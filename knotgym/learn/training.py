@@ -21,7 +21,7 @@ from torch import Tensor
 
 import knotgym
 from knotgym.atomic_files import atomic_write
-from knotgym.configuration import as_json, check_numbers
+from knotgym.configuration import as_json, check_numbers, read_json
 from knotgym.errors import KnotgymError
 from knotgym.learn.checkpoint import Learned, save_policy
 from knotgym.learn.fitting import STAGES, Stretches, fitted
@@ -139,11 +139,13 @@ def _begin(out: Path, request: dict[str, Any], resume: bool) -> dict[str, Tensor
             part.write_text(json.dumps(request, indent=1) + "\n", encoding="utf-8")
         return {}
     try:
-        before = json.loads((out / REQUEST).read_text(encoding="utf-8"))
+        before = read_json(out / REQUEST)
     except (OSError, ValueError) as error:
         raise InvalidTraining(
             f"no training under way in {out}; leave --resume out to begin one"
         ) from error
+    if not isinstance(before, dict):
+        raise InvalidTraining(f"{out / REQUEST} isn't what a training was asked for")
     if before != request:
         differing = [name for name in request if before.get(name) != request[name]]
         raise InvalidTraining(

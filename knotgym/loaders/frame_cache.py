@@ -29,8 +29,10 @@ from numpy.typing import NDArray
 
 import knotgym
 from knotgym.atomic_files import Unwritable, atomic_write, sha256
+from knotgym.configuration import read_json
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.errors import KnotgymError
+from knotgym.hdf5_files import require_regular
 
 _KEPT_FREE = 0.05  # share of a disk that is left alone
 _NAMES = {"frames.bin", "goals.npy", "made.json"}
@@ -102,17 +104,17 @@ class CachedFrames:
         try:
             shape = _shape(self.place)
             mapped = np.memmap(self.place / "frames.bin", np.uint8, "r", shape=shape)
-        except (OSError, ValueError, KeyError) as error:
-            raise NoCache(
-                f"the pictures at {self.place} are gone or spoilt: open the dataset anew"
-            ) from error
+        except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
+            raise self._spoilt() from error
         return mapped.view(np.ndarray)
 
     @cached_property
     def goals(self) -> NDArray[np.int64]:
         """int64 (episodes,), the frame that is the goal of each episode."""
-        found: NDArray[np.int64] = np.load(self.place / "goals.npy", allow_pickle=False)
-        return found
+        try:
+            return _goals(self.place, len(self.offsets) - 1)
+        except (OSError, ValueError, KeyError, TypeError, OverflowError) as error:
+            raise self._spoilt() from error
 
     def goal(self, episode: NDArray[np.int64], goal_step: NDArray[np.int64]) -> NDArray[np.int64]:
         """The frames of goals: states of the episodes, or their own goals where `goal_step` < 0."""
@@ -135,11 +137,15 @@ class CachedFrames:
             rope[row], goal[row] = self.frames[own], self.frames[other]
         return seen
 
+    def _spoilt(self) -> NoCache:
+        return NoCache(f"the pictures at {self.place} are gone or spoilt: open the dataset anew")
+
     def _is_whole(self) -> bool:
         try:
-            size = (self.place / "frames.bin").stat().st_size
-            return size == math.prod(_shape(self.place)) and (self.place / "goals.npy").is_file()
-        except (OSError, ValueError, KeyError):
+            _goals(self.place, len(self.offsets) - 1)
+            frames = self.place / "frames.bin"
+            return frames.is_file() and frames.stat().st_size == math.prod(_shape(self.place))
+        except (OSError, ValueError, KeyError, TypeError, OverflowError):
             return False
 
     def _make(
@@ -176,8 +182,22 @@ def goal_axis(layout: str) -> int:
 
 
 def _shape(place: Path) -> tuple[int, ...]:
-    made = json.loads((place / "made.json").read_text(encoding="utf-8"))
-    return tuple(int(size) for size in made["shape"])
+    made = read_json(place / "made.json")
+    shape = tuple(made["shape"])
+    if len(shape) != 4 or not all(type(size) is int and size > 0 for size in shape):
+        raise NoCache(f"{place} says that its pictures are of shape {shape}")
+    return shape
+
+
+def _goals(place: Path, episodes: int) -> NDArray[np.int64]:
+    """Which frame is the goal of each episode; none that there isn't, nor more than are stored."""
+    require_regular(place / "goals.npy", "goals", NoCache)
+    found = np.array(np.load(place / "goals.npy", mmap_mode="r", allow_pickle=False))
+    if found.dtype != np.int64 or found.shape != (episodes,):
+        raise NoCache(f"{place} has goals {found.dtype} {found.shape}, should be ({episodes},)")
+    if not ((found >= 0) & (found < _shape(place)[0])).all():
+        raise NoCache(f"{place} names a goal that it has no picture of")
+    return found
 
 
 def _key(reader: EpisodeReader, picture: Any) -> dict[str, Any]:

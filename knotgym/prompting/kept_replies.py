@@ -16,9 +16,14 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.atomic_files import atomic_write
+from knotgym.errors import KnotgymError
 from knotgym.prompting.chat import Chat, Reply
 
 Asking = Callable[[list[dict[str, Any]]], Reply]
+
+
+class InvalidReplies(KnotgymError, ValueError):
+    """What a run has kept isn't replies."""
 
 
 class KeptReplies:
@@ -30,8 +35,11 @@ class KeptReplies:
         text = path.read_text(encoding="utf-8") if path.is_file() else ""
         whole = text[: text.rfind("\n") + 1]
         for line in whole.splitlines():
-            number, turn, digest, reply = json.loads(line)
-            self._kept[number, turn] = (digest, Reply(*reply))
+            try:
+                number, turn, digest, reply = json.loads(line)
+                self._kept[number, turn] = (digest, Reply(*reply))
+            except (ValueError, TypeError, RecursionError) as error:
+                raise InvalidReplies(f"{path} has a line that keeps no reply") from error
         if whole != text:
             with atomic_write(path) as temporary:
                 temporary.write_text(whole, encoding="utf-8")

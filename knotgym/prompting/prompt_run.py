@@ -16,7 +16,7 @@ from typing import Any
 
 import knotgym
 from knotgym.atomic_files import atomic_write, require_writable
-from knotgym.configuration import differences
+from knotgym.configuration import differences, read_json
 from knotgym.prompting.chat import Chat, Stopped
 from knotgym.prompting.kept_replies import Asking, KeptReplies
 from knotgym.prompting.prompted_episodes import PromptConfig, flat
@@ -86,10 +86,13 @@ def _finished(out: Path, config: PromptConfig, resume: bool, progress: Progress)
     """The result of a run that is there, if it was asked for in this way."""
     made: dict[str, Any] = {}
     if resume and (out / _RESULT).is_file():
-        made = json.loads((out / _RESULT).read_text(encoding="utf-8"))
+        made = read_json(out / _RESULT)
     if not made:
         raise Occupied(f"{out} is there already; choose another --out, or remove it")
-    _refuse_other(made["settings"], json.loads(json.dumps(flat(config))))
+    _refuse_other(
+        made.get("settings") if isinstance(made, dict) else None,
+        json.loads(json.dumps(flat(config))),
+    )
     progress.say(f"{out} is finished already")
     return made
 
@@ -98,11 +101,15 @@ def _require_same(folder: Path, settings: dict[str, Any]) -> None:
     """Refuse to go on with what was asked for differently."""
     if not (folder / _REQUEST).is_file():
         return
-    left = json.loads((folder / _REQUEST).read_text(encoding="utf-8"))
+    left = read_json(folder / _REQUEST)
     _refuse_other(left, settings)
 
 
-def _refuse_other(there: dict[str, Any], here: dict[str, Any]) -> None:
+def _refuse_other(there: Any, here: dict[str, Any]) -> None:
+    if not isinstance(there, dict) or not isinstance(there.get("chat"), dict):
+        raise InvalidRun(
+            "what is there doesn't say what was asked for, so it can't be gone on with"
+        )
     fixed = [
         {**one, "chat": {name: one["chat"][name] for name in one["chat"] if name not in _FLEXIBLE}}
         for one in (there, here)

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from knotgym.configuration import MOST_JSON
 from knotgym.errors import KnotgymError, MissingFile, one_line
 
 FORMAT = "knotgym-transcript"
@@ -71,6 +72,8 @@ def read_transcripts(path: Path) -> list[dict[str, Any]]:
     """
     if not path.is_file():
         raise MissingFile(f"no transcripts at {path}")
+    if path.stat().st_size > MOST_JSON:
+        raise InvalidTranscript(f"{path} has more than {MOST_JSON} bytes; name a part of it")
     try:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
@@ -103,10 +106,12 @@ def _checked(text: str, where: str) -> dict[str, Any]:
         and all(isinstance(code, str) for code in found["gauss_code"])
         and all(_is_count(count) for count in found["retries"].values())
         and all(_is_price(found["config"].get(name)) for name in PRICES)
+        and _is_told(found["config"])
     )
     if not sound:
         raise InvalidTranscript(
-            f"{where}: turns, actions (six numbers in [-1, 1]), codes or counts are not sound"
+            f"{where}: config, turns, actions (six numbers in [-1, 1]), codes or counts are not"
+            " sound"
         )
     return found
 
@@ -119,6 +124,19 @@ def _is_action(value: Any) -> bool:
             isinstance(number, (int, float)) and not isinstance(number, bool) and abs(number) <= 1
             for number in value
         )
+    )
+
+
+def _is_told(config: Mapping[str, Any]) -> bool:
+    """Whether a configuration says in what is asked, of which model, and if in episodes of what."""
+    chat, task = config.get("chat"), config.get("task")
+    if not isinstance(chat, dict) or not isinstance(task, dict | None):
+        return False
+    words = [chat.get("model"), config.get("mode")]
+    if task:
+        words += [task.get("task"), task.get("split")]
+    return all(isinstance(word, str) and word.isprintable() for word in words) and (
+        not task or type(task.get("nx")) is int
     )
 
 

@@ -22,7 +22,7 @@ import numpy as np
 
 import knotgym
 from knotgym.atomic_files import atomic_write, require_writable
-from knotgym.configuration import differences
+from knotgym.configuration import differences, read_json
 from knotgym.rope import RopeConfig
 from knotgym.runs.executors import executor
 from knotgym.runs.pools import Pool
@@ -181,7 +181,7 @@ def request_of(folder: Path) -> dict[str, Any] | None:
     """What was asked of the run that made a folder, or is making it; None if it doesn't say."""
     for name in (REQUEST, "manifest.json", "data/collection.json", "collection.json"):
         try:
-            said = json.loads((folder / name).read_text(encoding="utf-8"))
+            said = read_json(folder / name)
             return {key: said[key] for key in LISTED}
         except (OSError, ValueError, KeyError, TypeError):
             continue

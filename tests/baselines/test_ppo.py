@@ -84,10 +84,10 @@ def test_it_trains_on_pictures_and_evaluate_takes_the_zip(tmp_path: Path) -> Non
     training = row["training"]
     assert (training["steps"], training["policy"]) == (64, "ActorCriticCnnPolicy")
     assert training["settings"]["learning_rate"] == 1e-5 and training["resumed_at"] == []
-    asked = ("--task", "unknot", "--nx", 2, "--observation", "pixels", "--image-size", 36)
+    task = ("--task", "unknot", "--nx", 2, "--observation", "pixels", "--image-size", 36)
     again = tmp_path / "again.json"
     model = ("--policy", out / "model.zip", "--episodes", 1, "--quiet", "--workers", 1)
-    assert knotgym("evaluate", *asked, *model, "--out", again) == 0
+    assert knotgym("evaluate", *task, *model, "--out", again) == 0
     (other,) = json.loads(again.read_text(encoding="utf-8"))["results"]
     assert (other["successes"], other["mean_return"]) == (
         row["successes"],

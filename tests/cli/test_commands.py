@@ -93,7 +93,13 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], str]]:
 # Progress.
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize(
+    "command",
+    [
+        pytest.param(name, marks=pytest.mark.slow) if name == "images" else name  # all tell alike
+        for name in COMMANDS
+    ],
+)
 def test_a_terminal_is_told_from_the_first_moment_and_at_the_end(
     command: str, curated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -428,8 +434,9 @@ def test_numbers_and_dicts_are_told_in_words() -> None:
     ("name", "told"),
     [
         ("", "8 labels, 8 demonstrations, "),
-        (WAYS, "2 episodes, "),
-        ("states.h5", "8 labels: no faults"),
+        pytest.param(WAYS, "2 episodes, ", marks=pytest.mark.slow),  # of the eight above
+        # above, verify tells a terminal the same
+        pytest.param("states.h5", "8 labels: no faults", marks=pytest.mark.slow),
     ],
 )
 def test_verify_takes_all_that_a_run_made_and_says_what_it_checked(

@@ -237,7 +237,10 @@ def test_what_is_no_dataset_is_refused_in_one_line(
 # Replay.
 
 
-@pytest.mark.parametrize("kind", ["states", "trajectories"])
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param("states", marks=pytest.mark.slow), "trajectories"],  # below, a state
+)
 def test_a_replay_is_filmed_from_the_start_to_the_state(
     curated: Path, tmp_path: Path, kind: str
 ) -> None:

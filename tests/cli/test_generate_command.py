@@ -10,7 +10,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterable, Iterator
 from concurrent.futures.process import BrokenProcessPool
 from itertools import product
@@ -44,11 +43,9 @@ from knotgym.topology.reference_labeller import pyknotid_code
 
 from ..conftest import SEARCH, trefoil
 from ..minari_list import check_minari
-from ..small_job import SETTINGS, knotgym, typed
+from ..small_job import SECONDS, SETTINGS, WANTED, begun, knotgym
 
-WANTED = ("--nx", "0,1", "--count", 4)  # what conftest's `curated` folder was asked for
 INSTALLED = str(Path(sys.executable).with_name("knotgym-generate"))
-SECONDS = 120  # in which anything here must have happened
 
 
 def bytes_of(folder: Path) -> dict[str, str]:
@@ -61,23 +58,6 @@ def bytes_of(folder: Path) -> dict[str, str]:
 def said(capfd: pytest.CaptureFixture[str]) -> list[str]:
     """Lines on standard error."""
     return capfd.readouterr().err.splitlines()
-
-
-def begun(out: Path, *arguments: object, saved: bool) -> "subprocess.Popen[str]":
-    """A run in another process group, once it holds its folder, or once it has saved a cycle."""
-    run = subprocess.Popen(
-        typed("generate", *WANTED, *arguments, "--out", out),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-    sign = out.parent / f".{out.name}.partial" / ("run.json" if saved else "lock")
-    until = time.monotonic() + SECONDS
-    while not sign.exists() and run.poll() is None and time.monotonic() < until:
-        time.sleep(0.02)
-    assert run.poll() is None and sign.exists()
-    return run
 
 
 @contextlib.contextmanager
@@ -180,6 +160,7 @@ def test_pictures_are_those_of_the_points(states: States) -> None:
     )
 
 
+@pytest.mark.slow  # verification replays every row in test_commands
 def test_every_provenance_ends_in_its_row_bit_for_bit(states: States) -> None:
     simulation = Simulation()
     for row in range(len(states)):
@@ -279,7 +260,11 @@ def test_minari_loads_the_trajectories_of_one_split(
 
 
 @pytest.mark.parametrize(
-    "name", ["knotgym/unknot-nx0/demonstrations-test-v0", "knotgym/tie-nx1/demonstrations-v0"]
+    "name",
+    [
+        pytest.param("knotgym/unknot-nx0/demonstrations-test-v0", marks=pytest.mark.slow),
+        "knotgym/tie-nx1/demonstrations-v0",
+    ],
 )
 def test_minari_does_with_the_trajectories_all_that_it_does(
     curated: Path, monkeypatch: pytest.MonkeyPatch, name: str
@@ -322,6 +307,7 @@ def coded(curated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.slow  # test_curation_run goes on from a loaded archive
 def test_its_archive_can_be_gone_on_from(curated: Path, coded: Path) -> None:
     before, after = (
         Archive.load(curated / "archive.h5").growth,
@@ -330,6 +316,7 @@ def test_its_archive_can_be_gone_on_from(curated: Path, coded: Path) -> None:
     assert after[: len(before)] == before and len(after) > len(before)
 
 
+@pytest.mark.slow  # names are compared in test_commands
 def test_the_default_folder_is_named_after_nx_and_quiet_says_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -343,6 +330,7 @@ def test_the_default_folder_is_named_after_nx_and_quiet_says_nothing(
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.slow  # test_splits has it of the splits
 def test_split_by_code_leaves_no_code_in_both(coded: Path) -> None:
     states = read_states(coded / "states.h5")
     assert sorted(states.split) == ["test", "train"] and len(set(states.gauss_code)) == 2
@@ -355,18 +343,6 @@ def test_split_by_code_leaves_no_code_in_both(coded: Path) -> None:
 def test_two_workers_leave_the_same_bytes_as_one(curated: Path, tmp_path: Path) -> None:
     assert knotgym("generate", *WANTED, "--workers", 2, "--out", tmp_path / "a", "--quiet") == 0
     assert bytes_of(tmp_path / "a") == bytes_of(curated)
-
-
-@pytest.fixture(scope="module")
-def killed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where a run was killed after its first cycle; none of its workers lives on (they would hold
-    its output open).
-    """
-    out = tmp_path_factory.mktemp("killed") / "nx0-1"
-    run = begun(out, "--workers", 2, saved=True)
-    os.kill(run.pid, signal.SIGKILL)
-    run.communicate(timeout=SECONDS)
-    return out
 
 
 def test_a_killed_run_leaves_nothing_under_the_final_name(killed: Path) -> None:
@@ -402,6 +378,7 @@ def test_resumed_it_ends_in_the_same_bytes_as_an_unbroken_run(
     ] == ["nx0-1"]
 
 
+@pytest.mark.slow  # test_commands has it of the engine, and what a run tells
 def test_without_resume_it_begins_anew_and_tells_in_plain_lines(
     killed: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -431,7 +408,13 @@ def test_a_finished_run_is_resumed_to_itself(curated: Path, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize(
-    ("number", "group", "workers"), [(signal.SIGINT, True, 2), (signal.SIGTERM, False, 1)]
+    ("number", "group", "workers"),
+    [
+        pytest.param(
+            signal.SIGINT, True, 2, marks=pytest.mark.slow
+        ),  # test_kills has it by default
+        (signal.SIGTERM, False, 1),
+    ],
 )
 def test_an_interrupted_run_says_one_line_and_leaves_nothing(
     tmp_path: Path, number: signal.Signals, group: bool, workers: int
@@ -580,11 +563,11 @@ def test_too_few_attempts_are_a_failure_that_can_be_resumed(
     hard["candidate"]["limits"] = {"clearance": 1000.0}  # millimetres: no rope has as much
     hard["candidate"]["loop"] = {"draws": 2}
     (tmp_path / "hard.json").write_text(json.dumps(hard))
-    words = ("--nx", 1, "--count", 2, "--attempts", 1, "--settings", tmp_path / "hard.json")
+    words = ("--nx", 0, "--count", 1, "--attempts", 1, "--settings", tmp_path / "hard.json")
     out = tmp_path / "runs" / "a"
     assert knotgym("generate", *words, "--workers", 1, "--quiet", "--out", out) == 1
     (line,) = said(capfd)
-    assert line.startswith("knotgym: 0 of 2 states with nx = 1 accepted in ")
+    assert line.startswith("knotgym: 0 of 1 states with nx = 0 accepted in ")
     assert line.endswith(" attempts; use --resume and more --attempts")
     assert [path.name for path in out.parent.iterdir()] == [".a.partial"]
 

@@ -22,7 +22,7 @@ from knotgym.control.policies import (
 from knotgym.episode_batch import EpisodeBatch
 from knotgym.tasks import TaskConfig
 
-QUICK = PlannerConfig(budget=16, batch_size=2)
+QUICK = PlannerConfig(budget=8, batch_size=2)
 
 
 def act_once(

@@ -192,6 +192,7 @@ def test_a_digest_changes_with_any_bit(episodes: list[Episode]) -> None:
     )
 
 
+@pytest.mark.slow  # verification acts them out below
 def test_replay_is_exact(episodes: list[Episode], task: TaskConfig) -> None:
     assert replay(episodes, task) == [None] * len(episodes)
 
@@ -306,7 +307,7 @@ def test_a_kill_leaves_nothing_under_the_final_name(tmp_path: Path) -> None:
     assert not (tmp_path / "a.h5").exists()
 
 
-@pytest.mark.parametrize("shards", [1, 2, 5])
+@pytest.mark.parametrize("shards", [pytest.param(k, marks=pytest.mark.slow) for k in (1, 2)] + [5])
 def test_merging_gives_the_same_bytes_whatever_the_shards(
     tmp_path: Path, root: Path, task: TaskConfig, episodes: list[Episode], shards: int
 ) -> None:

@@ -12,14 +12,17 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from knotgym.atomic_files import sha256
+from knotgym.datasets.state_schema import DIGEST
 from knotgym.datasets.state_verification import folder_faults, state_faults
 from knotgym.datasets.states import read_states, shipped, write_states
 
 from ..small_job import knotgym
 
-TRAJECTORIES = "minari/knotgym/tie-nx1/demonstrations-v0/data/main_data.hdf5"
+DATASET = "knotgym/tie-nx1/demonstrations-v0"
+TRAJECTORIES = f"minari/{DATASET}/data/main_data.hdf5"
 
 
 @pytest.fixture
@@ -30,34 +33,42 @@ def copy(curated: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture
 def light(copy: Path) -> Path:
-    """The same without trajectories, which take longest to verify."""
+    """The states with a crossing alone, without trajectories, which take longest to verify."""
     shutil.rmtree(copy / "minari")
-    manifest = json.loads((copy / "manifest.json").read_text())
-    manifest["files"] = {
-        name: digest for name, digest in manifest["files"].items() if "minari" not in name
-    }
-    (copy / "manifest.json").write_text(json.dumps(manifest))
+    keep_rows(copy, np.flatnonzero(read_states(copy / "states.h5").nx == 1))
     return copy
 
 
 @pytest.fixture
 def one_set(copy: Path) -> Path:
-    """The same with one of its sets of trajectories."""
+    """One of its sets of trajectories, and the states that these lead to."""
     for folder in (copy / "minari" / "knotgym").iterdir():
         for dataset in folder.iterdir():
             if copy / TRAJECTORIES not in dataset.rglob("main_data.hdf5"):
                 shutil.rmtree(dataset)
-    manifest = json.loads((copy / "manifest.json").read_text())
-    manifest["files"] = {
-        name: digest for name, digest in manifest["files"].items() if (copy / name).is_file()
-    }
-    (copy / "manifest.json").write_text(json.dumps(manifest))
+    keep_rows(copy, np.flatnonzero(read_states(copy / "states.h5").source["dataset"] == DATASET))
     return copy
+
+
+def keep_rows(folder: Path, rows: NDArray[np.int64]) -> None:
+    """Leave only some of its states in a folder, and what is gone out of its manifest."""
+    states = read_states(folder / "states.h5")
+    assert 0 < len(rows) < len(states)
+    (folder / "states.h5").unlink()
+    write_states(folder / "states.h5", states.taken(rows))
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["splits"] = [manifest["splits"][row] for row in rows]
+    manifest["files"] = {
+        name: sha256(folder / name) for name in manifest["files"] if (folder / name).is_file()
+    }
+    (folder / "manifest.json").write_text(json.dumps(manifest))
 
 
 @contextmanager
 def opened(path: Path) -> Iterator[h5py.File]:
+    """A file to change, as somebody would who covers up: its own checksum is gone."""
     with h5py.File(path, "a") as file:
+        file.attrs.pop(DIGEST, None)
         yield file
 
 
@@ -171,7 +182,7 @@ def test_the_least_change_of_one_qpos_is_found(pair: Path, tmp_path: Path) -> No
 def test_a_swapped_split_is_found(light: Path) -> None:
     with opened(light / "states.h5") as file:
         splits = file["split"].asstr()[()].tolist()
-        train, test = splits.index("train", 4), splits.index("test", 4)
+        train, test = splits.index("train"), splits.index("test")
         file["split"][train], file["split"][test] = "test", "train"
     assert faults(light) == sorted(
         [
@@ -268,20 +279,19 @@ def test_states_of_another_rope_are_not_judged(copy: Path) -> None:
 
 
 def _flip_label(folder: Path) -> None:
-    altered(folder, "gauss_code", 5, "1+,1-,2+,2-")
+    altered(folder, "gauss_code", 1, "1+,1-,2+,2-")
 
 
 def _cut_states(folder: Path) -> None:
     (folder / "states.h5").write_bytes((folder / "states.h5").read_bytes()[:5000])
 
 
-@pytest.mark.parametrize(("harm", "named"), [(_flip_label, "row 5"), (_cut_states, "states.h5")])
+@pytest.mark.parametrize(("harm", "named"), [(_flip_label, "row 1"), (_cut_states, "states.h5")])
 def test_the_command_names_faults_and_exits_with_1(
-    copy: Path, capfd: pytest.CaptureFixture[str], harm: Callable[[Path], None], named: str
+    light: Path, capfd: pytest.CaptureFixture[str], harm: Callable[[Path], None], named: str
 ) -> None:
-    harm(copy)
-    shutil.rmtree(copy / "minari")
-    assert knotgym("dataset", "verify", copy, "--quiet") == 1
+    harm(light)
+    assert knotgym("dataset", "verify", light, "--quiet") == 1
     lines = capfd.readouterr().out.splitlines()
     assert (
         lines

@@ -115,7 +115,14 @@ def test_the_environment_s_reset_with_the_stored_seed_begins_the_same_episode(
             )
 
 
-@pytest.mark.parametrize("observation", ["pixels", "state", "both"])
+@pytest.mark.parametrize(
+    "observation",
+    [
+        pytest.param("pixels", marks=pytest.mark.slow),  # three views of it are tried below
+        pytest.param("state", marks=pytest.mark.slow),
+        "both",
+    ],
+)
 def test_minari_does_with_a_dataset_all_that_it_does(
     observation: str, states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -183,6 +190,7 @@ def test_views_that_are_not_there_are_refused_in_one_line(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow  # test_episodes reads relabelled episodes through Minari
 def test_minari_does_it_with_hindsight_too(
     states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -214,7 +222,7 @@ def test_workers_do_not_change_the_bytes(name: str, states_path: str, tmp_path: 
 def test_failed_episodes_are_dropped_when_asked_and_counted(
     states_path: str, tmp_path: Path
 ) -> None:
-    policy = PolicyConfig(policy="expert", planner=PlannerConfig(budget=24, batch_size=4))
+    policy = PolicyConfig(policy="scripted")
     kept = collect(config(states_path, policy=policy), tmp_path / "kept", QUIET)
     tally = json.loads((kept / "data" / "collection.json").read_text())["tally"]
     assert 0 < tally["succeeded"] < tally["played"] == tally["kept"] == 6
@@ -246,6 +254,7 @@ def test_a_finished_dataset_is_not_written_over(states_path: str, tmp_path: Path
         collect(config(states_path, episodes=2), tmp_path, RESUMED)
 
 
+@pytest.mark.slow  # test_kills kills a collection and compares the bytes
 def test_a_killed_run_leaves_nothing_under_its_name_and_resumes_to_the_same_bytes(
     states_path: str, tmp_path: Path
 ) -> None:

@@ -20,7 +20,7 @@ from knotgym.generate.states.curation_run import CurationRun, search_config, sta
 from knotgym.generate.states.curves import LoopConfig
 from knotgym.generate.states.generate_config import GenerateConfig, InvalidGenerateConfig
 from knotgym.generate.states.search import advance, new_archive
-from knotgym.generate.states.targeted_search import reach
+from knotgym.generate.states.targeted_search import TargetPlan, reach
 from knotgym.quality import Limits
 from knotgym.rope import Rope, RopeConfig
 from knotgym.runs.executors import InProcess
@@ -50,6 +50,18 @@ def done(job: CurationRun) -> CurationRun:
 def finished() -> CurationRun:
     """Two states with one crossing."""
     return done(CurationRun.begin(config(nx=(1,), count=2)))
+
+
+@pytest.fixture(scope="module")
+def targeted() -> CurationRun:
+    """A job that is to show every code with two crossings; copied before it grows."""
+    return CurationRun.begin(config(nx=(2,), every_code=1))
+
+
+@pytest.fixture(scope="module")
+def reached(targeted: CurationRun) -> TargetPlan:
+    """What comes of the first of its targets."""
+    return reach(curation._targets(deepcopy(targeted), search_config(targeted.config))[0])
 
 
 def accepted(job: CurationRun) -> Iterator[tuple[int, Candidate]]:
@@ -141,6 +153,14 @@ def test_every_code_is_wanted_as_often_as_asked() -> None:
 def test_a_finished_job_has_what_was_asked_for(finished: CurationRun) -> None:
     assert finished.done() and finished.accepted.keys() == {1}
     assert Counter(str(one.code) for one in finished.accepted[1]) == {"1+,1-": 1, "1-,1+": 1}
+
+
+def test_a_finished_job_tells_what_its_cycles_came_to(finished: CurationRun) -> None:
+    assert finished.cycle == len(finished.growth) > 0
+    last = finished.growth[-1]
+    assert last["accepted"] == {"1": len(finished.accepted[1])}
+    assert last["known"] == {"1": len(finished.archive.codes(1))}
+    assert last["steps"] == finished.steps() > finished.archive.growth[0]["actions"]
 
 
 def test_accepted_states_have_no_faults_and_the_crossings_asked_for(finished: CurationRun) -> None:
@@ -252,6 +272,7 @@ def test_what_cannot_be_accepted_ends_with_a_line_that_says_so() -> None:
         done(CurationRun.begin(hopeless))
 
 
+@pytest.mark.slow  # below, cycles end a job, and a finished one tells what it did
 def test_a_job_stops_after_its_cycles_with_what_there_is() -> None:
     job = done(CurationRun.begin(config(nx=(0, 1), count=40, cycles=2, wave=2)))
     assert job.cycle == len(job.growth) == 2 and 0 < len(job.accepted[1]) < 40
@@ -291,8 +312,10 @@ def test_more_is_searched_while_wanted_codes_are_unknown(finished: CurationRun) 
     )
 
 
-def test_codes_not_surely_known_are_aimed_at_those_aimed_at_least_first() -> None:
-    job = CurationRun.begin(config(nx=(2,), every_code=1))
+def test_codes_not_surely_known_are_aimed_at_those_aimed_at_least_first(
+    targeted: CurationRun, reached: TargetPlan
+) -> None:
+    job = deepcopy(targeted)
     search = search_config(job.config)
     first, second = curation._targets(job, search), curation._targets(job, search)
     assert (
@@ -303,18 +326,19 @@ def test_codes_not_surely_known_are_aimed_at_those_aimed_at_least_first() -> Non
     assert len({one.seed for one in first + second}) == 2 * len(first) and set(
         job.targeted.values()
     ) == {2}
-    for elite in reach(first[0]).elites:
+    for elite in reached.elites:
         job.archive.offer(elite, ArchiveConfig())
     assert job.archive.sure(next(iter(job.archive.known_chiralities(first[0].goal))))
     assert first[0].goal not in [one.goal for one in curation._targets(job, search)]
 
 
 def test_a_code_that_only_a_long_way_leads_to_is_aimed_at_after_those_that_lack_states(
-    finished: CurationRun,
+    finished: CurationRun, targeted: CurationRun, reached: TargetPlan
 ) -> None:
-    job = CurationRun.begin(config(nx=(2,), every_code=1))
+    job = deepcopy(targeted)
     search, code = search_config(job.config), next(iter(job.shares[2]))
-    elite = next(one for one in reach(curation._targets(job, search)[0]).elites if one.exact)
+    assert curation._targets(job, search)[0].goal == code
+    elite = next(one for one in reached.elites if one.exact)
     rests = ActionSequence(
         np.zeros(search.longest, dtype=np.int16), np.zeros((search.longest, 3), dtype=np.float32)
     )
@@ -324,28 +348,30 @@ def test_a_code_that_only_a_long_way_leads_to_is_aimed_at_after_those_that_lack_
     assert [one.goal for one in curation._targets(job, search)][-1] == code
 
 
-def test_a_code_whose_instances_all_fail_is_aimed_at_again_and_they_set_out_from_there() -> None:
-    job = CurationRun.begin(config(nx=(2,), every_code=1))
+def test_a_code_whose_instances_all_fail_is_aimed_at_again_and_they_set_out_from_there(
+    targeted: CurationRun, reached: TargetPlan
+) -> None:
+    job = deepcopy(targeted)
     search, code = search_config(job.config), next(iter(job.shares[2]))
-    shot = reach(curation._targets(job, search)[0])
-    for elite in shot.elites:
+    assert curation._targets(job, search)[0].goal == code
+    for elite in reached.elites:
         job.archive.offer(elite, ArchiveConfig())
     assert code not in [one.goal for one in curation._targets(job, search)]
     job.tried[2][code] = 2 * SMALL.stuck
     assert code in [one.goal for one in curation._targets(job, search)]
     assert code not in [one.goal for one in curation._targets(job, search)]
-    exact = next(one for one in shot.elites if one.exact)
+    exact = next(one for one in reached.elites if one.exact)
     fresh = replace(exact, objective=exact.objective + 1)
     job.tried[2][code] = 0
     tasks = [task for _, task in curation._tasks(job, {code: fresh}) if task.code.plain == code]
     assert tasks and all(task.code == fresh.code and task.elites == (fresh,) for task in tasks)
 
 
-def test_an_aim_is_a_way_that_can_be_gone_again(rope: Rope) -> None:
-    target = curation._targets(
-        CurationRun.begin(config(nx=(2,), every_code=1)), search_config(config(nx=(2,)))
-    )[0]
-    shot, again = reach(target), reach(target)
+def test_an_aim_is_a_way_that_can_be_gone_again(
+    rope: Rope, targeted: CurationRun, reached: TargetPlan
+) -> None:
+    target = curation._targets(deepcopy(targeted), search_config(targeted.config))[0]
+    shot, again = reached, reach(target)
     assert shot.spent == again.spent > len(shot.elites[0].sequence) > 0
     simulation = Simulation(1, rope)
     for elite in shot.elites:

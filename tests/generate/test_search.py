@@ -71,6 +71,7 @@ def test_everything_found_is_an_unknot(searched: Archive) -> None:
     assert all(is_unknot(niche) for niche in searched.niches)
 
 
+@pytest.mark.slow  # so are units of three, on two workers below
 def test_rounds_are_the_same_bytes_in_work_units_of_any_size(
     searched: Archive, tmp_path: Path
 ) -> None:

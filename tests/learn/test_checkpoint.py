@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+
+from knotgym.atomic_files import sha256
 
 pytestmark = pytest.mark.clients
 pytest.importorskip("torch")
@@ -56,3 +61,43 @@ def test_weights_cut_short_are_refused(learner: Path, tmp_path: Path) -> None:
 
 def test_an_empty_folder_is_refused(tmp_path: Path) -> None:
     assert "no learner at" in refusal(tmp_path)
+
+
+def forged(learner: Path, tmp_path: Path, name: str, change: Callable[[Any], Any]) -> Path:
+    """A copy with other weights, whose card tells their checksum."""
+    from safetensors.torch import load_file, save_file
+
+    copy = changed(learner, tmp_path)
+    path = copy / "weights.safetensors"
+    tensors = load_file(path)
+    save_file({**tensors, name: change(tensors[name])}, path)
+    told = json.loads((copy / "policy.json").read_text())
+    card = {**told, "weights_sha256": sha256(path)}
+    (copy / "policy.json").write_text(json.dumps(card))
+    return copy
+
+
+def test_weights_that_are_not_finite_are_refused(learner: Path, tmp_path: Path) -> None:
+    def spoilt(tensor: Any) -> Any:
+        tensor[0] = float("nan")
+        return tensor
+
+    assert "rope has numbers that aren't finite" in refusal(
+        forged(learner, tmp_path, "rope", spoilt)
+    )
+
+
+def test_weights_of_another_type_are_refused(learner: Path, tmp_path: Path) -> None:
+    assert "places float64, should be" in refusal(
+        forged(learner, tmp_path, "places", lambda tensor: tensor.double())
+    )
+
+
+def test_a_pipe_is_not_waited_for(learner: Path, tmp_path: Path) -> None:
+    for name in ("weights.safetensors", "policy.json"):
+        folder = tmp_path / name
+        folder.mkdir()
+        copy = changed(learner, folder)
+        (copy / name).unlink()
+        os.mkfifo(copy / name)
+        assert refusal(copy).isprintable()

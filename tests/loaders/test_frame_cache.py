@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import io
 import json
 import os
 import pickle
@@ -76,6 +77,13 @@ def files(rope: Rope, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Pat
     made["drawn"].unlink()
     merge_episodes([made["stored"]], made["drawn"], store="none")
     return made
+
+
+def npy(array: Any) -> bytes:
+    """An array as a file."""
+    written = io.BytesIO()
+    np.save(written, array)
+    return written.getvalue()
 
 
 def same(one: Any, other: Any) -> bool:
@@ -180,6 +188,18 @@ def test_spoilt_pictures_are_made_anew_and_gone_ones_are_told_of(
     with pytest.raises(NoCache, match="gone or spoilt: open the dataset anew"):
         held.batch([0])
     assert same(arrays(files["drawn"], observation="pixels", cache=tmp_path), plain)
+    goals = np.load(place / "goals.npy")
+    shape = json.loads((place / "made.json").read_text())["shape"]
+    for name, content in (
+        ("made.json", b"[]"),
+        ("made.json", json.dumps({"shape": [str(size) for size in shape]}).encode()),
+        ("made.json", json.dumps({"shape": [-size for size in shape]}).encode()),
+        ("goals.npy", b"\x93NUMPY"),
+        ("goals.npy", npy(goals + shape[0])),
+        ("goals.npy", npy(goals.astype(np.float64))),
+    ):
+        (place / name).write_bytes(content)
+        assert same(arrays(files["drawn"], observation="pixels", cache=tmp_path), plain)
 
 
 def test_a_making_that_is_cut_short_leaves_nothing(

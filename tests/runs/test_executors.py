@@ -26,8 +26,8 @@ from knotgym.runs.pools import AHEAD, InvalidEngine, ordered
 from knotgym.runs.run_options import RunOptions
 from knotgym.tasks import TaskConfig
 
-from ..cli.test_generate_command import SECONDS, WANTED, bytes_of, said
-from ..small_job import knotgym, typed
+from ..cli.test_generate_command import bytes_of, said
+from ..small_job import SECONDS, WANTED, knotgym, typed
 
 with_dask = pytest.mark.skipif(
     importlib.util.find_spec("distributed") is None, reason="Dask distributed isn't installed"

@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ..cli.test_generate_command import SECONDS, WANTED, begun, bytes_of, held, said
-from ..small_job import SETTINGS, knotgym, typed
+from ..cli.test_generate_command import bytes_of, held, said
+from ..small_job import SECONDS, SETTINGS, WANTED, knotgym, typed
 
 with_arrow = pytest.mark.skipif(
     importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed"
@@ -139,7 +139,7 @@ def test_a_full_disk_is_one_line_and_room_makes_it_go_on(
         assert made(out) == unbroken(command)
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", RESUMABLE)
 def test_a_limit_on_files_is_one_line(
     command: tuple[object, ...],
     tmp_path: Path,
@@ -176,6 +176,7 @@ def test_a_second_run_is_refused(
     assert said(capfd) == [f"knotgym: another run is writing {folder.name} now"]
 
 
+@pytest.mark.slow  # every run that was killed leaves one, and is resumed below
 @pytest.mark.parametrize("command", RESUMABLE)
 def test_a_stale_lock_is_not_in_the_way(
     command: tuple[object, ...], unbroken: Unbroken, tmp_path: Path
@@ -296,13 +297,9 @@ def test_no_checkpoint_is_unpickled(checkpoint: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def checkpoint(killed: Path) -> Path:
     """The staging folder of a run that was killed once it had saved a cycle with a state in it."""
-    out = tmp_path_factory.mktemp("killed") / "a"
-    going = begun(out, "--workers", 1, saved=True)
-    going.kill()
-    going.communicate()
-    return out.parent / ".a.partial"
+    return killed.parent / f".{killed.name}.partial"
 
 
 def spoil(path: Path) -> None:
@@ -329,6 +326,7 @@ def interrupted(command: tuple[object, ...], out: Path, sign: str, count: int) -
 
 def test_spoilt_shards_of_a_collection_are_made_anew(unbroken: Unbroken, tmp_path: Path) -> None:
     interrupted(COLLECT, tmp_path / "a", "episodes-*.json", 2)
+    assert made(tmp_path / "a") == {}
     first, second = (
         next(tmp_path.rglob(f"episodes-00000{k}.{kind}")) for k, kind in ((0, "h5"), (1, "json"))
     )
@@ -338,6 +336,7 @@ def test_spoilt_shards_of_a_collection_are_made_anew(unbroken: Unbroken, tmp_pat
     assert made(tmp_path / "a") == unbroken(COLLECT)
 
 
+@pytest.mark.slow  # the engine and damaged shards are tried by the collection above
 @with_arrow
 def test_spoilt_walks_and_shards_of_pictures_are_made_anew(
     unbroken: Unbroken, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

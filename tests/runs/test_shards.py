@@ -189,19 +189,20 @@ def test_shards_of_different_runs_are_not_merged(
 @pytest.fixture(scope="module")
 def curated_in_parts(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return in_parts(
-        2, tmp_path_factory.mktemp("states") / "nx0-1", "generate", "--nx", "0,1", "--count", 2
+        2, tmp_path_factory.mktemp("states") / "nx1", "generate", "--nx", 1, "--count", 2
     )
 
 
 @pytest.fixture(scope="module")
 def merged_states(curated_in_parts: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("merged") / "nx0-1"
+    out = tmp_path_factory.mktemp("merged") / "nx1"
     assert knotgym("dataset", "merge", *curated_in_parts, "--out", out) == 0
     return out
 
 
+@pytest.mark.slow  # the merged states are verified below
 def test_every_shard_of_states_verifies(curated_in_parts: list[Path]) -> None:
-    assert [path.name for path in curated_in_parts] == ["nx0-1-shard-1-of-2", "nx0-1-shard-2-of-2"]
+    assert [path.name for path in curated_in_parts] == ["nx1-shard-1-of-2", "nx1-shard-2-of-2"]
     assert all(knotgym("dataset", "verify", path, "--quiet") == 0 for path in curated_in_parts)
 
 
@@ -210,14 +211,14 @@ def test_merged_states_verify_and_are_a_folder_like_any(merged_states: Path, cur
     assert {path.name for path in merged_states.iterdir()} == {
         path.name for path in curated.iterdir()
     }
-    assert [path.name for path in merged_states.parent.iterdir()] == ["nx0-1"]
+    assert [path.name for path in merged_states.parent.iterdir()] == ["nx1"]
 
 
 def test_merged_states_are_as_many_and_as_even_as_were_asked_for(merged_states: Path) -> None:
     states = read_states(merged_states / "states.h5")
-    assert states.nx.tolist() == [0, 0, 1, 1]
-    assert sorted(states.gauss_code[2:]) == ["1+,1-", "1-,1+"]
-    assert [len(states.rows(nx, split)) for nx in (0, 1) for split in ("train", "test")] == [1] * 4
+    assert states.nx.tolist() == [1, 1]
+    assert sorted(states.gauss_code) == ["1+,1-", "1-,1+"]
+    assert [len(states.rows(1, split)) for split in ("train", "test")] == [1, 1]
 
 
 def test_merged_states_hold_no_two_near_duplicates_nor_a_seed_twice(merged_states: Path) -> None:
@@ -248,23 +249,33 @@ def test_a_state_that_two_shards_made_is_kept_once(rope: Any) -> None:
 
 # Pictures.
 
-IMAGES = ("images", "--nx", "0,1", "--count", 8, "--test-share", 0.25)
+IMAGES = ("images", "--nx", "0,1", "--count", 4, "--test-share", 0.25)
+
+
+@pytest.fixture(scope="module")
+def pictured(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    return in_parts(2, tmp_path_factory.mktemp("pictured") / "table", *IMAGES)
+
+
+@pytest.mark.slow  # the merged table is verified below
+@with_arrow
+def test_every_shard_of_pictures_verifies(pictured: list[Path]) -> None:
+    assert len(pictured) == 2
+    assert all(knotgym("dataset", "verify", part, "--quiet") == 0 for part in pictured)
 
 
 @with_arrow
 def test_merged_pictures_verify_without_a_leak_or_a_duplicate(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    pictured: list[Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    parts = in_parts(2, tmp_path / "table", *IMAGES)
+    parts = pictured
     assert knotgym("dataset", "merge", *parts, "--out", tmp_path / "table") == 0
-    assert knotgym("dataset", "verify", tmp_path / "table", "--quiet") == 0 and all(
-        knotgym("dataset", "verify", part, "--quiet") == 0 for part in parts
-    )
+    assert knotgym("dataset", "verify", tmp_path / "table", "--quiet") == 0
     rows = list(read_rows(tmp_path / "table"))
     dropped = json.loads((tmp_path / "table" / "manifest.json").read_text())["report"][
         "near_duplicates_between_shards"
     ]
-    assert len(rows) == 8 - dropped and len({row["source"]["row"] for row in rows}) == len(rows)
+    assert len(rows) == 4 - dropped and len({row["source"]["row"] for row in rows}) == len(rows)
     points = points_of(read_table(tmp_path / "table"))
     assert all(
         (distances(points[k], points[k + 1 :]) >= NEAR).all() for k in range(len(points) - 1)

@@ -206,10 +206,8 @@ def runs_along_itself(points: np.ndarray) -> bool:
     for i in range(len(points)):
         for j in range(len(points)):
             reach = (start[j] - start[i]) @ along[i], (end[j] - start[i]) @ along[i]
-            parallel = (
-                np.linalg.det([along[i], along[j]]) == 0.0
-                and np.linalg.det([along[i], start[j] - start[i]]) == 0.0
-            )
+            (x, y), apart = along[i], start[j] - start[i]
+            parallel = x * along[j, 1] == y * along[j, 0] and x * apart[1] == y * apart[0]
             if (
                 i != j
                 and parallel

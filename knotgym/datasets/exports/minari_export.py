@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from knotgym.atomic_files import atomic_write
+from knotgym.configuration import read_json
 from knotgym.datasets.cards.citation import BIBTEX, citation_file
 from knotgym.datasets.cards.state_card import table
 from knotgym.datasets.episode_reader import EpisodeReader, episode_file
@@ -52,7 +53,7 @@ def to_minari(datasets: Sequence[Path], out: str | os.PathLike[str]) -> None:
     for dataset in datasets:
         data = episode_file(dataset).parent
         try:
-            said = json.loads((data / "metadata.json").read_text(encoding="utf-8"))
+            said = read_json(data / "metadata.json")
             name = str(said["dataset_id"])
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise NothingToExport(

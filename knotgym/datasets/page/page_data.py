@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.configuration import as_json
+from knotgym.configuration import as_json, read_json
 from knotgym.datasets.cards.state_card import growth
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.image_table import read_table
-from knotgym.datasets.manifest_check import read_manifest
+from knotgym.datasets.manifest_check import read_manifest, run_report
 from knotgym.datasets.states import States, read_states
 from knotgym.errors import KnotgymError
 from knotgym.quality_limits import UNITS
@@ -103,7 +103,7 @@ def dataset_name(path: Path) -> str:
     """The id that the metadata of a dataset say, else the name of the folder or file."""
     for folder in (path, path / "data", path.parent):
         try:
-            said = json.loads((folder / "metadata.json").read_text(encoding="utf-8"))
+            said = read_json(folder / "metadata.json")
             return str(said["dataset_id"])
         except (OSError, ValueError, KeyError, TypeError):
             continue
@@ -113,7 +113,7 @@ def dataset_name(path: Path) -> str:
 def _run(file: Path, notices: list[str]) -> dict[str, Any]:
     """A state file, and what the manifest beside it says of the run."""
     states = read_states(file, images=False)
-    report = read_manifest(file.parent)[0].get("report", {})
+    report = run_report(read_manifest(file.parent)[0])
     about = {
         "crossings": ", ".join(map(str, sorted(set(states.nx.tolist())))),
         "states": len(states),

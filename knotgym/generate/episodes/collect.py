@@ -17,12 +17,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from knotgym.atomic_files import atomic_write, sha256
-from knotgym.configuration import as_json, differences
+from knotgym.configuration import as_json, differences, read_json
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import rollout
 from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
-from knotgym.datasets.states import minari_root, ships, states_file
+from knotgym.datasets.states import minari_root, read_states, ships, states_file
 from knotgym.errors import KnotgymError
 from knotgym.rope import RopeConfig
 from knotgym.runs.engine import Batch, run
@@ -190,6 +190,8 @@ class EpisodeRecipe:
     def __init__(self, config: CollectConfig, options: RunOptions) -> None:
         make_policy(config.policy)  # refuses what isn't there before any work is done
         _metadata(config, Tally())  # refuses a bad id
+        if not ships(config.task.states):
+            read_states(states_file(config.task.states), images=False)
         self.config, self.shard, self.tally = config, options.shard, Tally()
         self.numbers = options.shard.share(config.episodes)
         self.files: list[_EpisodeFile] = []
@@ -327,7 +329,7 @@ def play(file: _EpisodeFile) -> Tally:
 def _finished(path: Path) -> Tally | None:
     """The tally of a shard that is there and unspoilt."""
     try:
-        said = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+        said = read_json(path.with_suffix(".json"))
         return Tally(**said["tally"]) if said["sha256"] == sha256(path) else None
     except (OSError, ValueError, KeyError, TypeError):
         return None

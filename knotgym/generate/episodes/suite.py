@@ -20,6 +20,7 @@ from typing import Any
 
 import knotgym
 from knotgym.atomic_files import atomic_write, sha256
+from knotgym.configuration import read_json
 from knotgym.control.planner import PlannerConfig
 from knotgym.control.policies import MIXED, PolicyConfig
 from knotgym.datasets.states import minari_root
@@ -240,7 +241,7 @@ def describe_set(made: Path) -> dict[str, Any]:
         InvalidSuite: it isn't one that `knotgym collect` made.
     """
     try:
-        said = json.loads((made / "data" / REPORT).read_text(encoding="utf-8"))
+        said = read_json(made / "data" / REPORT)
         config, tally = said["config"], said["tally"]
         files = {name: made / "data" / name for name in ("main_data.hdf5", "metadata.json")}
         return {

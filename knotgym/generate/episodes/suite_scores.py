@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from knotgym.configuration import read_json
 from knotgym.datasets.cards.state_card import table
 from knotgym.errors import KnotgymError, one_line
 
@@ -36,7 +36,7 @@ def read_scores(paths: Iterable[Path]) -> list[dict[str, Any]]:
     found: dict[tuple[Any, ...], dict[str, Any]] = {}
     for path in paths:
         try:
-            rows = list(_rows(json.loads(path.read_text(encoding="utf-8"))))
+            rows = list(_rows(read_json(path)))
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise InvalidScores(
                 f"{path} isn't a file of `knotgym evaluate --out`: {one_line(error)}"

@@ -106,10 +106,10 @@ def knot_curve(knot: str) -> Array:
     try:
         with warnings.catch_warnings(action="error"):  # NumPy only warns of a text without numbers
             if path.suffix == ".npy":
-                curve = np.load(path, allow_pickle=False)
+                curve = np.load(path, mmap_mode="r", allow_pickle=False)
             else:
                 curve = np.loadtxt(path, delimiter="," if path.suffix == ".csv" else None)
-    except (ValueError, OSError, EOFError, UserWarning) as error:
+    except (ValueError, OSError, EOFError, OverflowError, MemoryError, UserWarning) as error:
         raise InvalidCurveFile(f"{path} holds no curve: {' '.join(str(error).split())}") from error
     if not isinstance(curve, np.ndarray) or curve.dtype.kind not in "fiu":
         raise InvalidCurveFile(f"{path} holds no curve: it isn't one array of real numbers")

@@ -21,7 +21,7 @@ import numpy as np
 
 import knotgym
 from knotgym.atomic_files import atomic_write, sha256
-from knotgym.configuration import as_json
+from knotgym.configuration import as_json, read_json
 from knotgym.datasets.splits import split
 from knotgym.datasets.state_schema import DRAWING
 from knotgym.datasets.states import States, write_states
@@ -137,7 +137,7 @@ class DrawnStatesRecipe:
         if not (folder / _RUN).is_file():
             return False
         try:
-            said = json.loads((folder / _RUN).read_text(encoding="utf-8"))
+            said = read_json(folder / _RUN)
             for wave in said["waves"]:
                 if sha256(folder / wave["name"]) != wave["sha256"]:
                     raise ValueError(f"SHA-256 of {wave['name']} differs")

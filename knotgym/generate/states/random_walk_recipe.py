@@ -21,7 +21,7 @@ import numpy as np
 
 import knotgym
 from knotgym.atomic_files import atomic_write, sha256
-from knotgym.configuration import as_json
+from knotgym.configuration import as_json, read_json
 from knotgym.datasets.splits import STATE_SPLITS
 from knotgym.datasets.state_schema import RANDOM_WALK
 from knotgym.datasets.states import States, write_states
@@ -132,7 +132,7 @@ class RandomWalkRecipe:
         if not (folder / _RUN).is_file():
             return False
         try:
-            said = json.loads((folder / _RUN).read_text(encoding="utf-8"))
+            said = read_json(folder / _RUN)
             if sha256(folder / _ACCEPTED) != said["sha256"]:
                 raise ValueError(f"SHA-256 of {_ACCEPTED} differs")
             with np.load(folder / _ACCEPTED, allow_pickle=False) as file:

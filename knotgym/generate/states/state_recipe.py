@@ -20,7 +20,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from knotgym.atomic_files import atomic_write, sha256
-from knotgym.configuration import as_json
+from knotgym.configuration import as_json, read_json
 from knotgym.errors import KnotgymError, MissingFile
 from knotgym.generate.states import state_folder
 from knotgym.generate.states.archive import Archive
@@ -146,7 +146,7 @@ class StateRecipe:
         if not (folder / _RUN).is_file():
             return False
         try:
-            said = json.loads((folder / _RUN).read_text(encoding="utf-8"))
+            said = read_json(folder / _RUN)
             for name, digest in {
                 said["archive"]: said["sha256"],
                 **{f"accepted/{name}": digest for name, digest in said["accepted"].items()},

@@ -1,0 +1,107 @@
+"""Parquet shards from strangers: refused in a line, or every fault named."""
+
+from __future__ import annotations
+
+import importlib.util
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from knotgym.datasets.image_rows import Row, record
+from knotgym.datasets.image_table import InvalidImages, decode, encode, read_table, write_rows
+from knotgym.datasets.image_verification import shard_faults
+from knotgym.datasets.states import read_states, shipped
+from knotgym.rendering.appearance import AppearanceConfig
+from knotgym.topology.gauss import GaussCode
+
+pytestmark = pytest.mark.skipif(
+    importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed"
+)
+SOURCE = dict.fromkeys(("walk", "pulls", "rounds", "roll", "family", "seed", "row"), 0)
+UNMOVED = dict.fromkeys(("reflect", "switch", "reverse"), False)
+
+
+@pytest.fixture(scope="module")
+def shard(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A shard of one picture."""
+    states = read_states(shipped(), images=False).taken(np.array([20]))
+    code = GaussCode.parse(states.gauss_code_chiral[0])
+    row = Row(states.points[0], code, "train", {**SOURCE, **UNMOVED})
+    path = tmp_path_factory.mktemp("shard") / "train-00000-of-00001.parquet"
+    write_rows(path, [record(row, AppearanceConfig())])
+    return path
+
+
+def changed(shard: Path, tmp_path: Path, change: Callable[[Any], Any]) -> Path:
+    """A copy whose table is another."""
+    from pyarrow import parquet
+
+    path = tmp_path / shard.name
+    parquet.write_table(change(parquet.read_table(shard)), path)
+    return path
+
+
+def with_cell(shard: Path, tmp_path: Path, *place: Any) -> Path:
+    """A copy with one value, the last of `place`, in the column, or in its part, before it."""
+    import pyarrow as pa
+
+    def change(table: Any) -> Any:
+        rows = table.to_pylist()
+        held = rows[0]
+        for name in place[:-2]:
+            held = held[name]
+        held[place[-2]] = place[-1]
+        return pa.Table.from_pylist(rows, schema=table.schema)
+
+    return changed(shard, tmp_path, change)
+
+
+def test_a_sound_shard_has_no_fault(shard: Path) -> None:
+    assert shard_faults(shard) == []
+
+
+@pytest.mark.parametrize(
+    ("place", "told"),
+    [
+        (("points", 0, 1e30), "m apart, the rope is 1.33 m long"),
+        (("points", 0, float("nan")), "coordinates are not finite"),
+        (("quality", "margin", 3.0), "quality.margin is 3.0, recomputed"),
+        (("quality", "margin", None), "column quality lacks values"),
+        (("appearance", "size", 2**31 - 1), "appearance.size is 2147483647, should be 64 to 512"),
+        (("appearance", "blur", 1e30), "appearance.blur is 1e+30, should be 0 to 1000"),
+        (("appearance", "colours", "x"), "should be published or single or gradient"),
+        (("source", "seed", -1), "can't be drawn or measured again"),
+        (("gauss_code", None), "column gauss_code lacks values"),
+    ],
+)
+def test_a_changed_cell_is_found(
+    shard: Path, tmp_path: Path, place: tuple[Any, ...], told: str
+) -> None:
+    found = shard_faults(with_cell(shard, tmp_path, *place))
+    assert any(told in fault for fault in found), found
+
+
+def test_columns_of_another_type_missing_or_twice_are_refused(shard: Path, tmp_path: Path) -> None:
+    import pyarrow as pa
+
+    for change, told in (
+        (lambda t: t.set_column(3, "nx", pa.array(["3"])), "column nx is string, should be int64"),
+        (lambda t: t.drop_columns(["nx"]), "column nx is there 0 times"),
+        (lambda t: t.append_column(t.field(3), t.column(3)), "column nx is there 2 times"),
+        (lambda t: t.replace_schema_metadata({"knotgym": "[]"}), "has format 'none'"),
+    ):
+        with pytest.raises(InvalidImages, match=told):
+            read_table(changed(shard, tmp_path, change))
+
+
+def test_a_picture_that_would_fill_the_memory_is_refused() -> None:
+    sound = encode(np.zeros((8, 8, 3), np.uint8))
+    assert decode(sound).shape == (8, 8, 3)
+    bomb = sound[:16] + struct.pack(">II", 60_000, 60_000) + sound[24:]
+    for data in (bomb, b"", b"GIF89a" + sound):
+        with pytest.raises(InvalidImages):
+            decode(data)

@@ -1,0 +1,82 @@
+"""Manifests: nothing elsewhere is looked at for them, and every oddity is named."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from knotgym.configuration import UnreadableJson, read_json
+from knotgym.datasets.manifest_check import read_manifest, report_faults, run_report
+
+SOUND: dict[str, Any] = {
+    "config": {"seed": 0},
+    "files": {"states.h5": "0" * 64},
+    "report": {
+        "attempts": 3,
+        "existing_codes": {"1": 4, "5": None},
+        "rejected": {"1": {"margin": 2}},
+        "growth": [{"steps": 1, "known": {"1": 1}, "accepted": {"1": 0}}],
+    },
+}
+
+
+def written(folder: Path, **changes: Any) -> Path:
+    (folder / "manifest.json").write_text(json.dumps({**SOUND, **changes}), encoding="utf-8")
+    return folder
+
+
+def test_a_sound_manifest_has_no_fault(tmp_path: Path) -> None:
+    manifest, faults = read_manifest(written(tmp_path))
+    assert faults == report_faults(manifest) == []
+    assert run_report(manifest) == SOUND["report"]
+
+
+@pytest.mark.parametrize("name", ["../x", "/etc/hostname", "", "a\x1b[2J"])
+def test_a_name_that_is_no_file_in_the_folder_is_a_fault(tmp_path: Path, name: str) -> None:
+    manifest, (fault,) = read_manifest(written(tmp_path, files={name: "0"}))
+    assert manifest == {} and "which is no file in the folder" in fault and fault.isprintable()
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("attempts", "3"),
+        ("attempts", True),
+        ("existing_codes", [4]),
+        ("rejected", {"1": 2}),
+        ("rejected", {"1": {"\x1b[2J": 2}}),
+        ("growth", [{"steps": 1}]),
+        ("growth", [{"steps": 1, "known": {"1": 1}, "accepted": {}}]),
+    ],
+)
+def test_what_no_run_reports_is_a_fault_and_is_not_shown(
+    tmp_path: Path, name: str, value: Any
+) -> None:
+    manifest, _ = read_manifest(written(tmp_path, report={**SOUND["report"], name: value}))
+    (fault,) = report_faults(manifest)
+    assert fault.startswith(f"manifest.json: report.{name}") and run_report(manifest) == {}
+
+
+@pytest.mark.parametrize("content", [b"[" * 200_000, b"9" * 10_000, b"\xff\xfe", b"", b"{"])
+def test_what_is_no_json_is_one_line(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "manifest.json"
+    path.write_bytes(content)
+    with pytest.raises(UnreadableJson, match=r"is no JSON") as raised:
+        read_json(path)
+    assert str(raised.value).isprintable()
+    assert len(read_manifest(tmp_path)[1]) == 1
+
+
+def test_a_pipe_and_what_is_too_large_are_not_read(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to("/dev/zero")
+    (tmp_path / "large").write_bytes(b" " * 101)
+    for name, told in (("pipe", "no regular file"), ("link", "no regular file")):
+        with pytest.raises(UnreadableJson, match=told):
+            read_json(tmp_path / name)
+    with pytest.raises(UnreadableJson, match="more than 100 bytes"):
+        read_json(tmp_path / "large", most=100)

@@ -1,0 +1,108 @@
+"""The learner keeps several ropes that may be the one seen, and how a rope moves tells which."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+pytestmark = pytest.mark.clients
+pytest.importorskip("torch")
+
+from knotgym.control.transition_counts import TransitionCounts  # noqa: E402
+from knotgym.control.transition_graph import (  # noqa: E402
+    TransitionGraph,
+    TransitionGraphConfig,
+)
+from knotgym.learn.agent import Agent  # noqa: E402
+from knotgym.learn.belief import BeliefConfig, RopeBelief  # noqa: E402
+from knotgym.learn.rope_model import BEADS, FIRST_GUESS, Dynamics  # noqa: E402
+from knotgym.topology.gauss import GaussCode  # noqa: E402
+
+Array = NDArray[np.float64]
+DYNAMICS = Dynamics(FIRST_GUESS)
+
+
+class TwoReadings:
+    """Reads every picture as the rope that is there and as its mirror image, as likely."""
+
+    def __init__(self, rope: Array) -> None:
+        self.rope = rope
+
+    def read(self, picture: Any) -> tuple[Array, Array]:
+        mirrored = self.rope * (1.0, 1.0, -1.0)
+        return np.stack([mirrored, self.rope]), np.array([0.5, 0.5])
+
+    def varied(self, picture: Any, ropes: Array, count: int, rng: Any) -> Array:
+        return np.repeat(ropes, count, axis=0)
+
+    def follow(self, picture: Any, foreseen: Array, moves: Array) -> Array:
+        followed = foreseen.copy()
+        followed[..., :2] = self.rope[:, :2]
+        return followed
+
+
+def tilted_loop() -> Array:
+    """A circle tilted out of the plane, so that its mirror image lies otherwise."""
+    angle = 2 * np.pi * np.arange(BEADS) / BEADS
+    radius = 1.33 / (2 * np.pi)
+    flat = np.stack([np.cos(angle), np.sin(angle), 0.5 * np.cos(angle)], axis=1)
+    flat *= radius
+    for _ in range(50):  # equal chords
+        points = np.vstack([flat, flat[:1]])
+        along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        even = np.linspace(0, along[-1], BEADS, endpoint=False)
+        flat = np.stack([np.interp(even, along, points[:, c]) for c in range(3)], axis=1)
+        flat *= 1.33 / along[-1]
+    return flat - flat.mean(axis=0)
+
+
+@pytest.fixture
+def believed() -> tuple[RopeBelief, TwoReadings]:
+    """A belief, and what it reads with."""
+    reader: Any = TwoReadings(tilted_loop())
+    rng = np.random.default_rng(0)
+    return RopeBelief(reader, DYNAMICS, np.zeros((1, 3)), BeliefConfig(), rng), reader
+
+
+def test_how_a_rope_moves_tells_it_from_its_mirror_image(
+    believed: tuple[RopeBelief, TwoReadings],
+) -> None:
+    belief, reader = believed
+    picture = np.zeros((128, 128, 3), dtype=np.uint8)
+    belief.see(picture)
+    rope, speeds, force = tilted_loop()[None], np.zeros((1, BEADS, 3)), np.array([0.3, 0.2, 0.8])
+    for _ in range(3):
+        named = belief.ropes[0][25] + belief.whereabouts.places.mean(axis=0)
+        bead = np.linalg.norm(rope[0] - named, axis=1).argmin()
+        rope, speeds = DYNAMICS.step(rope, speeds, np.array([bead]), force[None])
+        reader.rope = rope[0] - rope[0].mean(axis=0)
+        belief.see_pulled(picture, named, force)
+    likeliest, true = belief.ropes[0], tilted_loop()
+    off, mirrored = (np.abs(likeliest[:, 2] - sign * true[:, 2]).mean() for sign in (1, -1))
+    assert off < mirrored and belief.likely[0] > 0.5
+    assert np.isclose(belief.likely.sum(), 1.0)
+
+
+def test_ropes_that_are_alike_are_kept_as_one(believed: tuple[RopeBelief, TwoReadings]) -> None:
+    belief, rope = believed[0], tilted_loop()
+    ropes = np.stack([rope, rope + (0.0, 0.0, 0.001), rope * (1.0, 1.0, -1.0)])
+    belief._keep(ropes, np.zeros_like(ropes), np.array([0.25, 0.3, 0.45]))
+    assert len(belief.ropes) == 2
+    assert np.allclose(belief.likely, (0.55, 0.45))
+    assert np.array_equal(belief.ropes[0], ropes[1])
+
+
+def test_what_the_rope_shows_is_not_the_goal_of_an_episode_that_goes_on() -> None:
+    graph = TransitionGraph(TransitionCounts(), TransitionGraphConfig())
+    reader: Any = TwoReadings(tilted_loop())
+    agent = Agent(reader, DYNAMICS, graph, np.zeros((1, 3)))
+    agent.begin(0, np.random.default_rng(0), 50)
+    episode, plain, kink = agent._episodes[0], GaussCode.parse(""), GaussCode.parse("1+,1-")
+    episode.goals = {plain: 0.6, kink: 0.4}
+    picture = np.zeros((128, 128, 3), dtype=np.uint8)
+    episode.belief.see(picture)
+    agent._aim(episode, picture)
+    assert episode.goal == kink
