@@ -117,6 +117,10 @@ def load_policy(name: str) -> Learned:
             f"{folder / WEIGHTS}: rope is {rope.dtype} and places {places.dtype}, should be float64"
             " and float32"
         )
+    kinds = {own.dtype for key, own in tensors.items() if key.startswith("reader/")}
+    if kinds != {torch.float16}:
+        told = ", ".join(sorted(map(str, kinds)))
+        raise InvalidCheckpoint(f"{folder / WEIGHTS}: the reader is {told}, should be float16")
     own = {"rope": torch.from_numpy(rope), "places": torch.from_numpy(places)}
     for name, values in {**own, **reader.state_dict()}.items():
         if not torch.isfinite(values).all():

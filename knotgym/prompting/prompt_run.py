@@ -17,6 +17,7 @@ from typing import Any
 import knotgym
 from knotgym.atomic_files import atomic_write, require_writable
 from knotgym.configuration import differences, read_json
+from knotgym.datasets.states import read_states, ships, states_file
 from knotgym.prompting.chat import Chat, Stopped
 from knotgym.prompting.kept_replies import Asking, KeptReplies
 from knotgym.prompting.prompted_episodes import PromptConfig, flat
@@ -58,6 +59,8 @@ def run(
     if out.exists():
         return _finished(out, config, resume, progress)
     require_writable(out)
+    if config.task is not None and not ships(config.task.states):
+        read_states(states_file(config.task.states), images=False)
     compile_first(progress)
     settings = json.loads(json.dumps(flat(config)))
     with staging(out, resume) as folder:
