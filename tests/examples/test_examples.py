@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from knotgym.datasets.image_rows import Row, record
-from knotgym.datasets.image_table import write_rows
+from knotgym.datasets.image_table import COLUMNS, write_rows
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.rendering.appearance import AppearanceConfig
@@ -65,7 +65,10 @@ def test_a_code_is_read_off_a_picture_by_tracing_its_colours(
     rope: Rope, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ropes = [rope.from_curve(curled(nx, 0.3)) for nx in (0, 1, 2, 3)]
-    sources = [{"seed": 0, "family": number, "row": number} for number in range(len(ropes))]
+    told = dict.fromkeys(COLUMNS["source"], 0) | dict.fromkeys(
+        ("reflect", "switch", "reverse"), False
+    )
+    sources = [told | {"family": number, "row": number} for number in range(len(ropes))]
     rows = [
         record(Row(points, label(points), "test", source), AppearanceConfig())
         for points, source in zip(ropes, sources, strict=True)
