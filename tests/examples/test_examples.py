@@ -65,10 +65,9 @@ def test_a_code_is_read_off_a_picture_by_tracing_its_colours(
     rope: Rope, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ropes = [rope.from_curve(curled(nx, 0.3)) for nx in (0, 1, 2, 3)]
-    told = dict.fromkeys(COLUMNS["source"], 0) | dict.fromkeys(
-        ("reflect", "switch", "reverse"), False
-    )
-    sources = [told | {"family": number, "row": number} for number in range(len(ropes))]
+    whole = dict.fromkeys(COLUMNS["source"], 0)
+    whole |= dict.fromkeys(("reflect", "switch", "reverse"), False)
+    sources = [whole | {"family": number, "row": number} for number in range(len(ropes))]
     rows = [
         record(Row(points, label(points), "test", source), AppearanceConfig())
         for points, source in zip(ropes, sources, strict=True)
