@@ -24,9 +24,7 @@ from knotgym.topology.gauss import GaussCode
 Array = NDArray[np.float64]
 
 REACH = 2.0  # metres that an action's coordinate of 1 stands for
-_TOWS = np.array(
-    [(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
-)  # forces of tows that are thought through
+_TOW = np.ones(3)  # force of a tow; any direction straightens as well as another
 _MISLED = 0.05  # how likely a code shown for sure is the goal, though the episode goes on
 
 
@@ -61,7 +59,6 @@ class AgentConfig:
         sure: share of them that a plan must lead to the goal to be gone on with.
         named: how well a bead must be named before it is pulled.
         probes: pulls at most that are spent on finding where the rope is.
-        tow: steps of a tow before another is chosen.
         rise: upward force of a probe, in units of the largest.
         belief: what is thought possible.
         planner: of imagination.
@@ -81,7 +78,6 @@ class AgentConfig:
     named: float = 0.45
     probes: int = 3
     rise: float = 0.6
-    tow: int = 14
     belief: BeliefConfig = BeliefConfig()
     planner: PlannerConfig = PlannerConfig(batch_size=32, surrogate_rollouts=2)
 
@@ -160,8 +156,10 @@ class Agent:
     def _decide(self, episode: _Episode) -> str:
         """Choose bead and force."""
         assert episode.goal is not None
+        towing = bool(episode.plan) and episode.plan[0].named is not None
         due = episode.step - episode.planned >= self.config.patience or not episode.plan
-        if due and self._surety(episode, episode.plan) < self.config.sure:
+        # a tow takes its time, and one broken off or turned takes it again
+        if due and not towing and self._surety(episode, episode.plan) < self.config.sure:
             self._plan(episode)
             episode.planned = episode.step
         if episode.plan:
@@ -215,12 +213,9 @@ class Agent:
         episode.plan = best
 
     def _tow(self, episode: _Episode) -> tuple[list[Pull], float]:
-        """One of the tows that are surest to straighten the rope, and how sure."""
-        left = episode.horizon - episode.step
-        tows = [[Pull(-1, force, REACH * force)] * left for force in _TOWS]
-        sure = np.array([self._surety(episode, tow) for tow in tows])
-        best = int(episode.rng.choice(np.flatnonzero(sure >= sure.max() - 1 / self.config.copies)))
-        return tows[best][: self.config.tow], float(sure[best])
+        """A tow that straightens the rope, and how surely."""
+        tow = [Pull(-1, _TOW, REACH * _TOW)] * (episode.horizon - episode.step)
+        return tow, self._surety(episode, tow)
 
     def _surety(self, episode: _Episode, steps: list[Pull]) -> float:
         """The share of ropes, lying a little otherwise, that a plan leads to the goal."""
