@@ -187,20 +187,23 @@ def export(named: str, out: Path, form: str = "compact") -> str:
 
 def _upload(named: str, out: Path) -> str:
     """Write a folder for Hugging Face of what a path or an id names; the fact to tell of it."""
+    to_huggingface(_sources(named), out)
+    size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
+    return f"{size / 1e6:.1f} MB to upload"
+
+
+def _sources(named: str) -> ToUpload:
+    """The files that a path or an id names, and a title."""
     found = places(named)
     kind, path = found[0]
     title = path.resolve().name
     if kind == "images":
-        source = ToUpload(title, pictures=path)
-    elif kind == "states":
+        return ToUpload(title, pictures=path)
+    if kind == "states":
         ways = [one.path for one in demonstrations(path)]
-        source = ToUpload(title, states=states_file(path), episodes=ways)
-    else:
-        title = named if len(found) > 1 else dataset_name(path)
-        source = ToUpload(title, episodes=[one.path for one in found])
-    to_huggingface(source, out)
-    size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
-    return f"{size / 1e6:.1f} MB to upload"
+        return ToUpload(title, states=states_file(path), episodes=ways)
+    title = named if len(found) > 1 else dataset_name(path)
+    return ToUpload(title, episodes=[one.path for one in found])
 
 
 def refuse_minaris_folder(out: Path) -> None:
@@ -222,17 +225,7 @@ def merge_to_minari(sources: Sequence[str], dataset_id: str, root: Path | None) 
 def page(named: str, out: Path) -> str:
     """Write one HTML file to browse what a path or an id names; the fact to tell of it."""
     refuse_existing(out)
-    found = places(named)
-    kind, path = found[0]
-    title = path.resolve().name
-    if kind == "images":
-        data = page_data(title, pictures=path)
-    elif kind == "states":
-        ways = [one.path for one in demonstrations(path)]
-        data = page_data(title, states=states_file(path), episodes=ways)
-    else:
-        title = named if len(found) > 1 else dataset_name(path)
-        data = page_data(title, episodes=[one.path for one in found])
+    data = page_data(**_sources(named)._asdict())
     write_page(out, data)
     return " ".join([f"{data['says']}, {out.stat().st_size / 1e6:.1f} MB.", *data["notices"]])
 

@@ -13,6 +13,7 @@ BIBTEX = """\
   year   = {2026},
   note   = {after "Knot So Simple", arXiv:2505.18028}
 }"""
+TO_CITE = ("## To cite", "", "```bibtex", BIBTEX, "```", "")  # the lines of a card
 
 
 def citation_file(title: str) -> str:

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 import knotgym
-from knotgym.datasets.cards.citation import BIBTEX
+from knotgym.datasets.cards.citation import TO_CITE
 from knotgym.datasets.cards.state_card import table
 from knotgym.datasets.image_table import GRADES, file_stem, read_table
 from knotgym.datasets.splits import IMAGE_SPLITS
@@ -133,12 +133,7 @@ def card(
             ],
         ),
         "",
-        "## To cite",
-        "",
-        "```bibtex",
-        BIBTEX,
-        "```",
-        "",
+        *TO_CITE,
         "## How to make it again",
         "",
         f"{report['walks']} walks met {report['frames']} frames. Not taken: {not_taken}.",

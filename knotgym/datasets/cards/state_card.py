@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.datasets.cards.citation import BIBTEX
+from knotgym.datasets.cards.citation import TO_CITE
 from knotgym.datasets.splits import STATE_SPLITS
 from knotgym.datasets.spread import spread_of
 from knotgym.datasets.state_schema import COLUMNS, DRAWING, RANDOM_WALK
@@ -110,12 +110,7 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
             [(f"`{one.name}`", one.kind, one.unit, one.doc) for one in columns_of(states)],
         ),
         "",
-        "## To cite",
-        "",
-        "```bibtex",
-        BIBTEX,
-        "```",
-        "",
+        *TO_CITE,
         "## How to make it again",
         "",
         "```json",

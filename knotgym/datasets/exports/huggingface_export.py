@@ -23,7 +23,7 @@ import numpy as np
 
 import knotgym
 from knotgym.atomic_files import atomic_write
-from knotgym.datasets.cards.citation import BIBTEX, citation_file
+from knotgym.datasets.cards.citation import BIBTEX, TO_CITE, citation_file
 from knotgym.datasets.cards.state_card import table
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.exports.croissant import FileObject, croissant
@@ -182,7 +182,7 @@ def _card(title: str, description: str, folder: Path, files: Sequence[FileObject
         yield from (*table(("split", "rows"), counts), "")
         rows = [(f"`{one.name}`", _kind(one), one.unit, one.doc) for one in columns]
         yield from (*table(("column", "type", "unit", "holds"), rows), "")
-    yield from ("## To cite", "", "```bibtex", BIBTEX, "```", "")
+    yield from TO_CITE
     yield from ("## Licence", "", "[CC-BY-4.0](https://creativecommons.org/licenses/by/4.0/)", "")
 
 

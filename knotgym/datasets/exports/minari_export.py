@@ -20,7 +20,7 @@ import numpy as np
 
 from knotgym.atomic_files import atomic_write
 from knotgym.configuration import read_json
-from knotgym.datasets.cards.citation import BIBTEX, citation_file
+from knotgym.datasets.cards.citation import TO_CITE, citation_file
 from knotgym.datasets.cards.state_card import table
 from knotgym.datasets.episode_reader import EpisodeReader, episode_file
 from knotgym.datasets.exports.forms import NothingToExport
@@ -125,12 +125,7 @@ def _card(repository: str, entries: dict[str, dict[str, Any]]) -> list[str]:
         "",
         *table(("data", "holds"), _ROWS),
         "",
-        "## To cite",
-        "",
-        "```bibtex",
-        BIBTEX,
-        "```",
-        "",
+        *TO_CITE,
     ]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from knotgym.datasets.cards.citation import BIBTEX
+from knotgym.datasets.cards.citation import TO_CITE
 from knotgym.datasets.cards.state_card import table
 from knotgym.generate.episodes.suite_scores import score_tables
 
@@ -89,12 +89,7 @@ def suite_card(report: Mapping[str, Any], references: Mapping[str, Any]) -> str:
                 or ["", "None yet: no evaluation file lies in `evaluations`."]
             ),
             "",
-            "## To cite",
-            "",
-            "```bibtex",
-            BIBTEX,
-            "```",
-            "",
+            *TO_CITE,
         ]
     )
 
