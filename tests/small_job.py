@@ -4,7 +4,9 @@ less hill climbing.
 
 from __future__ import annotations
 
+import fnmatch
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -56,6 +58,16 @@ def begun(out: Path, *arguments: object, saved: bool) -> subprocess.Popen[str]:
         time.sleep(0.02)
     assert run.poll() is None and sign.exists()
     return run
+
+
+def wait_for_file(run: subprocess.Popen[str], folder: Path, pattern: str) -> None:
+    """Wait until a file of that name is anywhere below a folder, or the process has ended."""
+    until = time.monotonic() + SECONDS
+    while run.poll() is None and time.monotonic() < until:
+        # os.walk, for folders are renamed meanwhile and rglob stumbles over that
+        if any(fnmatch.filter(names, pattern) for _, _, names in os.walk(folder)):
+            return
+        time.sleep(0.005)
 
 
 def _small(arguments: tuple[object, ...]) -> list[str]:

@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 
 from ..cli.test_generate_command import bytes_of, held, said
-from ..small_job import SECONDS, SETTINGS, WANTED, knotgym, typed
+from ..small_job import SECONDS, SETTINGS, WANTED, knotgym, typed, wait_for_file
 
 with_arrow = pytest.mark.skipif(
     importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed"
@@ -213,13 +213,7 @@ def test_a_worker_that_dies_is_one_line_and_the_rest_is_kept(
 ) -> None:
     words = typed(*COLLECT, "--workers", 2, "--quiet", "--out", tmp_path / "a")
     broken = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    until = time.monotonic() + SECONDS
-    while (
-        not list(tmp_path.rglob("episodes-*.json"))
-        and broken.poll() is None
-        and time.monotonic() < until
-    ):
-        time.sleep(0.005)
+    wait_for_file(broken, tmp_path, "episodes-*.json")
     os.kill(children(broken.pid)[-1], signal.SIGKILL)
     error = broken.communicate(timeout=SECONDS)[1]
     assert (
@@ -236,9 +230,7 @@ def test_asked_to_stop_twice_it_says_so_once(command: tuple[object, ...], tmp_pa
     stopped = subprocess.Popen(
         words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
-    until = time.monotonic() + SECONDS
-    while not list(tmp_path.rglob("lock")) and stopped.poll() is None and time.monotonic() < until:
-        time.sleep(0.005)
+    wait_for_file(stopped, tmp_path, "lock")
     for _ in range(2):
         os.killpg(stopped.pid, signal.SIGINT)
         time.sleep(0.01)
