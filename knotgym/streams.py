@@ -54,6 +54,7 @@ class Stream(IntEnum):
     IMAGE_NOISE = 21  # row: its noise survival
     IMAGE_APPEARANCE = 22  # row
     IMAGE_GRAIN = 23  # the noise of one picture, whose seed is stored
+    EXPERT_LABEL = 24  # number of the episode, step: the plan that labels it
     RANDOM_WALK = 30  # rope: all its actions, see `actions.drawn_actions`
     RANDOM_WALK_NOISE = 31  # rope, step: noise survival of the state saved there
     DRAWING = 40  # nx, code, number of the drawing

@@ -144,7 +144,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
         *("collect", "--task", "tie", "--nx", 1, "--policy", "scripted", "--episodes", 1),
         *("--horizon", 2, "--image-size", 16, "--author", "Ada", "--author-email", "ada@example"),
         *("--code-permalink", "https://example.org", "--workers", 1, "--quiet", "--out", root),
-        *("--id", "knotgym/tie-nx1/scripted-v0"),
+        *("--id", "knotgym/tie-nx1/scripted-v0", "--labels", "expert", "--budget", 48),
     )
     return root / "knotgym/tie-nx1/scripted-v0/data"
 

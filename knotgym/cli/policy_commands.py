@@ -60,6 +60,19 @@ def collect(
             "--keep-failed/--drop-failed", help="Keep episodes that didn't reach the goal."
         ),
     ] = True,
+    attempts: Annotated[
+        int,
+        typer.Option(
+            help="Times each episode is played; the shortest that reached the goal is kept."
+        ),
+    ] = 1,
+    labels: Annotated[
+        str,
+        typer.Option(
+            help='"expert": store what it would do at every state, its --budget for each.',
+            show_default="none",
+        ),
+    ] = "",
     out: Annotated[
         Path | None, typer.Option(help="Root of the dataset's id; Minari's own by default.")
     ] = None,
@@ -115,6 +128,8 @@ def collect(
         knotgym collect --task tie --nx 3 --policy expert --episodes 200
 
         knotgym collect --task unknot --nx 2-4 --policy mine:act --observation state
+
+        knotgym collect --task tie --policy pretrained --labels expert --budget 2000
     """
     with Progress(quiet) as progress:
         from knotgym.generate.episodes.collect import CollectConfig, distinct_id
@@ -154,7 +169,10 @@ def collect(
                 episodes=episodes,
                 seed=seed,
                 keep_failed=keep_failed,
-                dataset_id=dataset_id or distinct_id(one, acting, seed),
+                attempts=attempts,
+                labels=labels,
+                dataset_id=dataset_id
+                or distinct_id(one, acting, seed, attempts=attempts, labels=labels),
                 author=tuple(author or ()),
                 author_email=tuple(author_email or ()),
                 code_permalink=code_permalink,

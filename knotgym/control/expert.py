@@ -67,7 +67,8 @@ class Expert:
             progress = self._progress[index]
             if progress.plan is None or progress.step >= len(progress.plan.actions):
                 began = time.perf_counter()
-                progress.plan, progress.step = self._plan(episodes, index, progress), 0
+                left = int(episodes.config.horizon - episodes.steps[index])
+                progress.plan, progress.step = self._plan(episodes, index, progress, left), 0
                 progress.seconds += time.perf_counter() - began
                 progress.spent += progress.plan.spent
             if progress.step < len(progress.plan.actions):
@@ -84,6 +85,20 @@ class Expert:
         self._progress[index].plan = None
         self._controller.release(index)
 
+    def advise(
+        self, episodes: EpisodeBatch, index: int, rng: np.random.Generator
+    ) -> tuple[NDArray[np.float32], Effort]:
+        """The action, (6,), that it would begin with here, had the episode begun here, and what
+        planning took; what it planned before in the episode is forgotten.
+        """
+        self.begin(episodes, index, rng)
+        progress, began = self._progress[index], time.perf_counter()
+        made = self._plan(episodes, index, progress, steps=episodes.config.horizon)
+        effort = Effort(made.spent, time.perf_counter() - began)
+        if len(made.actions):
+            return made.actions[0], effort
+        return self._act_without_plan(episodes, index, progress), effort
+
     def name(self, index: int) -> str:
         return "expert"
 
@@ -91,7 +106,7 @@ class Expert:
         progress = self._progress[index]
         return Effort(progress.spent, progress.seconds)
 
-    def _plan(self, episodes: EpisodeBatch, index: int, progress: _Progress) -> Plan:
+    def _plan(self, episodes: EpisodeBatch, index: int, progress: _Progress, steps: int) -> Plan:
         if self._simulation is None:
             self._simulation = Simulation(self.config.batch_size, episodes.simulation.rope)
         hold, held = episodes.config.hold, int(episodes.held[index])
@@ -102,7 +117,7 @@ class Expert:
             self._graph_used(),
             self.config,
             progress.rng,
-            steps=int(episodes.config.horizon - episodes.steps[index]),
+            steps=steps,
             hold=max(1, hold - held) if held else hold,
             budget=self.config.budget - progress.spent,
             bound=episodes.tow_bound(index),

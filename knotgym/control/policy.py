@@ -58,6 +58,10 @@ class Effort(NamedTuple):
     actions: int = 0
     seconds: float = 0.0
 
+    def plus(self, other: Effort) -> Effort:
+        """Both."""
+        return Effort(self.actions + other.actions, self.seconds + other.seconds)
+
 
 class Policy(Protocol):
     """Acts in any of the episodes of one batch, each from its own generator."""

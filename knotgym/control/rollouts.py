@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.control.expert import Expert
 from knotgym.control.policy import Effort, Policy
 from knotgym.datasets.trajectory import Episode
 from knotgym.episode_batch import EpisodeBatch
@@ -53,6 +54,8 @@ class _Track:
     points: list[Array] = field(default_factory=list)
     infos: list[dict[str, object]] = field(default_factory=list)
     actions: list[NDArray[np.float32]] = field(default_factory=list)
+    labels: list[NDArray[np.float32]] = field(default_factory=list)
+    labelling: Effort = Effort()
     rewards: list[float] = field(default_factory=list)
     terminations: list[bool] = field(default_factory=list)
     truncations: list[bool] = field(default_factory=list)
@@ -62,13 +65,29 @@ class _Track:
         self.points.append(episodes.simulation.points[index].copy())
         self.infos.append({**episodes.info(index), "move": move})
 
+    def ask(
+        self, labeller: Expert, episodes: EpisodeBatch, index: int, rng: np.random.Generator
+    ) -> None:
+        """Keep what an expert would do in the state that the episode is in now."""
+        action, effort = labeller.advise(episodes, index, rng)
+        self.labels.append(action)
+        self.labelling = self.labelling.plus(effort)
+
 
 def episode_seed(seed: int, number: int) -> int:
     """The seed of the reset that begins episode `number` of a run, 52 bits for JSON's sake."""
     return derived_seed(Stream.EPISODE, seed, number)
 
 
-def rollout(task: TaskConfig, policy: Policy, numbers: Sequence[int], seed: int) -> list[Rollout]:
+def rollout(
+    task: TaskConfig,
+    policy: Policy,
+    numbers: Sequence[int],
+    seed: int,
+    *,
+    attempt: int = 0,
+    labeller: Expert | None = None,
+) -> list[Rollout]:
     """Play episodes side by side.
 
     Args:
@@ -76,15 +95,21 @@ def rollout(task: TaskConfig, policy: Policy, numbers: Sequence[int], seed: int)
         policy: who acts.
         numbers: which episodes of the run, at least one.
         seed: of the run.
+        attempt: the policy draws otherwise in each; the episodes begin alike.
+        labeller: asked at every state what it would do, which changes nothing.
     """
     episodes = EpisodeBatch(task, len(numbers))
     tracks = []
     for index, number in enumerate(numbers):
         episodes.begin(index, np.random.default_rng(episode_seed(seed, number)))
-        policy.begin(episodes, index, generator(Stream.POLICY, seed, number))
+        policy.begin(episodes, index, generator(Stream.POLICY, seed, number, attempt))
         tracks.append(_begun(episodes, index))
     under_way = np.arange(len(numbers))
     while len(under_way):
+        if labeller is not None:
+            for index in under_way.tolist():
+                key = (seed, numbers[index], len(tracks[index].actions))
+                tracks[index].ask(labeller, episodes, index, generator(Stream.EXPERT_LABEL, *key))
         actions, moves = policy.act(episodes, under_way)
         rewards, terminated, truncated = episodes.step(actions, under_way)
         for row, index in enumerate(under_way.tolist()):
@@ -99,7 +124,7 @@ def rollout(task: TaskConfig, policy: Policy, numbers: Sequence[int], seed: int)
         Rollout(
             number,
             _episode(track, policy.name(index), episode_seed(seed, number)),
-            policy.effort(index),
+            policy.effort(index).plus(track.labelling),
         )
         for index, (number, track) in enumerate(zip(numbers, tracks, strict=True))
     ]
@@ -138,6 +163,9 @@ def _episode(track: _Track, policy: str, seed: int) -> Episode:
         is_success=column("is_success", np.bool_),
         simulation_failed=column("simulation_failed", np.bool_),
         move=column("move", np.str_),
+        expert_action=(
+            np.stack([*track.labels, np.zeros(6, dtype=np.float32)]) if track.labels else None
+        ),
         goal_gauss_code=track.goal,
         seed=seed,
         options=track.options,

@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.datasets.states import leads_out, minari_root, ships, states_file
-from knotgym.datasets.trajectory import INFOS, Episode, array_column
+from knotgym.datasets.trajectory import INFOS, OPTIONAL, Episode, array_column
 from knotgym.errors import KnotgymError, MissingFile
 from knotgym.hdf5_files import (
     Column,
@@ -138,6 +138,11 @@ class EpisodeReader:
         """Episodes."""
         return len(self.rows)
 
+    @property
+    def has_labels(self) -> bool:
+        """An expert was asked at every state of every episode."""
+        return all(place("expert_action") in self.group(index) for index in range(len(self)))
+
     def __iter__(self) -> Iterator[Episode]:
         return (self.episode(index) for index in range(len(self)))
 
@@ -225,7 +230,7 @@ class EpisodeReader:
             arrays = {
                 name: self._array(index, name)
                 for name in (*ONCE, "points", *_STEPS, *INFOS)
-                if name != "move" or place(name) in group
+                if name not in OPTIONAL or place(name) in group
             }
             labels = self.labels(index)
             return Episode(

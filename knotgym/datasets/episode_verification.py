@@ -140,8 +140,9 @@ def episode_faults(episode: Episode, task: TaskConfig, rope: Rope) -> list[str]:
                 f"step {wrong[0]}: {name} is {stored[wrong[0]].tolist()!r}, should be"
                 f" {right[wrong[0]].tolist()!r} ({len(wrong)} such)"
             )
-    if np.abs(episode.actions).max() > 1:
-        faults.append("an action lies outside [-1, 1]")
+    for what, actions in (("action", episode.actions), ("expert's action", episode.expert_action)):
+        if actions is not None and np.abs(actions).max() > 1:
+            faults.append(f"an {what} lies outside [-1, 1]")
     if str(label(episode.goal_points)) != episode.goal_gauss_code:
         faults.append(
             f"the goal shows {str(label(episode.goal_points))!r}, goal_gauss_code says"

@@ -5,7 +5,7 @@ In hindsight a code that was reached becomes the goal.
 states   s0  s1  s2  s3     action t leads from s[t] to s[t + 1]; no action leaves s3
 actions    a0  a1  a2       rewards, terminations and truncations go with the actions
 infos    i0  i1  i2  i3     labels of the states; bead, force and move say what led to the state,
-                            nothing led to s0
+                            nothing led to s0; expert_action what an expert would do there
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ _ARRAYS: dict[str, tuple[Any, int | None, tuple[Any, ...]]] = {
     "is_success": (np.bool_, 1, ()),
     "simulation_failed": (np.bool_, 1, ()),
     "move": (np.str_, 1, ()),
+    "expert_action": (np.float32, 1, (6,)),
 }
 _KINDS = {
     np.float64: "float64",
@@ -62,7 +63,9 @@ INFOS = (
     "is_success",
     "simulation_failed",
     "move",
+    "expert_action",
 )
+OPTIONAL = ("move", "expert_action")  # infos that only some episodes have
 
 
 @cache
@@ -98,6 +101,8 @@ class Episode:
         is_success, simulation_failed: bool (T + 1,), as the environment's infos.
         move: str (T + 1,), the policy's reason for the step, "" at the start; None where the policy
             gives no reasons.
+        expert_action: float32 (T + 1, 6), in [-1, 1]: how an expert's plan from each state begins,
+            zeros at the last; None where none was asked.
         goal_gauss_code: the code to reach.
         seed: of the reset, None where no seed makes this episode.
         options: of the reset: rows `start` and `goal` of the state file.
@@ -126,6 +131,7 @@ class Episode:
     is_success: NDArray[np.bool_]
     simulation_failed: NDArray[np.bool_]
     move: NDArray[np.str_] | None = None
+    expert_action: NDArray[np.float32] | None = None
     goal_gauss_code: str
     seed: int | None = None
     options: Mapping[str, int] = field(default_factory=dict)
@@ -269,6 +275,7 @@ def relabelled(
         episode,
         **{
             **cut,
+            "expert_action": None,  # it led to the episode's own goal
             "goal_points": episode.points[goal_step],
             "goal_gauss_code": str(episode.gauss_code[goal_step]),
             "rewards": outcome.rewards,

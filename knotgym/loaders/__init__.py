@@ -9,6 +9,8 @@ Every loader takes a dataset as a Minari id, a folder, an episode file (compact 
                     camera or colours, from other views, with depth or without
     relabel         "last" or "all": hindsight, the code reached becomes the goal (see
                     `Transitions`)
+    labels          True: actions are what an expert would have done, where the dataset says it
+                    (`knotgym collect --labels expert`)
     cache           a folder for pictures, uncompressed, each once, made when first asked for: then
                     batches come quickly; or a `FrameCache`, which says how much it may take. The
                     pictures are the same to the byte
@@ -30,7 +32,7 @@ if TYPE_CHECKING:
     from knotgym.loaders.frame_cache import FrameCache, NoCache
     from knotgym.loaders.perception import images
     from knotgym.loaders.rows import arrays
-    from knotgym.loaders.transitions import Transitions
+    from knotgym.loaders.transitions import NoLabels, Transitions
 else:
     from knotgym.lazy_exports import lazy_exports
 
@@ -40,6 +42,7 @@ else:
             "FrameCache": "knotgym.loaders.frame_cache",
             "MissingExtra": "knotgym.errors",
             "NoCache": "knotgym.loaders.frame_cache",
+            "NoLabels": "knotgym.loaders.transitions",
             "Transitions": "knotgym.loaders.transitions",
             "arrays": "knotgym.loaders.rows",
             "images": "knotgym.loaders.perception",
@@ -53,6 +56,7 @@ __all__ = [
     "FrameCache",
     "MissingExtra",
     "NoCache",
+    "NoLabels",
     "Transitions",
     "arrays",
     "images",

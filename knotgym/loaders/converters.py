@@ -39,6 +39,7 @@ def torch_dataset(
     observation: str | None = None,
     picture: Any = None,
     relabel: str | None = None,
+    labels: bool = False,
     cache: Any = None,
 ) -> Any:
     """Make a `torch.utils.data.Dataset` that reads from the file when asked.
@@ -46,7 +47,7 @@ def torch_dataset(
     Any number of DataLoader workers may share it.
 
     Args:
-        dataset, observation, picture, relabel, cache: see `knotgym.loaders`.
+        dataset, observation, picture, relabel, labels, cache: see `knotgym.loaders`.
         kind: what an item is:
             "transitions": observation, action, reward, next_observation, terminal, timeout; asked
                 for a list of numbers, as a BatchSampler does, a batch of them;
@@ -70,7 +71,14 @@ def torch_dataset(
     if kind not in KINDS:
         raise UnknownKind(kind, KINDS)
     return KINDS[kind](
-        Transitions(dataset, observation=observation, picture=picture, relabel=relabel, cache=cache)
+        Transitions(
+            dataset,
+            observation=observation,
+            picture=picture,
+            relabel=relabel,
+            labels=labels,
+            cache=cache,
+        )
     )
 
 
@@ -80,6 +88,7 @@ def to_d3rlpy(
     observation: str | None = None,
     picture: Any = None,
     relabel: str | None = None,
+    labels: bool = False,
     cache: Any = None,
 ) -> Any:
     """Make a `d3rlpy.dataset.ReplayBuffer` that holds every transition.
@@ -91,14 +100,19 @@ def to_d3rlpy(
     one more step, of a zero action and reward: no transition starts there, one ends there.
 
     Args:
-        dataset, observation, picture, relabel, cache: see `knotgym.loaders`.
+        dataset, observation, picture, relabel, labels, cache: see `knotgym.loaders`.
 
     Raises:
         MissingExtra: d3rlpy isn't installed.
     """
     d3rlpy = _needed("d3rlpy")
     transitions = Transitions(
-        dataset, observation=observation, picture=picture, relabel=relabel, cache=cache
+        dataset,
+        observation=observation,
+        picture=picture,
+        relabel=relabel,
+        labels=labels,
+        cache=cache,
     )
     episodes = []
     for segment in range(transitions.segments):
@@ -130,12 +144,13 @@ def to_tensordict(
     observation: str | None = None,
     picture: Any = None,
     relabel: str | None = None,
+    labels: bool = False,
     cache: Any = None,
 ) -> Any:
     """Make a `tensordict.TensorDict` of N transitions, ready for a TorchRL buffer's `extend`.
 
     Args:
-        dataset, observation, picture, relabel, cache: see `knotgym.loaders`.
+        dataset, observation, picture, relabel, labels, cache: see `knotgym.loaders`.
 
     Returns:
         batch size [N]: observation (or pixels and state, for "both"), action, done, terminated,
@@ -147,7 +162,12 @@ def to_tensordict(
     """
     tensordict = _needed("tensordict")
     transitions = Transitions(
-        dataset, observation=observation, picture=picture, relabel=relabel, cache=cache
+        dataset,
+        observation=observation,
+        picture=picture,
+        relabel=relabel,
+        labels=labels,
+        cache=cache,
     )
     columns = rows(transitions)
     terminated, truncated = columns["terminals"][:, None], columns["timeouts"][:, None]

@@ -15,12 +15,13 @@ def arrays(
     observation: str | None = None,
     picture: Any = None,
     relabel: str | None = None,
+    labels: bool = False,
     cache: Any = None,
 ) -> dict[str, Any]:
     """Load a dataset of N transitions, episode after episode.
 
     Args:
-        dataset, observation, picture, relabel, cache: see `knotgym.loaders`.
+        dataset, observation, picture, relabel, labels, cache: see `knotgym.loaders`.
 
     Returns:
         observations, next_observations: uint8 (N, views * size, 2 size, 3 or 4), float32
@@ -31,7 +32,14 @@ def arrays(
         terminals, timeouts: bool (N,); each episode's last row has one of them set.
     """
     return rows(
-        Transitions(dataset, observation=observation, picture=picture, relabel=relabel, cache=cache)
+        Transitions(
+            dataset,
+            observation=observation,
+            picture=picture,
+            relabel=relabel,
+            labels=labels,
+            cache=cache,
+        )
     )
 
 

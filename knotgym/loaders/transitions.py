@@ -15,10 +15,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.trajectory import codes_in_bounds, goal_steps
+from knotgym.errors import KnotgymError
 from knotgym.loaders.frame_cache import CachedFrames, FrameCache, NoCache, goal_axis
 from knotgym.reward import success_at_last
 
 _KEPT = 256  # segments whose codes are kept
+
+
+class NoLabels(KnotgymError, ValueError):
+    """An expert's labels are asked for where there are none."""
 
 
 class Columns(NamedTuple):
@@ -52,6 +57,7 @@ class Transitions:
         observation: str | None = None,
         picture: Any = None,
         relabel: str | None = None,
+        labels: bool = False,
         cache: Any = None,
     ) -> None:
         """Find the segments.
@@ -65,12 +71,22 @@ class Transitions:
             relabel: hindsight: None; "last": of each episode the part up to the last new code it
                 reached, that code the goal; "all": one such part for every code it reached. An
                 episode that shows no code but its first gives none.
+            labels: actions are what an expert would have done (`collect --labels expert`), not what
+                was done; so they don't lead to the next observation.
             cache: a folder, or a `FrameCache`, for pictures uncompressed; see `knotgym.loaders`.
 
         Raises:
             NoCache: no pictures are shown, or there is no room for them.
+            NoLabels: labels are asked for with hindsight, or there are none.
         """
         self._reader = EpisodeReader(dataset)
+        self._action_column = "expert_action" if labels else "actions"
+        if labels and relabel is not None:
+            raise NoLabels("an expert's labels lead to the episode's own goal: leave out relabel")
+        if labels and not self._reader.has_labels:
+            raise NoLabels(
+                f"{self._reader.path} has no expert's labels: collect it with --labels expert"
+            )
         self._seen: dict[str, Any] = {"observation": observation or "", "picture": picture}
         self._relabelled = relabel is not None
         self._frames = None if cache is None else self._cached(cache)
@@ -132,8 +148,9 @@ class Transitions:
             index, goal = int(self.episode[segment]), int(self.goal_step[segment])
             actions, *outcome = (
                 self._reader.column(index, name)
-                for name in ("actions", "rewards", "terminations", "truncations")
+                for name in (self._action_column, "rewards", "terminations", "truncations")
             )
+            actions = actions[: len(outcome[0])]  # a label stands at the last state too
             if self._relabelled:
                 actions = actions[:goal]
                 outcome = list(success_at_last(goal, self._reader.task.success_reward))

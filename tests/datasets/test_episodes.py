@@ -29,6 +29,7 @@ from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
 from knotgym.datasets.minari_dataset import MinariMetadata, compact, metadata_of, publish
 from knotgym.datasets.trajectory import (
     INFOS,
+    OPTIONAL,
     Episode,
     InvalidEpisode,
     goals_reached,
@@ -82,7 +83,7 @@ def record(env: gym.Env[Any, Any], seed: int) -> tuple[Episode, list[Any]]:
         np.array(column) for column in zip(*outcomes, strict=True)
     )
     columns: dict[str, Any] = {
-        name: np.array([one[name] for one in infos]) for name in INFOS if name != "move"
+        name: np.array([one[name] for one in infos]) for name in INFOS if name not in OPTIONAL
     }
     episode = Episode(
         start_qpos=start_qpos,
@@ -94,6 +95,7 @@ def record(env: gym.Env[Any, Any], seed: int) -> tuple[Episode, list[Any]]:
         truncations=truncations,
         **columns,
         move=np.array(["", *(["twist → cross"] * len(actions))]),
+        expert_action=np.array([*actions[::-1], np.zeros(6)], dtype=np.float32),
         goal_gauss_code=info["goal_gauss_code"],
         seed=seed,
         options={"start": info["start"], "goal": info["goal"]},
@@ -502,10 +504,11 @@ def test_minari_iterates_what_was_written(
     for read, episode in zip(dataset.iterate_episodes(), episodes, strict=True):
         for name in ("actions", "rewards", "terminations", "truncations"):
             assert np.array_equal(getattr(read, name), getattr(episode, name))
-        assert sorted(read.infos) == sorted([*INFOS, "goal_gauss_code", "points"])
+        there = [name for name in INFOS if getattr(episode, name) is not None]
+        assert sorted(read.infos) == sorted([*there, "goal_gauss_code", "points"])
         goals = [text.decode() for text in read.infos["goal_gauss_code"]]
         assert goals == [episode.goal_gauss_code] * (len(episode) + 1)
-        for name in INFOS:
+        for name in there:
             right = getattr(episode, name)
             assert np.array_equal(
                 (

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from knotgym.cli.main import main
+from knotgym.control.expert import Expert
 from knotgym.control.planner import PlannerConfig
 from knotgym.control.policies import PolicyConfig
 from knotgym.control.rollouts import episode_seed
@@ -23,7 +24,9 @@ from knotgym.datasets.episode_verification import verify_episodes
 from knotgym.datasets.episode_writer import EpisodeWriter
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
 from knotgym.datasets.trajectory import relabel_all
+from knotgym.episode_batch import EpisodeBatch
 from knotgym.generate.episodes.collect import CollectConfig, InvalidCollection, collect
+from knotgym.loaders import NoLabels, Transitions
 from knotgym.runs.engine import request_of
 from knotgym.runs.run_options import InvalidRun, RunOptions
 from knotgym.runs.staging import Occupied, staging_folder
@@ -55,6 +58,56 @@ def test_the_dataset_takes_its_id_and_holds_every_episode(states_path: str, tmp_
     assert folder == tmp_path / "knotgym/unknot-nx1/scripted-v0"
     assert len(EpisodeReader(folder)) == 6
     assert list(folder.parent.iterdir()) == [folder]
+
+
+def test_labels_are_an_expert_s_and_change_nothing_that_is_played(
+    states_path: str, tmp_path: Path
+) -> None:
+    policy = PolicyConfig(policy="random", planner=PlannerConfig(budget=48))
+    plain = config(states_path, policy=policy, episodes=2)
+    labelled = config(states_path, policy=policy, episodes=2, labels="expert")
+    assert labelled.dataset_id == "knotgym/unknot-nx1/random-labelled-v0"
+    made_plain, made_labelled = (collect(one, tmp_path, QUIET) for one in (plain, labelled))
+    assert verify_episodes(made_labelled) == []
+    for before, after in zip(EpisodeReader(made_plain), EpisodeReader(made_labelled), strict=True):
+        labels = after.expert_action
+        assert labels is not None and before.digest() == replace(after, expert_action=None).digest()
+        assert not labels[-1].any() and labels[:-1].any(axis=1).all()
+        assert not np.array_equal(labels[:-1], after.actions)
+    told = np.concatenate([episode.expert_action[:-1] for episode in EpisodeReader(made_labelled)])
+    assert np.array_equal(Transitions(made_labelled, labels=True).actions, told)
+    for dataset, options in ((made_plain, {}), (made_labelled, {"relabel": "all"})):
+        with pytest.raises(NoLabels):
+            Transitions(dataset, labels=True, **options)
+
+
+def test_what_the_expert_says_at_every_state_leads_to_the_goal(states_path: str) -> None:
+    task = replace(config(states_path).task, horizon=50)
+    episodes, expert = EpisodeBatch(task, 1), Expert()
+    episodes.begin(0, np.random.default_rng(0))
+    for step in range(50):
+        action, _ = expert.advise(episodes, 0, np.random.default_rng(step))
+        _, terminated, _ = episodes.step(action[None], np.array([0]))
+        if terminated[0]:
+            return
+    raise AssertionError("the goal wasn't reached in 50 steps")
+
+
+def test_of_several_attempts_the_shortest_success_is_kept(states_path: str, tmp_path: Path) -> None:
+    acted = {
+        "task": replace(config(states_path).task, horizon=12),
+        "policy": PolicyConfig(policy="random"),
+    }
+    once, thrice = (
+        EpisodeReader(collect(config(states_path, **acted, attempts=number), tmp_path, QUIET))
+        for number in (1, 3)
+    )
+    assert [episode.seed for episode in once] == [episode.seed for episode in thrice]
+    assert verify_episodes(thrice.path) == []
+    pairs = list(zip(once, thrice, strict=True))
+    assert all(len(best) <= len(first) for first, best in pairs if first.is_success[-1])
+    assert sum(first.digest() != best.digest() for first, best in pairs)
+    assert all(best.is_success[-1] for first, best in pairs if first.digest() != best.digest())
 
 
 def test_every_episode_can_be_acted_out_again(states_path: str, tmp_path: Path) -> None:

@@ -18,8 +18,9 @@ from typing import Any, NamedTuple
 
 from knotgym.atomic_files import atomic_write, sha256
 from knotgym.configuration import as_json, differences, read_json
+from knotgym.control.expert import Expert
 from knotgym.control.policies import PolicyConfig, make_policy
-from knotgym.control.rollouts import rollout
+from knotgym.control.rollouts import Rollout, rollout
 from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
 from knotgym.datasets.states import minari_root, read_states, ships, states_file
@@ -31,6 +32,7 @@ from knotgym.runs.run_options import RunOptions
 from knotgym.tasks import TaskConfig
 
 REPORT = "collection.json"
+LABELS = ("", "expert")
 _REFERENCES = Path(__file__).parent / "data" / "references.json"
 
 
@@ -48,6 +50,10 @@ class CollectConfig:
         episodes: played.
         seed: of the run; episode i is that of `rollouts.episode_seed(seed, i)`.
         keep_failed: keep episodes that didn't reach the goal.
+        attempts: times that each episode is played, the policy drawing otherwise in each; the
+            shortest that reached the goal is kept, else the first.
+        labels: "expert": at every state it is asked for its action, `Episode.expert_action`, with
+            the policy's planner and its whole budget for each; "" for none.
         episodes_per_file: of a run under way; doesn't show in the dataset.
         dataset_id: of Minari; "" for knotgym/tie-nx3/expert-v0 and the like, of the test split
             knotgym/tie-nx3/expert-test-v0.
@@ -59,6 +65,8 @@ class CollectConfig:
     episodes: int = 200
     seed: int = 0
     keep_failed: bool = True
+    attempts: int = 1
+    labels: str = ""
     episodes_per_file: int = 4
     dataset_id: str = ""
     author: tuple[str, ...] = ()
@@ -66,13 +74,22 @@ class CollectConfig:
     code_permalink: str | None = None
 
     def __post_init__(self) -> None:
-        for name in ("episodes", "episodes_per_file"):
+        if self.labels not in LABELS:
+            raise InvalidCollection(f"labels must be expert or empty, got {self.labels!r}")
+        for name in ("episodes", "episodes_per_file", "attempts"):
             if getattr(self, name) < 1:
                 raise InvalidCollection(f"{name} must be at least 1, got {getattr(self, name)}")
         if self.seed < 0:
             raise InvalidCollection(f"seed must be at least 0, got {self.seed}")
         if not self.dataset_id:
-            object.__setattr__(self, "dataset_id", plain_id(self.task, self.policy))
+            marks = collection_marks(self.attempts, self.labels)
+            object.__setattr__(self, "dataset_id", plain_id(self.task, self.policy, *marks))
+
+    @property
+    def core_seconds(self) -> float:
+        """What an episode costs, as `PolicyConfig.core_seconds`."""
+        labelling = 40.0 if self.labels else 0.0
+        return self.attempts * (self.policy.core_seconds + labelling)
 
     @property
     def stored_task(self) -> TaskConfig:
@@ -91,9 +108,16 @@ def plain_id(task: TaskConfig, policy: PolicyConfig, *marks: str) -> str:
     return f"knotgym/{task.task}-nx{task.nx}/{name}-v0"
 
 
-def distinct_id(task: TaskConfig, policy: PolicyConfig, seed: int) -> str:
+def collection_marks(attempts: int, labels: str) -> tuple[str, ...]:
+    """Marks of what else a collection does."""
+    return f"best{attempts}" if attempts > 1 else "", "labelled" if labels else ""
+
+
+def distinct_id(
+    task: TaskConfig, policy: PolicyConfig, seed: int, *, attempts: int = 1, labels: str = ""
+) -> str:
     """As `plain_id`, with marks for whatever isn't as in a plain collection: a set of states by its
-    name or, of a file, by its content; the seed; the rules by a digest.
+    name or, of a file, by its content; the seed; attempts and labels; the rules by a digest.
     """
     states = ""
     if task.states not in (None, "readable"):
@@ -104,12 +128,13 @@ def distinct_id(task: TaskConfig, policy: PolicyConfig, seed: int) -> str:
     plain = TaskConfig(task=task.task, nx=task.nx, split=task.split, states=task.states)
     plain = replace(plain, observation=task.observation, image_size=task.image_size)
     rules = list(differences(as_json(plain), as_json(task)))
-    if policy.policy in ("noisy-expert", "mixed", "expert"):
+    if labels or policy.policy in ("noisy-expert", "mixed", "expert"):
         usual = PolicyConfig(policy=policy.policy)
         rules += differences(as_json(usual), as_json(policy))
     told = "; ".join(rules).encode()
     digest = f"rules{hashlib.sha256(told).hexdigest()[:8]}" if rules else ""
-    return plain_id(task, policy, states, f"seed{seed}" if seed else "", digest)
+    marks = (states, f"seed{seed}" if seed else "", *collection_marks(attempts, labels), digest)
+    return plain_id(task, policy, *marks)
 
 
 class _EpisodeFile(NamedTuple):
@@ -175,7 +200,7 @@ def collect(
     folder = options.shard.folder(root / config.dataset_id)
     recipe = EpisodeRecipe(config, options)
     if progress is not None:
-        spent = config.policy.core_seconds * len(recipe.numbers)
+        spent = config.core_seconds * len(recipe.numbers)
         tell_if_long(progress, spent, options.workers)
     return run(recipe, folder, options, progress)
 
@@ -304,7 +329,7 @@ def play(file: _EpisodeFile) -> Tally:
     finished.
     """
     config = file.config
-    rollouts = rollout(config.task, make_policy(config.policy), file.numbers, config.seed)
+    rollouts = _best_of_attempts(config, file.numbers)
     kept = [played for played in rollouts if played.success or config.keep_failed]
     with EpisodeWriter(file.path, config.stored_task) as writer:
         for played in kept:
@@ -324,6 +349,24 @@ def play(file: _EpisodeFile) -> Tally:
             json.dumps({"sha256": sha256(file.path), "tally": asdict(tally)}), encoding="utf-8"
         )
     return tally
+
+
+def _best_of_attempts(config: CollectConfig, numbers: range) -> list[Rollout]:
+    """Of each episode the shortest attempt that reached the goal, else the first, with the effort
+    of all.
+    """
+    policy = make_policy(config.policy)
+    labeller = Expert(config.policy.planner) if config.labels else None
+    best = rollout(config.task, policy, numbers, config.seed, labeller=labeller)
+    for attempt in range(1, config.attempts):
+        again = rollout(
+            config.task, policy, numbers, config.seed, attempt=attempt, labeller=labeller
+        )
+        for row, (old, new) in enumerate(zip(best, again, strict=True)):
+            shorter = len(new.episode) < len(old.episode)
+            better = new if new.success and (shorter or not old.success) else old
+            best[row] = replace(better, effort=old.effort.plus(new.effort))
+    return best
 
 
 def _finished(path: Path) -> Tally | None:
@@ -354,11 +397,18 @@ def _metadata(config: CollectConfig, tally: Tally) -> MinariMetadata:
         if tally.planned_actions
         else ""
     )
+    labels = (
+        " At every state stands what an expert would do there (infos/expert_action)."
+        if config.labels
+        else ""
+    )
+    tried = f", the best of {config.attempts} attempts each" if config.attempts > 1 else ""
     text = (
         f"KnotGym, task {task.task} with {task.nx} crossings, {task.split} split: {tally.kept}"
-        f" episodes of policy {policy.policy}{noise}, seed {config.seed}. {tally.succeeded} of"
+        f" episodes of policy {policy.policy}{noise}{tried}, seed {config.seed}."
+        f" {tally.succeeded} of"
         f" {tally.played} episodes played reached the goal within {task.horizon} steps; failed ones"
-        f" are {'kept' if config.keep_failed else 'dropped'}.{planning}"
+        f" are {'kept' if config.keep_failed else 'dropped'}.{labels}{planning}"
     )
     return MinariMetadata(
         dataset_id=config.dataset_id,
