@@ -2,7 +2,8 @@
 
     python benchmarks/results.py evaluations/*.json
 
-Writes `benchmarks/results.json` and `docs/benchmark.md`. A setup that two files tell of is refused.
+Writes `benchmarks/results.json` and `docs/benchmark.md`. Files of one set-up that were played with
+different seeds are counted together; the same episodes twice are refused.
 """
 
 from __future__ import annotations

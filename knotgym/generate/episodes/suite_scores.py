@@ -9,6 +9,7 @@ from typing import Any
 from knotgym.configuration import read_json
 from knotgym.datasets.cards.state_card import table
 from knotgym.errors import KnotgymError, one_line
+from knotgym.runs.intervals import wilson
 
 TASKS, CROSSINGS = ("unknot", "tie", "convert"), (2, 3, 4)
 # per cent on the train split, learners after a million steps; arXiv 2505.18028
@@ -21,17 +22,24 @@ PUBLISHED = {
 _KEY = ("policy", "states", "split", "task", "nx")
 
 
+# what else may differ between files whose episodes are counted together
+_OWN = ("episodes", "successes", "success_rate", "interval", "steps", "seeds")
+_MEANS = ("planned_actions", "planning_seconds")
+
+
 class InvalidScores(KnotgymError, ValueError):
-    """Files that aren't evaluations, or that tell of one set-up twice."""
+    """Files that aren't evaluations, or that tell of the same episodes twice."""
 
 
 def read_scores(paths: Iterable[Path]) -> list[dict[str, Any]]:
     """One row for each set-up of each evaluation, sorted: policy, states, split, task, nx,
-    episodes, successes, success_rate, interval, steps, planned_actions, planning_seconds, seed,
-    version; and `training`, where a learner's script says how it was trained.
+    episodes, successes, success_rate, interval, steps, planned_actions, planning_seconds, seeds,
+    rules, version; and `training`, where a learner's script says how it was trained. Files of one
+    set-up with different seeds are counted together.
 
     Raises:
-        InvalidScores: a file can't be read, or two tell of the same.
+        InvalidScores: a file can't be read, or two tell of the same episodes, or of one set-up with
+            different rules.
     """
     found: dict[tuple[Any, ...], dict[str, Any]] = {}
     for path in paths:
@@ -44,7 +52,15 @@ def read_scores(paths: Iterable[Path]) -> list[dict[str, Any]]:
         for row in rows:
             key = tuple(row[name] for name in _KEY)
             if key in found:
-                raise InvalidScores(f"{path} tells once more of {', '.join(map(str, key))}")
+                before = found[key]
+                if set(before["seeds"]) & set(row["seeds"]):
+                    raise InvalidScores(f"{path} tells once more of {', '.join(map(str, key))}")
+                if {**before, **_same(row)} != before:
+                    raise InvalidScores(
+                        f"{path} tells of {', '.join(map(str, key))} by other rules or another"
+                        " version than a file before it"
+                    )
+                row = _together(before, row)
             found[key] = row
     return [found[key] for key in sorted(found, key=str)]
 
@@ -81,11 +97,40 @@ def _rows(told: Mapping[str, Any]) -> Iterable[dict[str, Any]]:
             "steps": one["steps"],
             "planned_actions": one["planned_actions"],
             "planning_seconds": one["planning_seconds"],
-            "seed": told["settings"]["seed"],
+            "seeds": [told["settings"]["seed"]],
+            "rules": {
+                name: rule
+                for name, rule in told["settings"]["task"].items()
+                if name not in ("task", "nx", "split", "states")
+            },
             "version": told["version"],
         }
         _cell(row)  # numbers where numbers belong
         yield {**row, "training": told["training"]} if "training" in told else row
+
+
+def _same(row: Mapping[str, Any]) -> dict[str, Any]:
+    """What must be the same in rows that are counted together."""
+    return {name: value for name, value in row.items() if name not in (*_OWN, *_MEANS)}
+
+
+def _together(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
+    """One row of the episodes of two."""
+    episodes, successes = (one[name] + other[name] for name in ("episodes", "successes"))
+    steps = sum((row["steps"] or 0) * row["successes"] for row in (one, other))
+    return {
+        **one,
+        "episodes": episodes,
+        "successes": successes,
+        "success_rate": successes / episodes,
+        "interval": list(wilson(successes, episodes)),
+        "steps": steps / successes if successes else None,
+        "seeds": sorted([*one["seeds"], *other["seeds"]]),
+        **{
+            name: sum(row[name] * row["episodes"] for row in (one, other)) / episodes
+            for name in _MEANS
+        },
+    }
 
 
 def _cell(row: Mapping[str, Any]) -> str:

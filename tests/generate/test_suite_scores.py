@@ -1,0 +1,66 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from knotgym.control.policies import PolicyConfig
+from knotgym.generate.episodes.evaluate import EvaluateConfig, Result, report
+from knotgym.generate.episodes.suite_scores import InvalidScores, read_scores
+from knotgym.tasks import TaskConfig
+
+RESULT = Result(
+    policy="random",
+    task="tie",
+    nx=2,
+    split="test",
+    episodes=64,
+    successes=16,
+    success_rate=0.25,
+    low=0.16,
+    high=0.37,
+    steps=20.0,
+    mean_return=-2.5,
+    planned_actions=0.0,
+    planning_seconds=0.0,
+    simulation_failures=0,
+    start_states="own",
+    goal_states="own",
+)
+
+
+def told(path: Path, seed: int, successes: int, episodes: int, **rules: Any) -> Path:
+    """A file of `knotgym evaluate --out`."""
+    config = EvaluateConfig(
+        policies=(PolicyConfig(),),
+        tasks=("tie",),
+        nx=(2,),
+        splits=("test",),
+        episodes=episodes,
+        seed=seed,
+        task=TaskConfig(task="tie", **rules),
+    )
+    result = replace(
+        RESULT, episodes=episodes, successes=successes, success_rate=successes / episodes
+    )
+    path.write_text(json.dumps(report(config, [result])), encoding="utf-8")
+    return path
+
+
+def test_files_of_one_set_up_with_other_seeds_are_counted_together(tmp_path: Path) -> None:
+    files = [told(tmp_path / "a", 1, 16, 64), told(tmp_path / "b", 2, 80, 192)]
+    (row,) = read_scores(files)
+    assert (row["successes"], row["episodes"], row["success_rate"]) == (96, 256, 0.375)
+    assert row["seeds"] == [1, 2] and row["steps"] == 20.0
+    low, high = row["interval"]
+    assert 0.317 < low < 0.319 and 0.435 < high < 0.437  # Wilson, of 96 in 256
+    assert read_scores(files[::-1]) == [row]
+
+
+def test_the_same_episodes_twice_and_other_rules_are_refused(tmp_path: Path) -> None:
+    first = told(tmp_path / "a", 1, 16, 64)
+    with pytest.raises(InvalidScores, match=r"b tells once more of random, readable, test, tie, 2"):
+        read_scores([first, told(tmp_path / "b", 1, 80, 192)])
+    with pytest.raises(InvalidScores, match="by other rules or another version"):
+        read_scores([first, told(tmp_path / "b", 2, 80, 192, horizon=20)])
