@@ -22,7 +22,7 @@ from rich.console import Console
 from rich.table import Table
 
 from knotgym.atomic_files import atomic_write
-from knotgym.control.planner import PlannerConfig
+from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig
 from knotgym.generate.episodes.evaluate import EvaluateConfig, Result, evaluate
 from knotgym.runs.executors import executor

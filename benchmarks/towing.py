@@ -109,7 +109,7 @@ def main() -> None:
 
 def experts(task: TaskConfig, args: argparse.Namespace) -> float:
     """The expert's rate."""
-    from knotgym.control.planner import PlannerConfig
+    from knotgym.control.planner_config import PlannerConfig
 
     policy = PolicyConfig(policy="expert", planner=PlannerConfig(budget=args.budget))
     config = EvaluateConfig(

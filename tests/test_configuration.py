@@ -8,7 +8,7 @@ import pytest
 
 from knotgym.configuration import InvalidConfig, check_numbers, from_json
 from knotgym.control.macro_actions import MacroActionConfig
-from knotgym.control.planner import PlannerConfig
+from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig
 from knotgym.control.surrogate import SurrogateConfig
 from knotgym.control.transition_graph import TransitionGraphConfig

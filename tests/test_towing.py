@@ -8,7 +8,7 @@ import pytest
 
 from knotgym.control.basic_policies import ConstantPolicy
 from knotgym.control.expert import Expert
-from knotgym.control.planner import PlannerConfig
+from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import rollout
 from knotgym.datasets.episode_reader import EpisodeReader

@@ -283,7 +283,7 @@ def evaluate(
 
 def policy_config(policy: str, noise: float, budget: int, shares: str) -> PolicyConfig:
     """What the options of a policy say."""
-    from knotgym.control.planner import PlannerConfig
+    from knotgym.control.planner_config import PlannerConfig
     from knotgym.control.policies import PolicyConfig
 
     try:

@@ -13,8 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.control.guidance import promising
 from knotgym.control.macro_actions import WaypointController
-from knotgym.control.planner import REST, Plan, PlannerConfig, plan, promising
+from knotgym.control.planner import REST, Plan, plan
+from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policy import Choice, Effort
 from knotgym.control.transition_graph import TransitionGraph, shipped_transition_graph
 from knotgym.episode_batch import EpisodeBatch

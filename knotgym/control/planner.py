@@ -17,100 +17,17 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.configuration import check_numbers
 from knotgym.control.action_sequence import Ropes, step_ropes
-from knotgym.control.macro_actions import (
-    MacroAction,
-    MacroActionConfig,
-    WaypointController,
-    cumulative_shares,
-    move_aside,
-    pass_strand,
-    propose,
-)
-from knotgym.control.surrogate import SurrogateConfig, surrogate_rollout
-from knotgym.control.transition_counts import MacroTemplate, Places
-from knotgym.control.transition_graph import (
-    Distances,
-    Step,
-    TransitionGraph,
-    TransitionGraphConfig,
-)
-from knotgym.errors import KnotgymError
+from knotgym.control.guidance import Promises, Towards, most_promising
+from knotgym.control.macro_actions import WaypointController, cumulative_shares, propose
+from knotgym.control.planner_config import PlannerConfig
+from knotgym.control.transition_graph import Distances, TransitionGraph
 from knotgym.rope import Array
-from knotgym.topology.crossings import find_crossings, label_many
+from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
 from knotgym.towing import TowBound
 
-# code set out from, nearest code in a surrogate rollout -> macro-actions chosen for it
-Promises = Counter[tuple[GaussCode, GaussCode]]
-
 REST = "rest"  # the kind of a step with no force, by which a code is held
-
-
-class InvalidPlanner(KnotgymError, ValueError):
-    """Settings that no planner can have."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class PlannerConfig:
-    """How hard to plan.
-
-    Attributes:
-        budget: simulated actions for one episode at most, all its plans together.
-        batch_size: copies of the rope led side by side.
-        guided: share of macro-actions that are chosen by surrogate rollouts; the others are any.
-        surrogate_rollouts: macro-actions looked at for each one so chosen.
-        longest: steps of one macro-action.
-        kept: states kept for a code.
-        greed: how much likelier a state is to be set out from the nearer it is; 0 for not at all.
-        stride: steps that a change of code takes, about.
-        least_stride: steps that it takes at least: states too late for the changes left are
-            dropped.
-        unknown_hops: changes of code to the goal where the graph knows no path.
-        patience: steps later at which a state is e times less likely to be set out from.
-        weariness: macro-actions from a code that halve its chance to be set out from again.
-        try_cost: steps that a macro-action from a state counts as when the worst state of a code
-            is dropped.
-        stuck: macro-actions from a code after which states that show it, lying otherwise, are kept
-            too.
-        trust: macro-actions chosen for the same promise after which it counts half.
-        template_noise: standard deviation of a template's places along the arcs, in arcs.
-        graph: how distances are counted.
-        macro_actions: how they are drawn and carried out.
-        surrogate: how their surrogate rollouts move the rope.
-    """
-
-    budget: int = 20000
-    batch_size: int = 8
-    guided: float = 0.8
-    surrogate_rollouts: int = 32
-    longest: int = 10
-    kept: int = 6
-    greed: float = 4.0
-    stride: float = 6.0
-    least_stride: int = 2
-    unknown_hops: int = 2
-    patience: float = 10.0
-    weariness: float = 10.0
-    try_cost: float = 2.0
-    stuck: int = 24
-    trust: float = 3.0
-    template_noise: float = 0.1
-    graph: TransitionGraphConfig = TransitionGraphConfig()
-    macro_actions: MacroActionConfig = MacroActionConfig()
-    surrogate: SurrogateConfig = SurrogateConfig()
-
-    def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            counts=("batch_size", "surrogate_rollouts", "longest", "kept"),
-            whole=("budget", "least_stride", "unknown_hops", "stuck"),
-            positive=("patience", "weariness", "trust"),
-            non_negative=("greed", "stride", "try_cost", "template_noise"),
-            shares=("guided",),
-            error=InvalidPlanner,
-        )
 
 
 @dataclass(eq=False)
@@ -265,19 +182,6 @@ def plan(
     return search.run(config.budget if budget is None else budget)
 
 
-def promising(
-    points: Array,
-    graph: TransitionGraph,
-    distances: Distances,
-    config: PlannerConfig,
-    rng: np.random.Generator,
-) -> MacroAction:
-    """A macro-action that promises to lead towards the goal of `distances`."""
-    code = find_crossings(points).code
-    steps = _Towards(graph.steps(code, distances))
-    return _most_promising(points, code, steps, distances, config, rng, Counter())
-
-
 def reason(before: GaussCode, after: GaussCode, kind: str) -> str:
     """Name what a macro-action did to a code, and its kind: "R1+ curl", "R2- pass".
 
@@ -298,20 +202,6 @@ def reason(before: GaussCode, after: GaussCode, kind: str) -> str:
     else:
         move = "R3" if more == 0 and before.nx >= 3 and before.writhe == after.writhe else "other"
     return f"{move} {kind}"
-
-
-class _Towards:
-    """Changes out of a code that lead nearer to the goal, and how often each shall be tried."""
-
-    def __init__(self, steps: list[Step]) -> None:
-        self.steps = steps
-        weights = np.array([step.chance * step.gain for step in steps])
-        self._shares = cumulative_shares(weights) if steps else weights
-
-    def draw(self, rng: np.random.Generator) -> MacroTemplate:
-        """A template of one of them."""
-        step = self.steps[int(self._shares.searchsorted(rng.random(), side="right"))]
-        return step.template(int(rng.integers(len(step.examples))))
 
 
 class _Search:
@@ -337,7 +227,7 @@ class _Search:
         self.distances = graph.distances(goal)
         self.pool = _Pool(self.distances, config)
         self.pool.add(self.root)
-        self.towards: dict[GaussCode, _Towards] = {}
+        self.towards: dict[GaussCode, Towards] = {}
         self.promises: Promises = Counter()
         self.controller = WaypointController(simulation.count, config.macro_actions)
         self.branches: dict[int, _Branch] = {}  # by the rope of the simulation
@@ -418,8 +308,8 @@ class _Search:
         points = self.simulation.points[row]
         if self.rng.random() < self.config.guided:
             if node.code not in self.towards:
-                self.towards[node.code] = _Towards(self.graph.steps(node.code, self.distances))
-            macro_action = _most_promising(
+                self.towards[node.code] = Towards(self.graph.steps(node.code, self.distances))
+            macro_action = most_promising(
                 points,
                 node.code,
                 self.towards[node.code],
@@ -465,61 +355,6 @@ class _Search:
             return node
         state = self.simulation.states([row])[0]
         return Node(state, node.code, node.steps + len(still), node, REST, still)
-
-
-def _most_promising(
-    points: Array,
-    code: GaussCode,
-    towards: _Towards,
-    distances: Distances,
-    config: PlannerConfig,
-    rng: np.random.Generator,
-    promises: Promises,
-) -> MacroAction:
-    """Of some macro-actions the one whose surrogate rollout comes nearest to the goal.
-
-    Every second one follows a template that made a change towards the goal before. What a rollout
-    promises counts the less the oftener a macro-action was chosen for the same promise; the choice
-    is counted in `promises`.
-    """
-    places = Places(find_crossings(points), len(points))
-    here, best, promise, chosen = distances(code), -np.inf, code, None
-    for number in range(config.surrogate_rollouts):
-        if towards.steps and number % 2 == 0:
-            template = towards.draw(rng)
-            macro_action = from_template(points, template, places, config, rng)
-        else:
-            macro_action = propose(points, rng, config.macro_actions)
-        frames = surrogate_rollout(
-            points, macro_action, config.macro_actions.arrived, config.surrogate
-        )
-        nearest = min(label_many(frames), key=distances)
-        gain = (here - distances(nearest)) / (1 + promises[code, nearest] / config.trust)
-        if gain > best:
-            best, promise, chosen = gain, nearest, macro_action
-    assert chosen is not None  # there is at least one, and no distance is infinite
-    promises[code, promise] += 1
-    return chosen
-
-
-def from_template(
-    points: Array,
-    template: MacroTemplate,
-    places: Places,
-    config: PlannerConfig,
-    rng: np.random.Generator,
-) -> MacroAction:
-    """The macro-action of a template on a rope, its places along the arcs varied a little."""
-
-    def bead(place: float) -> int:
-        along = np.clip(place % 1.0 + rng.normal(0, config.template_noise), 0.0, 0.999)
-        return places.bead(int(place) + float(along))
-
-    kind, side, led = template.kind, template.side, bead(template.bead)
-    if template.target >= 0:
-        target = bead(template.target)
-        return pass_strand(points, kind, led, target, side, rng, config.macro_actions)
-    return move_aside(points, kind, led, side, rng, config.macro_actions)
 
 
 def _drawn(weights: Array, rng: np.random.Generator) -> int:

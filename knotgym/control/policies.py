@@ -42,7 +42,7 @@ from knotgym.control.learned_policies import (
     load_model,
 )
 from knotgym.control.own_policies import OwnPolicy, load_own
-from knotgym.control.planner import PlannerConfig
+from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policy import Choice, Effort, InvalidPolicy, Policy
 from knotgym.control.transcript_policy import TranscriptPolicy, load_transcripts
 

@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.control.planner import PlannerConfig, plan
+from knotgym.control.planner import plan
+from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.transition_graph import TransitionGraph
 from knotgym.learn.belief import BeliefConfig, RopeBelief, waved
 from knotgym.learn.imagination import Imagination, passed_through, state

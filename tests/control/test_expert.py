@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from knotgym.control.expert import BLIND, Expert
-from knotgym.control.planner import InvalidPlanner, PlannerConfig, plan, reason
+from knotgym.control.planner import plan, reason
+from knotgym.control.planner_config import InvalidPlanner, PlannerConfig
 from knotgym.control.transition_counts import (
     ELEMENTS,
     InvalidTransitions,

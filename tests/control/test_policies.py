@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from knotgym.cli.main import main
 from knotgym.control import policies
 from knotgym.control.basic_policies import RandomPolicy
-from knotgym.control.planner import PlannerConfig
+from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import (
     MIXED,
     InvalidPolicy,

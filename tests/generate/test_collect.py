@@ -16,7 +16,7 @@ import pytest
 
 from knotgym.cli.main import main
 from knotgym.control.expert import Expert
-from knotgym.control.planner import PlannerConfig
+from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig
 from knotgym.control.rollouts import episode_seed
 from knotgym.datasets.episode_reader import EpisodeReader

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from knotgym.control.action_sequence import ActionSequence, step_ropes
-from knotgym.control.planner import PlannerConfig
+from knotgym.control.planner_config import PlannerConfig
 from knotgym.generate.states import curation_run as curation
 from knotgym.generate.states.archive import Archive, ArchiveConfig
 from knotgym.generate.states.candidates import Candidate, CandidateTask, make_candidate

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from knotgym.control.planner import PlannerConfig
+from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig
 from knotgym.datasets.states import States, write_states
 from knotgym.generate.episodes.evaluate import (

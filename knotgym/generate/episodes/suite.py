@@ -21,7 +21,7 @@ from typing import Any
 import knotgym
 from knotgym.atomic_files import atomic_write, sha256
 from knotgym.configuration import read_json
-from knotgym.control.planner import PlannerConfig
+from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import MIXED, PolicyConfig
 from knotgym.datasets.states import minari_root
 from knotgym.errors import KnotgymError, one_line

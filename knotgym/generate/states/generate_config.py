@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from knotgym.configuration import as_json, differences
-from knotgym.control.planner import PlannerConfig
+from knotgym.control.planner_config import PlannerConfig
 from knotgym.errors import KnotgymError
 from knotgym.generate.states.candidates import CandidateConfig
 from knotgym.generate.states.code_frequencies import FrequencyConfig

@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from knotgym.control.action_sequence import ActionSequence, step_ropes
-from knotgym.control.planner import PlannerConfig, plan
+from knotgym.control.planner import plan
+from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.transition_graph import shipped_transition_graph
 from knotgym.generate.states.archive import Elite
 from knotgym.generate.states.search import SearchConfig, readings
