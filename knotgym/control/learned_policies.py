@@ -87,6 +87,18 @@ def load_learner(place: str) -> Policy:
     return policy
 
 
+def learner_card(place: str) -> dict[str, Any]:
+    """What the folder of a learner, or of the one that ships, says of its training, see the file
+    `policy.json`.
+
+    Raises:
+        InvalidCheckpoint: the folder holds no learner that this version can read.
+    """
+    checkpoint = importlib.import_module("knotgym.learn.checkpoint")
+    card: dict[str, Any] = checkpoint.read_card(checkpoint.policy_folder(place))
+    return card
+
+
 def _stable_baselines3(path: Path, algorithm: str) -> Model:
     algorithms = _library("stable_baselines3", path)
     name = algorithm or "PPO"

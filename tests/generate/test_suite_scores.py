@@ -1,4 +1,5 @@
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -7,7 +8,7 @@ import pytest
 
 from knotgym.control.policies import PolicyConfig
 from knotgym.generate.episodes.evaluate import EvaluateConfig, Result, report
-from knotgym.generate.episodes.suite_scores import InvalidScores, read_scores
+from knotgym.generate.episodes.suite_scores import InvalidScores, read_scores, score_tables
 from knotgym.tasks import TaskConfig
 
 RESULT = Result(
@@ -62,5 +63,19 @@ def test_the_same_episodes_twice_and_other_rules_are_refused(tmp_path: Path) -> 
     first = told(tmp_path / "a", 1, 16, 64)
     with pytest.raises(InvalidScores, match=r"b tells once more of random, readable, test, tie, 2"):
         read_scores([first, told(tmp_path / "b", 1, 80, 192)])
-    with pytest.raises(InvalidScores, match="by other rules or another version"):
+    with pytest.raises(InvalidScores, match="by other rules, another version or other weights"):
         read_scores([first, told(tmp_path / "b", 2, 80, 192, horizon=20)])
+
+
+def test_a_learner_s_training_stands_beside_its_scores_and_weights_are_not_mixed(
+    tmp_path: Path,
+) -> None:
+    files = [told(tmp_path / "a", 1, 16, 64), told(tmp_path / "b", 2, 80, 192)]
+    for path, digest in zip(files, ("ab", "cd"), strict=True):
+        said = json.loads(path.read_text())
+        said["learners"] = {"random": {"weights_sha256": digest, "seconds": 766, "episodes": 810}}
+        path.write_text(json.dumps(said))
+    assert "| random |" in (page := "\n".join(score_tables(read_scores(files[:1]))))
+    assert re.search(r"\| random \|.*\| 766 \|$", page, re.M)
+    with pytest.raises(InvalidScores, match="other weights"):
+        read_scores(files)

@@ -19,6 +19,7 @@ from rich.console import Console
 
 import knotgym
 from knotgym.atomic_files import atomic_write, require_writable
+from knotgym.control.learned_policies import is_learner, learner_card
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import Rollout, rollout
 from knotgym.datasets.trajectory import Episode
@@ -167,6 +168,10 @@ def evaluate(
     return results, films
 
 
+# of a learner's card
+_TRAINING = ("weights_sha256", "seconds", "episodes")
+
+
 def report(config: EvaluateConfig, results: Sequence[Result]) -> dict[str, Any]:
     """What goes to the JSON file."""
     successes, episodes = (
@@ -179,6 +184,11 @@ def report(config: EvaluateConfig, results: Sequence[Result]) -> dict[str, Any]:
         "interval": list(wilson(successes, episodes)),
         "episodes": episodes,
         "settings": asdict(config),
+        "learners": {
+            one.policy: {name: learner_card(one.policy)[name] for name in _TRAINING}
+            for one in config.policies
+            if is_learner(one.policy)
+        },
         "results": [asdict(one) for one in results],
     }
 

@@ -23,7 +23,8 @@ _KEY = ("policy", "states", "split", "task", "nx")
 
 
 # what else may differ between files whose episodes are counted together
-_OWN = ("episodes", "successes", "success_rate", "interval", "steps", "seeds")
+_OWN = ("episodes", "successes", "success_rate", "interval", "steps", "seeds", "training")
+_SUM = "weights_sha256"  # in what a file says of training
 _MEANS = ("planned_actions", "planning_seconds")
 
 
@@ -34,12 +35,12 @@ class InvalidScores(KnotgymError, ValueError):
 def read_scores(paths: Iterable[Path]) -> list[dict[str, Any]]:
     """One row for each set-up of each evaluation, sorted: policy, states, split, task, nx,
     episodes, successes, success_rate, interval, steps, planned_actions, planning_seconds, seeds,
-    rules, version; and `training`, where a learner's script says how it was trained. Files of one
+    rules, version; and `training`, what a file says of how a learner was trained. Files of one
     set-up with different seeds are counted together.
 
     Raises:
         InvalidScores: a file can't be read, or two tell of the same episodes, or of one set-up with
-            different rules.
+            different rules or weights.
     """
     found: dict[tuple[Any, ...], dict[str, Any]] = {}
     for path in paths:
@@ -55,10 +56,11 @@ def read_scores(paths: Iterable[Path]) -> list[dict[str, Any]]:
                 before = found[key]
                 if set(before["seeds"]) & set(row["seeds"]):
                     raise InvalidScores(f"{path} tells once more of {', '.join(map(str, key))}")
-                if {**before, **_same(row)} != before:
+                weights = {before["training"].get(_SUM, ""), row["training"].get(_SUM, "")} - {""}
+                if _same(row) != _same(before) or len(weights) > 1:
                     raise InvalidScores(
-                        f"{path} tells of {', '.join(map(str, key))} by other rules or another"
-                        " version than a file before it"
+                        f"{path} tells of {', '.join(map(str, key))} by other rules, another"
+                        " version or other weights than a file before it"
                     )
                 row = _together(before, row)
             found[key] = row
@@ -68,7 +70,7 @@ def read_scores(paths: Iterable[Path]) -> list[dict[str, Any]]:
 def score_tables(rows: Sequence[Mapping[str, Any]], heading: str = "##") -> list[str]:
     """Lines of Markdown: for each set of states and split a table, learners by set-ups."""
     setups = [(task, nx) for task in TASKS for nx in CROSSINGS]
-    head = ("policy", *(f"{task} {nx}" for task, nx in setups))
+    head = ("policy", *(f"{task} {nx}" for task, nx in setups), "trained for, s")
     lines: list[str] = []
     for states, split in dict.fromkeys((row["states"], row["split"]) for row in rows):
         own = [row for row in rows if (row["states"], row["split"]) == (states, split)]
@@ -76,8 +78,9 @@ def score_tables(rows: Sequence[Mapping[str, Any]], heading: str = "##") -> list
         for policy in dict.fromkeys(row["policy"] for row in own):
             cells = {(row["task"], row["nx"]): row for row in own if row["policy"] == policy}
             told = [_cell(cells[setup]) if setup in cells else "" for setup in setups]
-            body.append((policy, *told))
-        body += [(f"*{policy}, published*", *told) for policy, told in PUBLISHED.items()]
+            trained = {row["training"].get("seconds") for row in cells.values()} - {None}
+            body.append((policy, *told, *(sorted(trained)[-1:] or [""])))
+        body += [(f"*{policy}, published*", *told, "") for policy, told in PUBLISHED.items()]
         lines += ["", f"{heading} States {states}, {split} split", "", *table(head, body)]
     return lines
 
@@ -106,7 +109,8 @@ def _rows(told: Mapping[str, Any]) -> Iterable[dict[str, Any]]:
             "version": told["version"],
         }
         _cell(row)  # numbers where numbers belong
-        yield {**row, "training": told["training"]} if "training" in told else row
+        learned = told.get("learners", {}).get(one["policy"], {})
+        yield {**row, "training": dict(told.get("training", learned))}
 
 
 def _same(row: Mapping[str, Any]) -> dict[str, Any]:
@@ -125,6 +129,7 @@ def _together(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any
         "success_rate": successes / episodes,
         "interval": list(wilson(successes, episodes)),
         "steps": steps / successes if successes else None,
+        "training": one["training"] or other["training"],
         "seeds": sorted([*one["seeds"], *other["seeds"]]),
         **{
             name: sum(row[name] * row["episodes"] for row in (one, other)) / episodes
