@@ -7,6 +7,7 @@ import runpy
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from xml.etree import ElementTree
 from typing import Any
 from unittest import mock
 
@@ -119,6 +120,31 @@ def test_evaluations_make_the_table_of_learners(tmp_path: Path) -> None:
     assert "**75.0** (30 to 95, of 4)" in page.read_text()
     with pytest.raises(SystemExit, match="tells once more of learned, readable, test, tie, 3"):
         run_script(FOLDER / "results.py", tmp_path / "one.json", *words)
+
+
+def test_evaluations_make_the_matrix_and_the_data_curve(tmp_path: Path) -> None:
+    for name, episodes in (("nx2", 270), ("nx3", 540)):
+        told = {
+            "version": "1.0.0",
+            "learners": {name: {"weights_sha256": name, "seconds": 1, "episodes": episodes}},
+            "settings": {"task": {"states": None}, "seed": 0},
+            "results": [
+                {
+                    **{"policy": name, "task": "tie", "nx": nx, "split": "test", "episodes": 4},
+                    **{"successes": 3, "success_rate": 0.75, "low": 0.3, "high": 0.95},
+                    **{"steps": 9.5, "planned_actions": 10.0, "planning_seconds": 0.5},
+                }
+                for nx in (2, 3)
+            ],
+        }
+        (tmp_path / f"{name}.json").write_text(json.dumps(told))
+    files = sorted(tmp_path.glob("nx*.json"))
+    for kind, words in {"matrix": ("75 %", "30 to 95", "of 4"), "data": ("270", "540")}.items():
+        run_script(FOLDER / "learner_curves.py", kind, *files, "--out", tmp_path / kind)
+        drawn = (tmp_path / f"{kind}.svg").read_text()
+        assert all(word in drawn for word in words)
+        ElementTree.fromstring(drawn)
+        assert len(json.loads((tmp_path / f"{kind}.json").read_text())) == 4
 
 
 def test_a_collection_is_timed(tmp_path: Path) -> None:

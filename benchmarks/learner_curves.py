@@ -1,0 +1,150 @@
+"""What a learner's training does for it, as a picture: from files of `knotgym evaluate --out`.
+
+    python benchmarks/learner_curves.py matrix evaluations/*.json --out docs/generalization
+    python benchmarks/learner_curves.py data evaluations/*.json --out docs/data-curve
+
+`matrix` shows success by the learner, a row each, and the crossings it was tested at, a column
+each; `data` success by the number of episodes that learners were trained on. Files of one set-up
+with different seeds are counted together. Writes OUT.svg, and OUT.json with the rows behind it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import escape
+
+from knotgym.generate.episodes.suite_scores import InvalidScores, read_scores
+
+INK, PALE, LINE = "#222222", "#767676", "#2a6f97"
+CELL, LEFT, TOP = 96, 190, 64  # pixels
+WIDE, HIGH = 420, 240  # of the field of a curve
+Row = dict[str, Any]
+
+
+def text(x: float, y: float, words: object, anchor: str = "middle", colour: str = INK) -> str:
+    """A line of words."""
+    return (
+        f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" fill="{colour}">'
+        f"{escape(str(words))}</text>"
+    )
+
+
+def picture(width: float, height: float, parts: Sequence[str]) -> str:
+    """A whole SVG file."""
+    return "\n".join(
+        [
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}"'
+            f' width="{width:.0f}" font-family="sans-serif" font-size="13">',
+            f'<rect width="{width:.0f}" height="{height:.0f}" fill="#ffffff"/>',
+            *parts,
+            "</svg>\n",
+        ]
+    )
+
+
+def interval(row: Row) -> str:
+    """In per cent."""
+    low, high = row["interval"]
+    return f"{100 * low:.0f} to {100 * high:.0f}"
+
+
+def matrix(rows: Sequence[Row], names: dict[str, str]) -> str:
+    """Learners by crossings; every cell has its rate, interval and number of episodes."""
+    learners = [policy for policy in names if any(row["policy"] == policy for row in rows)]
+    columns = sorted({row["nx"] for row in rows})
+    cells = {(row["policy"], row["nx"]): row for row in rows}
+    parts = [text(LEFT + CELL * len(columns) / 2, 22, "tested at")]
+    parts += [text(LEFT + CELL * (i + 0.5), 48, f"nx {nx}") for i, nx in enumerate(columns)]
+    for j, policy in enumerate(learners):
+        y = TOP + CELL * j
+        parts.append(text(LEFT - 12, y + CELL / 2 + 4, names[policy], "end"))
+        for i, nx in enumerate(columns):
+            row, x = cells.get((policy, nx)), LEFT + CELL * i
+            if row is None:
+                parts.append(text(x + CELL / 2, y + CELL / 2, "not run", colour=PALE))
+                continue
+            rate = row["success_rate"]
+            shade = [round(255 + rate * (own - 255)) for own in (42, 111, 151)]
+            colour = "#ffffff" if rate > 0.7 else INK
+            parts.append(
+                f'<rect x="{x + 2}" y="{y + 2}" width="{CELL - 4}" height="{CELL - 4}" rx="4"'
+                f' fill="rgb({shade[0]},{shade[1]},{shade[2]})" stroke="#d0d0d0"/>'
+            )
+            told = (f"{100 * rate:.0f} %", interval(row), f"of {row['episodes']}")
+            for k, words in enumerate(told):
+                parts.append(text(x + CELL / 2, y + 36 + 19 * k, words, colour=colour))
+    return picture(LEFT + CELL * len(columns) + 20, TOP + CELL * len(learners) + 16, parts)
+
+
+def data_curve(rows: Sequence[Row]) -> str:
+    """Success by episodes of training, the latter on a logarithmic axis, with intervals."""
+    numbers = sorted({row["training"]["episodes"] for row in rows})
+    low, high = math.log(numbers[0] / 1.3), math.log(numbers[-1] * 1.3)
+
+    def at(episodes: int, rate: float) -> tuple[float, float]:
+        share = (math.log(episodes) - low) / (high - low)
+        return 70 + WIDE * share, 30 + HIGH * (1 - rate)
+
+    parts = []
+    for k in range(6):
+        y = 30 + HIGH * (1 - k / 5)
+        parts.append(f'<path d="M70 {y:.1f}h{WIDE}" stroke="#e3e3e3"/>')
+        parts.append(text(62, y + 4, f"{20 * k} %", "end", PALE))
+    for number in numbers:
+        parts.append(text(at(number, 0)[0], 30 + HIGH + 20, number, colour=PALE))
+    parts.append(text(70 + WIDE / 2, 30 + HIGH + 44, "episodes trained on"))
+    setups = sorted({(row["task"], row["nx"]) for row in rows})
+    for k, setup in enumerate(setups):
+        own = sorted(
+            (row for row in rows if (row["task"], row["nx"]) == setup),
+            key=lambda row: row["training"]["episodes"],
+        )
+        dash = f' stroke-dasharray="{2 + 4 * k} {4 * k}"' if k else ""
+        points = [at(row["training"]["episodes"], row["success_rate"]) for row in own]
+        line = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
+        parts.append(
+            f'<polyline points="{line}" fill="none" stroke="{LINE}" stroke-width="2"{dash}/>'
+        )
+        for (x, y), row in zip(points, own, strict=True):
+            below, above = (at(1, rate)[1] for rate in row["interval"])
+            parts.append(f'<path d="M{x:.1f} {below:.1f}V{above:.1f}" stroke="{LINE}"/>')
+            parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="{LINE}"/>')
+        x, y = points[-1]
+        parts.append(text(x + 12, y + 4, f"{setup[0]} nx {setup[1]}", "start", LINE))
+    return picture(70 + WIDE + 110, 30 + HIGH + 60, parts)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("kind", choices=("matrix", "data"))
+    parser.add_argument("evaluations", type=Path, nargs="+")
+    parser.add_argument("--out", type=Path, required=True, help="without .svg and .json")
+    parser.add_argument(
+        "--names", default="", help="rows of the matrix: the last part of a policy=words, by commas"
+    )
+    given = parser.parse_args()
+    try:
+        rows = read_scores(given.evaluations)
+    except InvalidScores as error:
+        sys.exit(str(error))
+    if given.kind == "data" and not all("episodes" in row["training"] for row in rows):
+        sys.exit("a file doesn't say how many episodes its learner was trained on")
+    told = dict(pair.split("=", 1) for pair in given.names.split(",") if "=" in pair)
+    policies = {Path(row["policy"]).name: row["policy"] for row in rows}
+    order = [*[name for name in told if name in policies], *sorted({*policies} - {*told})]
+    names = {policies[name]: told.get(name, name) for name in order}
+    drawn = matrix(rows, names) if given.kind == "matrix" else data_curve(rows)
+    given.out.with_suffix(".svg").write_text(drawn, encoding="utf-8")
+    for row in rows:
+        row["policy"] = Path(row["policy"]).name  # no folder of this machine
+    given.out.with_suffix(".json").write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
