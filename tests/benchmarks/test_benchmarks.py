@@ -7,9 +7,9 @@ import runpy
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from xml.etree import ElementTree
 from typing import Any
 from unittest import mock
+from xml.etree import ElementTree
 
 import pytest
 
