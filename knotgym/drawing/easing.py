@@ -197,7 +197,8 @@ def _ease(
         _bound(walk, length, force, stiff, step, most)
         _hold_back(walk, force, limit, pairs, gaps, near)
         for node in range(nodes):
-            at[node] += limit[node] * force[node]
+            for c in range(2):
+                at[node, c] += limit[node] * force[node, c]
 
 
 @numba.njit(cache=True, nogil=True)
