@@ -103,7 +103,7 @@ def measure(
     Returns:
         All but noise_survival, which has a function of its own; NaN where left out.
     """
-    p = np.array(points, dtype=np.float64, order="C")  # writable, as _closed() of crossings says why
+    p = np.array(points, dtype=np.float64, order="C")  # writable, as in _closed() of crossings
     crossings = find_crossings(p) if crossings is None else crossings
     scale = config.pixels_per_metre
     size = float(config.size)

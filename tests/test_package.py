@@ -126,9 +126,8 @@ def test_datasets_do_not_import_the_environment() -> None:
 
 
 def test_the_core_imports_neither_generate_nor_loaders() -> None:
-    assert not [
-        name for name in modules_after(CORE) if name.startswith(("knotgym.generate", "knotgym.loaders"))
-    ]
+    above = ("knotgym.generate", "knotgym.loaders")
+    assert not [name for name in modules_after(CORE) if name.startswith(above)]
 
 
 def test_nothing_is_imported_through_the_links() -> None:
