@@ -37,28 +37,36 @@ def forward(
     beads = len(order)
     world = np.empty((beads, 4))
     axis = np.empty((beads, 3))
+    turned, own = np.empty(4), np.empty(4)
     for row in range(len(qpos)):
         q = qpos[row]
         for k in range(beads):
             bead = order[k]
             up, a = parent[bead], at[bead]
             if up < 0:
-                world[bead] = _unit(q[a + 3 : a + 7])
-                points[row, bead] = q[a : a + 3]
+                _unit(q[a + 3 : a + 7], world[bead])
             else:
-                world[bead] = _multiply(_multiply(world[up], rest[bead]), _unit(q[a : a + 4]))
-            w, x, y, z = world[bead]
+                _multiply(world[up], rest[bead], turned)
+                _unit(q[a : a + 4], own)
+                _multiply(turned, own, world[bead])
+            w, x, y, z = world[bead, 0], world[bead, 1], world[bead, 2], world[bead, 3]
             axis[bead, 0] = length * (1 - 2 * (y * y + z * z))
             axis[bead, 1] = length * 2 * (x * y + w * z)
             axis[bead, 2] = length * 2 * (x * z - w * y)
-            if up == bead - 1 and up >= 0:
-                points[row, bead] = points[row, up] + axis[up]
-            elif up >= 0:
-                points[row, bead] = points[row, up] - axis[bead]
+            for c in range(3):
+                if up < 0:
+                    points[row, bead, c] = q[a + c]
+                elif up == bead - 1:
+                    points[row, bead, c] = points[row, up, c] + axis[up, c]
+                else:
+                    points[row, bead, c] = points[row, up, c] - axis[bead, c]
         gaps[row] = 0.0
         for bead in range(beads):
-            apart = points[row, (bead + 1) % beads] - points[row, bead] - axis[bead]
-            gaps[row] = max(gaps[row], np.sqrt((apart * apart).sum()))
+            square = 0.0
+            for c in range(3):
+                apart = points[row, (bead + 1) % beads, c] - points[row, bead, c] - axis[bead, c]
+                square += apart * apart
+            gaps[row] = max(gaps[row], np.sqrt(square))
 
 
 @numba.njit(cache=True, nogil=True)
@@ -74,45 +82,51 @@ def backward(
         qpos: float64 (nq,); written.
     """
     world = np.empty((len(order), 4))
+    x_axis, arc, back = np.zeros(3), np.empty(4), np.empty(4)
+    x_axis[0] = 1.0
     for k in range(len(order)):
         bead = order[k]
         up, a = parent[bead], at[bead]
         if up < 0:
-            world[bead] = _shortest_arc(np.array([1.0, 0.0, 0.0]), along[bead])
-            qpos[a : a + 3] = points[bead]
-            qpos[a + 3 : a + 7] = world[bead]
+            _shortest_arc(x_axis, along[bead], world[bead])
+            for c in range(3):
+                qpos[a + c] = points[bead, c]
+            for c in range(4):
+                qpos[a + 3 + c] = world[bead, c]
         else:
-            world[bead] = _multiply(_shortest_arc(along[up], along[bead]), world[up])
-            back = _multiply(world[up], rest[bead])
-            back[1:] *= -1.0
-            qpos[a : a + 4] = _multiply(back, world[bead])
+            _shortest_arc(along[up], along[bead], arc)
+            _multiply(arc, world[up], world[bead])
+            _multiply(world[up], rest[bead], back)
+            for c in range(1, 4):
+                back[c] *= -1.0
+            _multiply(back, world[bead], qpos[a : a + 4])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # nothing over nothing isn't a number
+def _unit(q: Array, unit: Array) -> None:
+    size = np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
+    for c in range(4):
+        unit[c] = q[c] / size
 
 
 @numba.njit(cache=True, nogil=True)
-def _unit(q: Array) -> Array:
-    return q / np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
-
-
-@numba.njit(cache=True, nogil=True)
-def _multiply(a: Array, b: Array) -> Array:
-    """Hamilton product of two quaternions, (w, x, y, z)."""
-    product = np.empty(4)
+def _multiply(a: Array, b: Array, product: Array) -> None:
+    """Write the Hamilton product of two other quaternions, (w, x, y, z)."""
     product[0] = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3]
     product[1] = a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2]
     product[2] = a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1]
     product[3] = a[0] * b[3] + a[1] * b[2] - a[2] * b[1] + a[3] * b[0]
-    return product
 
 
 @numba.njit(cache=True, nogil=True)
-def _shortest_arc(a: Array, b: Array) -> Array:
-    """Quaternion of the smallest rotation that takes unit vector a to unit vector b."""
-    arc = np.empty(4)
-    arc[0] = 1 + a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+def _shortest_arc(a: Array, b: Array, arc: Array) -> None:
+    """Write the quaternion of the smallest rotation that takes unit vector a to unit vector b."""
+    x, y, z = b[0], b[1], b[2]
+    arc[0] = 1 + a[0] * x + a[1] * y + a[2] * z
     if arc[0] < 1e-12:  # opposite: half a turn about any perpendicular axis
         arc[0] = 0.0
-        other = np.array([0.0, 0.0, 1.0]) if abs(a[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
-        arc[1:] = np.cross(a, other)
-    else:
-        arc[1:] = np.cross(a, b)
-    return _unit(arc)
+        x, y, z = (0.0, 0.0, 1.0) if abs(a[2]) < 0.9 else (1.0, 0.0, 0.0)
+    arc[1] = a[1] * z - a[2] * y
+    arc[2] = a[2] * x - a[0] * z
+    arc[3] = a[0] * y - a[1] * x
+    _unit(arc, arc)

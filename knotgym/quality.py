@@ -103,7 +103,7 @@ def measure(
     Returns:
         All but noise_survival, which has a function of its own; NaN where left out.
     """
-    p = np.ascontiguousarray(points, dtype=np.float64)
+    p = np.array(points, dtype=np.float64, order="C")  # writable, as in _closed() of crossings
     crossings = find_crossings(p) if crossings is None else crossings
     scale = config.pixels_per_metre
     size = float(config.size)
@@ -238,8 +238,8 @@ def _strand_spacing(pixels: Array, over: Array, under: Array, walk: float) -> fl
     beads = len(pixels)
     along = np.zeros(beads + 1)
     for i in range(beads):
-        step = pixels[(i + 1) % beads] - pixels[i]
-        along[i + 1] = along[i] + np.sqrt((step * step).sum())
+        x, y = pixels[(i + 1) % beads, 0] - pixels[i, 0], pixels[(i + 1) % beads, 1] - pixels[i, 1]
+        along[i + 1] = along[i] + np.sqrt(x * x + y * y)
     total = along[beads]
     to_visit, from_bead = _walks_to_visits(along, over, under)
     nearest = np.inf
@@ -330,7 +330,8 @@ def _normal(a: Array, b: Array) -> tuple[float, float, float]:
     x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
     size = np.sqrt(x * x + y * y + z * z)
     # below it the direction is rounding: points in line count nothing
-    least = 1e-12 * np.sqrt((a * a).sum() * (b * b).sum())
+    aa, bb = a[0] * a[0] + a[1] * a[1] + a[2] * a[2], b[0] * b[0] + b[1] * b[1] + b[2] * b[2]
+    least = 1e-12 * np.sqrt(aa * bb)
     return (x / size, y / size, z / size) if size > least else (0.0, 0.0, 0.0)
 
 

@@ -424,8 +424,14 @@ def _walked(points: Array) -> Array:
 @numba.njit(cache=True, nogil=True)
 def _segment_distance(a: Array, b: Array, c: Array, d: Array) -> float:
     """Distance between segments ab and cd (Ericson, Real-Time Collision Detection, 5.1.9)."""
-    u, v, w = b - a, d - c, a - c
-    uu, vv, uv, uw, vw = (u * u).sum(), (v * v).sum(), (u * v).sum(), (u * w).sum(), (v * w).sum()
+    uu, vv, uv, uw, vw = 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(3):
+        u, v, w = b[k] - a[k], d[k] - c[k], a[k] - c[k]
+        uu += u * u
+        vv += v * v
+        uv += u * v
+        uw += u * w
+        vw += v * w
     det = uu * vv - uv * uv
     s = min(max((uv * vw - uw * vv) / det, 0.0), 1.0) if det > 1e-15 * uu * vv else 0.0
     t = (uv * s + vw) / vv
@@ -433,5 +439,8 @@ def _segment_distance(a: Array, b: Array, c: Array, d: Array) -> float:
         t, s = 0.0, min(max(-uw / uu, 0.0), 1.0)
     elif t > 1:
         t, s = 1.0, min(max((uv - uw) / uu, 0.0), 1.0)
-    gap = w + s * u - t * v
-    return np.sqrt((gap * gap).sum())
+    square = 0.0
+    for k in range(3):
+        gap = (a[k] - c[k]) + s * (b[k] - a[k]) - t * (d[k] - c[k])
+        square += gap * gap
+    return np.sqrt(square)

@@ -1,5 +1,6 @@
 """What several test modules share: ropes of known shape and a small state file made of them."""
 
+import gc
 import os
 import signal
 from pathlib import Path
@@ -25,6 +26,11 @@ settings.register_profile("unhurried", deadline=None)
 settings.load_profile("unhurried")
 
 PER_NX = 6
+
+
+def pytest_collection_finish() -> None:
+    """What was imported and collected stays: the garbage collector needn't look at it again."""
+    gc.freeze()
 
 
 def curled(nx: int, turn: float = 0.0, hand: int = 1) -> NDArray[np.float64]:

@@ -1,11 +1,17 @@
 """Every class and every module is found by its name alone."""
 
 import ast
+import functools
 from collections import Counter
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 FILES = sorted((ROOT / "knotgym").rglob("*.py"))
+
+
+@functools.cache
+def tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def twice(names: list[str]) -> list[str]:
@@ -20,24 +26,24 @@ def test_no_two_classes_have_one_name() -> None:
     classes = [
         node.name
         for path in FILES
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in ast.walk(tree(path))
         if isinstance(node, ast.ClassDef)
     ]
     assert classes and twice(classes) == []
 
 
-def plain_errors(tree: ast.Module) -> list[ast.Raise]:
+def plain_errors(module: ast.Module) -> list[ast.Raise]:
     """Where errors of Python's own are raised; not in a `try`, which makes ours of them."""
     caught = {
         inner
-        for block in ast.walk(tree)
+        for block in ast.walk(module)
         if isinstance(block, ast.Try)
         for statement in block.body
         for inner in ast.walk(statement)
     }
     return [
         node
-        for node in ast.walk(tree)
+        for node in ast.walk(module)
         if isinstance(node, ast.Raise)
         and node not in caught
         and isinstance(node.exc, ast.Call)
@@ -50,5 +56,5 @@ def test_every_refusal_is_a_knotgym_error() -> None:
     assert [
         f"{path.relative_to(ROOT)}:{node.lineno}"
         for path in FILES
-        for node in plain_errors(ast.parse(path.read_text(encoding="utf-8")))
+        for node in plain_errors(tree(path))
     ] == []

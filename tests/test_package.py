@@ -56,6 +56,14 @@ DRAWING = (
     "glfw",
 )
 
+# What fresh interpreters are asked to import; the links are named after rooms.
+CORE = (
+    "import knotgym.env, knotgym.topology.crossings, knotgym.topology.knots,"
+    " knotgym.topology.reference_labeller, knotgym.rendering.picture"
+)
+STATES = "import knotgym.datasets.states, knotgym.atomic_files"
+LINKED = ("generate", "datasets", "loaders")
+
 
 def made_alone(task: str, states_path: str) -> str:
     """The statement that makes an environment where nothing of ours was imported before."""
@@ -111,25 +119,21 @@ def test_importing_a_room_pulls_in_neither_torch_nor_dask_nor_a_renderer(room: s
 
 
 def test_datasets_do_not_import_the_environment() -> None:
-    modules = modules_after("import knotgym.datasets.states, knotgym.atomic_files")
+    modules = modules_after(STATES)
     assert (
         modules & {"knotgym.env", "knotgym.episode_batch", "knotgym.simulation", "mujoco"} == set()
     )
 
 
 def test_the_core_imports_neither_generate_nor_loaders() -> None:
-    modules = modules_after(
-        "import knotgym.env, knotgym.topology.crossings, knotgym.topology.knots,"
-        " knotgym.topology.reference_labeller, knotgym.rendering.picture"
-    )
-    assert not [
-        name for name in modules if name.startswith(("knotgym.generate", "knotgym.loaders"))
-    ]
+    above = ("knotgym.generate", "knotgym.loaders")
+    assert not [name for name in modules_after(CORE) if name.startswith(above)]
 
 
 def test_nothing_is_imported_through_the_links() -> None:
-    names = "knotgym.env, knotgym.generate, knotgym.datasets.states, knotgym.loaders"
-    assert modules_after(f"import {names}") & {"generate", "datasets", "loaders"} == set()
+    rooms = [modules_after(f"import knotgym.{room}") for room in LINKED]
+    modules = frozenset.union(modules_after(CORE), modules_after(STATES), *rooms)
+    assert modules & {*LINKED} == set()
 
 
 def test_the_version_is_that_of_the_distribution() -> None:

@@ -85,7 +85,10 @@ def _lead(
     frames = np.empty((steps, n, 3))
     lengths, taken = np.empty(n), np.empty(half)
     for i in range(n):
-        lengths[i] = np.sqrt(((points[(i + 1) % n] - points[i]) ** 2).sum())
+        square = 0.0
+        for c in range(3):
+            square += (points[(i + 1) % n, c] - points[i, c]) ** 2
+        lengths[i] = np.sqrt(square)
     for k in range(half):
         taken[k] = np.exp(-0.5 * (k / reach) ** 2)
     move = np.empty(3)
@@ -93,12 +96,13 @@ def _lead(
     while stage < len(waypoints) and count < steps:
         for c in range(3):
             move[c] = waypoints[stage, c] - 0.5 * (now[bead, c] + now[(bead + 1) % n, c])
-        far = np.sqrt((move**2).sum())
+        far = np.sqrt(move[0] ** 2 + move[1] ** 2 + move[2] ** 2)
         if far < arrived:
             stage += 1
             continue
         step = min(stride, far)
-        move *= step / far
+        for c in range(3):
+            move[c] *= step / far
         for k in range(half):
             if taken[k] < _LEAST_SHARE:
                 break
@@ -116,12 +120,19 @@ def _lead(
         walked += step
         if walked >= pace:
             walked = 0.0
-            frames[count] = now
+            _copy(now, frames[count])
             count += 1
     if count < steps:
-        frames[count] = now
+        _copy(now, frames[count])
         count += 1
     return frames, count
+
+
+@njit(cache=True)
+def _copy(points: Array, frame: Array) -> None:
+    for k in range(len(points)):
+        for c in range(3):
+            frame[k, c] = points[k, c]
 
 
 @njit(cache=True)

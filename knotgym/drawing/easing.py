@@ -197,7 +197,8 @@ def _ease(
         _bound(walk, length, force, stiff, step, most)
         _hold_back(walk, force, limit, pairs, gaps, near)
         for node in range(nodes):
-            at[node] += limit[node] * force[node]
+            for c in range(2):
+                at[node, c] += limit[node] * force[node, c]
 
 
 @numba.njit(cache=True, nogil=True)
@@ -208,14 +209,16 @@ def _bound(
     for s in range(len(walk)):
         for node in (walk[s], walk[(s + 1) % len(walk)]):
             if stiff[node] > 0:
-                force[node] *= step / stiff[node]
+                for c in range(2):
+                    force[node, c] *= step / stiff[node]
                 stiff[node] = 0.0
     for s in range(len(walk)):
         bound = min(most, length[s] / 3)
         for node in (walk[s], walk[(s + 1) % len(walk)]):
             far = np.hypot(force[node, 0], force[node, 1])
             if far > bound:
-                force[node] *= bound / far
+                for c in range(2):
+                    force[node, c] *= bound / far
 
 
 @numba.njit(cache=True, nogil=True)

@@ -219,7 +219,7 @@ def _renumbered(states: States, config: dict[str, Any]) -> States:
 
 def _split_anew(states: States, config: dict[str, Any]) -> States:
     """States dealt out to the splits anew."""
-    splits = states.split.copy()
+    splits = states.split.astype(np.array(STATE_SPLITS).dtype)  # of shards with one split, shorter
     for nx in config["nx"]:
         mine = np.flatnonzero(states.nx == nx)
         codes = [GaussCode.parse(text) for text in states.gauss_code[mine]]

@@ -5,6 +5,9 @@ edges           by blocks of neighbours, whose bounding boxes rule out most pair
                 knotgym.topology.orientation
   -> strands    two a hit: strand 2 h runs on edge i, strand 2 h + 1 on edge j
   -> walk       the strands in order of place
+
+Arrays are copied number by number, here and in the other kernels: with a slice assignment numba
+compiles the wording of its error too, seconds of a first start.
 """
 
 import numpy as np
@@ -74,7 +77,8 @@ def scan_many(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         if used + nx > len(signs):
             room = 2 * (used + nx)
             visits, signs = _grown(visits, 2 * room), _grown(signs, room)
-        visits[2 * used : 2 * (used + nx)] = walked
+        for k in range(2 * nx):
+            visits[2 * used + k] = walked[k]
         for row in range(nx):
             signs[used + row] = 1 if table[row, SIGN] > 0 else -1
         used += nx
@@ -85,7 +89,8 @@ def scan_many(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 @njit(cache=True, nogil=True)
 def _grown(array: np.ndarray, room: int) -> np.ndarray:
     larger = np.empty(room, np.int64)
-    larger[: len(array)] = array
+    for k in range(len(array)):
+        larger[k] = array[k]
     return larger
 
 
@@ -147,7 +152,9 @@ def _hits(points: np.ndarray) -> np.ndarray:
                     if turn != 0:
                         if count == len(hits):
                             larger = np.empty((2 * count, 3), np.int64)
-                            larger[:count] = hits
+                            for h in range(count):
+                                for k in range(3):
+                                    larger[h, k] = hits[h, k]
                             hits = larger
                         hits[count, 0], hits[count, 1], hits[count, 2] = i, j, turn
                         count += 1

@@ -36,6 +36,7 @@ from knotgym.runs.staging import staging_folder
 from knotgym.tasks import TaskConfig
 
 from ..small_job import knotgym
+from .test_generate_command import held
 
 ROOT = Path(__file__).parents[2]
 ID = "knotgym/tie-nx1/demonstrations-v0"
@@ -286,6 +287,15 @@ def test_resume_on_nothing_and_a_run_over_what_is_left_say_so(
     run(Empty(), out, options)
     assert "what an interrupted run left goes" in capfd.readouterr().out
     assert list(tmp_path.iterdir()) == [out]  # and nothing hidden
+
+
+def test_a_run_begins_over_a_lock_that_nobody_holds(tmp_path: Path) -> None:
+    out = tmp_path / "a"
+    with held(staging_folder(out)):
+        pass
+    assert (staging_folder(out) / "lock").is_file()  # left by a process that is gone
+    run(Empty(), out, RunOptions(workers=1, quiet=True))
+    assert list(tmp_path.iterdir()) == [out]
 
 
 # Names.

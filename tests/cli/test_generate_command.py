@@ -363,16 +363,18 @@ def test_other_options_cannot_resume_it(killed: Path, capfd: pytest.CaptureFixtu
     assert bytes_of(killed.parent) == before
 
 
-def test_resumed_it_ends_in_the_same_bytes_as_an_unbroken_run(
-    killed: Path, curated: Path, tmp_path: Path
+def test_resumed_it_ends_in_the_same_bytes_as_an_unbroken_run_and_quiet_says_nothing(
+    killed: Path, curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     shutil.copytree(killed.parent / ".nx0-1.partial", tmp_path / ".nx0-1.partial")
+    capfd.readouterr()
     assert (
         knotgym(
             "generate", *WANTED, "--workers", 1, "--out", tmp_path / "nx0-1", "--resume", "--quiet"
         )
         == 0
     )
+    assert capfd.readouterr() == ("", "")
     assert bytes_of(tmp_path / "nx0-1") == bytes_of(curated) and [
         path.name for path in tmp_path.iterdir()
     ] == ["nx0-1"]

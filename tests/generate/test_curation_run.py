@@ -272,7 +272,14 @@ def test_what_cannot_be_accepted_ends_with_a_line_that_says_so() -> None:
         done(CurationRun.begin(hopeless))
 
 
-@pytest.mark.slow  # below, cycles end a job, and a finished one tells what it did
+def test_a_job_stops_after_its_cycle_with_what_there_is(searched: Archive) -> None:
+    few = config(nx=(1,), count=40, cycles=1, wave=2)
+    job = done(CurationRun.begin(few, archive=deepcopy(searched)))
+    assert job.cycle == len(job.growth) == 1 and 0 < len(job.accepted[1]) <= 2
+    assert job.growth[-1]["accepted"] == {"1": len(job.accepted[1])}
+
+
+@pytest.mark.slow  # above, one cycle does
 def test_a_job_stops_after_its_cycles_with_what_there_is() -> None:
     job = done(CurationRun.begin(config(nx=(0, 1), count=40, cycles=2, wave=2)))
     assert job.cycle == len(job.growth) == 2 and 0 < len(job.accepted[1]) < 40

@@ -25,7 +25,7 @@ from knotgym.runs.staging import staging_folder
 from ..small_job import knotgym
 
 WORDS = ("suite", "--task", "unknot", "--nx", 2, "--states", "readable", "--workers", 1)
-CHEAP = (*WORDS, "--policies", "random,scripted", "--episodes", 5)
+CHEAP = (*WORDS, "--policies", "random,scripted", "--episodes", "random=1,scripted=5")
 ID = "knotgym/unknot-nx2/{}-v0"
 DAY = 24 * 3600
 
@@ -94,7 +94,7 @@ def test_a_killed_run_goes_on_to_the_same_bytes(
     play = collecting.play
 
     def killed(file: Any) -> Any:
-        if len(played) == 3:  # in the middle of the second set
+        if len(played) == 2:  # in the middle of the second set
             raise KeyboardInterrupt
         played.append(file)
         return play(file)
@@ -131,7 +131,7 @@ def test_a_finished_suite_is_left_alone_and_shows_evaluations_that_came_since(
         nx=(2,),
         policies=("random",),
         states=("readable",),
-        episodes={"random": 5},
+        episodes={"random": 1},
     )
     make_suite(part, unbroken, RunOptions(workers=1, quiet=True, resume=True))
     assert len(card(unbroken)["sets"]) == 2  # of which one was asked for
@@ -168,5 +168,5 @@ def test_a_set_of_another_size_is_refused_before_anything_is_made(
 ) -> None:
     words = (*WORDS, "--policies", "noisy-expert,random", "--episodes", 6, "--resume")
     assert knotgym(*words, "--quiet", "--out", unbroken) == 2
-    assert "config.episodes is 5 there and 6 here" in capfd.readouterr().err
+    assert "config.episodes is 1 there and 6 here" in capfd.readouterr().err
     assert not (unbroken / ID.format("noisy-expert")).exists()

@@ -187,10 +187,11 @@ def test_shards_of_different_runs_are_not_merged(
 
 
 @pytest.fixture(scope="module")
-def curated_in_parts(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    return in_parts(
-        2, tmp_path_factory.mktemp("states") / "nx1", "generate", "--nx", 1, "--count", 2
-    )
+def curated_in_parts(curated: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Two shards that go on from another run's archive, the splits without a code in common."""
+    words = ("generate", "--nx", 1, "--count", 2, "--split-by", "code", "--seed", 5)
+    archive = ("--archive", curated / "archive.h5")
+    return in_parts(2, tmp_path_factory.mktemp("states") / "nx1", *words, *archive)
 
 
 @pytest.fixture(scope="module")
