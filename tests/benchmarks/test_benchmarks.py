@@ -17,7 +17,13 @@ from knotgym.generate.states.archive import Archive
 from ..scripts import ROOT, run_script
 
 FOLDER = ROOT / "benchmarks"
-MODULES = {"damaged_files", "pulled", "rope_states"}  # what the scripts share
+MODULES = {
+    "damaged_files",
+    "damaged_hdf5",
+    "file_readers",
+    "pulled",
+    "rope_states",
+}  # what the scripts share
 SCRIPTS = sorted(path for path in FOLDER.glob("*.py") if path.stem not in MODULES)
 EXTRAS = ("torch", "torch.utils", "torch.utils.data", "warp", "mujoco_warp")
 
