@@ -7,7 +7,8 @@
 The copies are read in a process that has everything imported and is replaced when it crashes or
 hangs. Outcomes: "refused", one line of a `KnotgymError`; "found", a fault of `verify`; "unchanged",
 all that a reader gets is what the sound file gives; "wrong", something else was read and no fault
-named; "traceback", "crash" and "hang". The table goes to standard output, the counts to --out after
+named; "harmful", the HDF5 library crashes or hangs and `verify` lives to say so; "traceback",
+"crash" and "hang", the command's own. The table goes to standard output, the counts to --out after
 each kind; kinds that are there with as many copies of the same file aren't run again.
 """
 
@@ -27,6 +28,7 @@ from damaged_files import DAMAGES, copied
 from file_readers import TOLD
 
 from knotgym.atomic_files import sha256
+from knotgym.datasets.foreign_file import HarmfulFile, try_files
 from knotgym.errors import KnotgymError
 
 LIMIT = 60.0  # seconds for a file
@@ -53,6 +55,15 @@ def _judge(kind: str, right: dict[str, str], pipe: Any) -> None:
         pipe.send((judged(kind, path, right), time.process_time()))
 
 
+def _as_commands_say(path: Path) -> str:
+    """ "harmful" where `verify`, which tries files first, would say so in a line."""
+    try:
+        try_files([path])
+    except HarmfulFile:
+        return "harmful"
+    return ""
+
+
 class Readers:
     """Processes that read files of a kind, one at a time and each in place of a lost one.
 
@@ -63,7 +74,6 @@ class Readers:
     def __init__(self, kind: str, right: dict[str, str], limit: float = LIMIT) -> None:
         self.cpu = 0.0
         self._given, self._limit = (kind, right), limit
-        self._child: Any = None
         self._begin()
 
     def _begin(self) -> None:
@@ -87,7 +97,7 @@ class Readers:
         if said in ("hang", "crash") or not self._left:
             self.close()
             self._begin()
-        return said
+        return _as_commands_say(path) or said if said in ("hang", "crash") else said
 
     def close(self) -> None:
         """End the process."""

@@ -105,6 +105,16 @@ def test_a_random_policy_leaves_the_rope_an_unknot(tmp_path: Path) -> None:
     assert counts["steps"] == 8 and counts["nan"] == counts["changed_knot_type"] == 0
 
 
+def test_hard_play_is_looked_at_and_goes_on_after_what_is_done(tmp_path: Path) -> None:
+    words = ("--ropes", 2, "--length", 1, "--every", 1, "--actions")
+    played = [figures("long_play", tmp_path, *words, count) for count in (6, 10)]
+    assert [one["way"] for one in played[1]["slices"]] == [
+        *("random", "one bead", "neighbours", "through", "tow")
+    ]
+    assert played[1]["slices"][:3] == played[0]["slices"]
+    assert not any(one["breaks"] for one in played[1]["slices"])
+
+
 def test_evaluations_make_the_table_of_learners(tmp_path: Path) -> None:
     told = {
         "version": "0.1.0",
