@@ -8,8 +8,8 @@ The copies are read in a process that has everything imported and is replaced wh
 hangs. Outcomes: "refused", one line of a `KnotgymError`; "found", a fault of `verify`; "unchanged",
 all that a reader gets is what the sound file gives; "wrong", something else was read and no fault
 named; "harmful", the HDF5 library crashes or hangs and `verify` lives to say so; "traceback",
-"crash" and "hang", the command's own. The table goes to standard output, the counts to --out after
-each kind; kinds that are there with as many copies of the same file aren't run again.
+"crash" and "hang", the command's own. The table goes to standard output, the counts to --out, from
+which a run that was ended goes on: as many copies of the same file aren't read again.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import multiprocessing
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -106,19 +107,40 @@ class Readers:
         self.cpu += self._taken
 
 
-def run(kind: str, source: Path, count: int, seed: int = 0) -> dict[str, Any]:
+def run(
+    kind: str,
+    source: Path,
+    count: int,
+    seed: int = 0,
+    done: dict[str, Any] | None = None,
+    save: Callable[[dict[str, Any]], object] = lambda _: None,
+) -> dict[str, Any]:
     """Mutate a file and read the copies, the classes of damage in turn.
+
+    Args:
+        kind, source: what is mutated.
+        count, seed: of the copies.
+        done: what an earlier run of the same file and seed returned; goes on from there.
+        save: told how far it is, after every READ_BY_ONE copies.
 
     Returns:
         Outcomes of each class, each bad one with its number, and CPU seconds; JSON.
     """
-    counts: dict[str, Counter[str]] = {one.__name__: Counter() for one in DAMAGES[kind]}
-    bad: list[str] = []
+    asked = {"sha256": sha256(source), "bytes": source.stat().st_size, "seed": seed}
+    before = done or {"count": 0, "classes": {}, "bad": [], "cpu_seconds": 0.0}
+    counts = {one.__name__: Counter(before["classes"].get(one.__name__)) for one in DAMAGES[kind]}
+    bad: list[str] = [*before["bad"]]
     began = time.process_time()
     right = TOLD[kind](source)[1]
     readers = Readers(kind, right)
+
+    def told(number: int) -> dict[str, Any]:
+        spent = before["cpu_seconds"] + readers.cpu + time.process_time() - began
+        found = {"count": number, "classes": counts, "bad": bad, "cpu_seconds": round(spent, 1)}
+        return {**asked, **found}
+
     with tempfile.TemporaryDirectory() as folder:
-        for number in range(count):
+        for number in range(before["count"], count):
             damage = DAMAGES[kind][number % len(DAMAGES[kind])]
             copy = copied(kind, source, Path(folder))
             damage(copy, np.random.default_rng([seed, number]))
@@ -126,16 +148,10 @@ def run(kind: str, source: Path, count: int, seed: int = 0) -> dict[str, Any]:
             counts[damage.__name__][said.split(":")[0]] += 1
             if said.split(":")[0] in BAD:
                 bad.append(f"{kind} {damage.__name__} {number}: {said}")
+            if (number + 1) % READ_BY_ONE == 0:
+                save(told(number + 1))
     readers.close()
-    return {
-        "sha256": sha256(source),
-        "bytes": source.stat().st_size,
-        "count": count,
-        "seed": seed,
-        "classes": counts,
-        "bad": bad,
-        "cpu_seconds": round(readers.cpu + time.process_time() - began, 1),
-    }
+    return told(count)
 
 
 def table(report: dict[str, Any]) -> str:
@@ -166,13 +182,21 @@ def main() -> None:
         report = json.loads(given.out.read_text(encoding="utf-8"))
     for kind in TOLD:
         source: Path | None = getattr(given, kind)
-        asked = source and {"sha256": sha256(source), "count": given.count, "seed": given.seed}
-        if source is None or not asked or asked.items() <= report.get(kind, {}).items():
+        if source is None:
             continue
-        report[kind] = run(kind, source, given.count, given.seed)
+        asked = {"sha256": sha256(source), "seed": given.seed}
+        done = report.get(kind, {})
+        done = done if asked.items() <= done.items() else {}
+        if done.get("count", 0) >= given.count:
+            continue
+
+        def save(found: dict[str, Any], kind: str = kind) -> None:
+            report[kind] = found
+            if given.out:
+                given.out.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+
+        save(run(kind, source, given.count, given.seed, done, save))
         print(*report[kind]["bad"], sep="\n", flush=True)
-        if given.out:
-            given.out.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
     print(table(report))
 
 
