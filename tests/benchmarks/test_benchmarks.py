@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
+import numpy as np
 import pytest
 
+from knotgym.datasets.states import read_states, shipped, write_states
 from knotgym.generate.states.archive import Archive
 
 from ..scripts import ROOT, run_script
@@ -181,6 +183,21 @@ def test_the_transitions_of_an_archive_make_a_table(searched: Archive, tmp_path:
 
 
 # Seconds each, for the ropes they look at have to be tangled first, or processes have to start.
+
+
+@pytest.mark.slow
+def test_a_collection_that_is_killed_ends_with_the_same_bytes(tmp_path: Path) -> None:
+    told = figures("kills", tmp_path, "--kinds", "collect", "--kills", 1)["collect"]
+    assert told["kills"] == told["finished"] == 1 and told["faults"] == []
+
+
+@pytest.mark.slow
+def test_changed_bytes_of_every_column_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "states.h5"
+    write_states(path, read_states(shipped()).taken(np.array([1])))
+    told = figures("byte_classes", tmp_path, "--states", path, "--count", 1)["states"]
+    assert told.keys() >= {"qpos", "points", "image", "source/seed", "the library's own"}
+    assert told["points"]["caught"] == 1
 
 
 @pytest.mark.slow
