@@ -330,11 +330,12 @@ def spoilt(room: Path, done: str, after: int) -> Path:
     path.write_text(
         "import itertools, os, signal\n"
         "from knotgym.simulation import Simulation\n"
-        "act, taken = Simulation.act, itertools.count()\n"
         "def spoilt(*words, **more):\n"
-        f"    if next(taken) >= {after}:\n        {done}\n"
-        "    return act(*words, **more)\n"
-        "Simulation.act = spoilt\n"
+        f"    if next(Simulation.taken) >= {after}:\n        {done}\n"
+        "    return Simulation.whole(*words, **more)\n"
+        "if not hasattr(Simulation, 'whole'):  # a worker loads it more than once\n"
+        "    Simulation.whole, Simulation.taken = Simulation.step, itertools.count()\n"
+        "    Simulation.step = spoilt\n"
     )
     return path
 
