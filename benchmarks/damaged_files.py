@@ -1,4 +1,4 @@
-"""Damage done to what isn't HDF5, and what the readers of it give: mutations.py runs it.
+"""Damage done to files of each kind, by class: mutations.py runs it.
 
 Pictures are a Parquet shard; manifests, policies and transcripts are a JSON file with what lies
 beside it in its folder.
@@ -6,21 +6,16 @@ beside it in its folder.
 
 from __future__ import annotations
 
-import hashlib
-import io
 import json
 import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from rich.console import Console
+from damaged_hdf5 import HDF5, Damage, Random
 
 from knotgym.atomic_files import sha256
 
-Random = np.random.Generator
-Damage = Callable[[Path, Random], None]
 ODD: tuple[Any, ...] = (
     None,
     True,
@@ -234,6 +229,8 @@ def weights_changed(path: Path, rng: Random) -> None:
 
 _JSON = (bytes_changed, cut_short, value_changed, value_missing, not_json, no_file)
 DAMAGES: dict[str, tuple[Damage, ...]] = {
+    "states": HDF5,
+    "episodes": HDF5,
     "pictures": (
         bytes_changed,
         ending,
@@ -247,77 +244,16 @@ DAMAGES: dict[str, tuple[Damage, ...]] = {
     "manifests": _JSON,
     "policies": (*_JSON, forged, weights_changed),
     "transcripts": _JSON,
+    "walks": HDF5,
+    "archives": HDF5,
 }
-
-
-def told_pictures(path: Path) -> tuple[list[str], dict[str, str]]:
-    """Faults of a shard, and digests of its rows."""
-    from knotgym.datasets.image_table import read_rows
-    from knotgym.datasets.image_verification import image_faults
-
-    faults = list(image_faults(path))
-    rows = list(read_rows(path)) if not faults else []
-    return faults, {str(k): digest(repr(row)) for k, row in enumerate(rows)}
-
-
-def told_manifests(path: Path) -> tuple[list[str], dict[str, str]]:
-    """Faults of a manifest; and what a merge, a run gone on with and `show` take from it."""
-    from knotgym.cli.summaries import print_states
-    from knotgym.datasets.manifest_check import listed_faults, read_manifest, report_faults
-    from knotgym.generate.merge_shards import shard_folder_of
-    from knotgym.runs.engine import request_of
-
-    manifest, faults = read_manifest(path.parent)
-    faults += [*report_faults(manifest), *listed_faults(path.parent, manifest)]
-    request_of(path.parent)
-    shard_folder_of(str(path.parent))
-    states = path.with_name("states.h5")
-    if states.is_file():
-        shown = io.StringIO()
-        print_states(str(path.parent), states, Console(file=shown))
-        if not shown.getvalue().replace("\n", "").isprintable():
-            raise AssertionError("control characters reach the terminal")
-    return faults, {"files": digest(json.dumps(manifest.get("files"), sort_keys=True))}
-
-
-def told_policies(path: Path) -> tuple[list[str], dict[str, str]]:
-    """Digests of all that was learned; whatever is wrong is an error."""
-    from knotgym.learn.checkpoint import load_policy
-
-    learned = load_policy(str(path.parent))
-    arrays = {name: own.numpy() for name, own in learned.reader.state_dict().items()}
-    arrays |= {"rope": learned.rope, "places": learned.places}
-    return [], {name: digest(own.tobytes()) for name, own in arrays.items()}
-
-
-def told_transcripts(path: Path) -> tuple[list[str], dict[str, str]]:
-    """What `show` prints of transcripts; their facts have no checksum."""
-    from knotgym.cli.summaries import print_transcripts
-
-    shown = io.StringIO()
-    print_transcripts(path, Console(file=shown))
-    if not shown.getvalue().replace("\n", "").isprintable():
-        raise AssertionError("control characters reach the terminal")
-    return [], {}
-
-
-TOLD: dict[str, Callable[[Path], tuple[list[str], dict[str, str]]]] = {
-    "pictures": told_pictures,
-    "manifests": told_manifests,
-    "policies": told_policies,
-    "transcripts": told_transcripts,
-}
-
-
-def digest(what: str | bytes) -> str:
-    """SHA-256, hexadecimal."""
-    return hashlib.sha256(what if isinstance(what, bytes) else what.encode()).hexdigest()
+_WITH = {"manifests": "*", "policies": "*", "walks": "manifest.json", "archives": "manifest.json"}
 
 
 def copied(kind: str, source: Path, folder: Path) -> Path:
-    """A copy to do damage to; of a manifest or a learner with the files beside it."""
-    beside = kind in ("manifests", "policies")
-    for one in sorted(source.parent.iterdir()) if beside else [source]:
+    """A copy to do damage to, with those of the files beside it that its readers look at."""
+    beside = source.parent.glob(_WITH[kind]) if kind in _WITH else []
+    for one in sorted({source, *beside}):
         target = folder / one.name
         if target.is_dir() and not target.is_symlink():
             target.rmdir()

@@ -1,241 +1,203 @@
 """What becomes of damaged files: mutated copies of a file of each kind, each verified.
 
-    python benchmarks/mutations.py --count 500 --states A/states.h5 --episodes B/main_data.hdf5
-    python benchmarks/mutations.py --count 500 --pictures C/data/train-00000-of-00001.parquet
-    python benchmarks/mutations.py --count 500 --manifests A/manifest.json --policies D/policy.json
+    python benchmarks/mutations.py --count 2000 --states A/states.h5 --episodes B/main_data.hdf5
+    python benchmarks/mutations.py --count 2000 --pictures C/data/train-00000-of-00001.parquet
+    python benchmarks/mutations.py --count 2000 --manifests A/manifest.json --policies D/policy.json
 
-Every copy is read in a process of its own, as a command would. Outcomes: "refused", one line of a
-`KnotgymError`; "found", a fault of `verify`; "unchanged", all that a reader gets is what the sound
-file gives; "wrong", something else was read and no fault named; "traceback", "crash" and "hang".
-The table goes to standard output, the counts to --out.
+The copies are read in a process that has everything imported and is replaced when it crashes or
+hangs. Outcomes: "refused", one line of a `KnotgymError`; "found", a fault of `verify`; "unchanged",
+all that a reader gets is what the sound file gives; "wrong", something else was read and no fault
+named; "harmful", the HDF5 library crashes or hangs and `verify` lives to say so; "traceback",
+"crash" and "hang", the command's own. The table goes to standard output, the counts to --out, from
+which a run that was ended goes on: as many copies of the same file aren't read again.
 """
 
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
 import multiprocessing
 import tempfile
+import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
-from damaged_files import DAMAGES, TOLD, copied
+from damaged_files import DAMAGES, copied
+from file_readers import TOLD
 
-from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.datasets.episode_verification import verify_episodes
-from knotgym.datasets.state_verification import state_faults
-from knotgym.datasets.states import read_states
+from knotgym.atomic_files import sha256
+from knotgym.datasets.foreign_file import HarmfulFile, try_files
 from knotgym.errors import KnotgymError
 
 LIMIT = 60.0  # seconds for a file
-KINDS = ("states", "episodes", *TOLD)
-TYPES = ("c16", "f4", "i1", "u8", "?", "S3", "V5", "i4,f8", "O", "ref", "enum")
-Random = np.random.Generator
+READ_BY_ONE = 200  # files, then another process reads
+BAD = ("traceback", "crash", "hang", "wrong")
 
 
-def _datasets(file: h5py.File) -> list[str]:
-    names: list[str] = []
-    file.visititems(lambda name, item: names.append(name) if hasattr(item, "dtype") else None)
-    return names
-
-
-def _one(file: h5py.File, rng: Random) -> str:
-    names = _datasets(file)
-    return names[int(rng.integers(len(names)))]
-
-
-def bits(path: Path, rng: Random, first: int = 0) -> None:
-    """One to four bits flipped."""
-    raw = bytearray(path.read_bytes())
-    for at in rng.integers(first, len(raw), int(rng.integers(1, 5))):
-        raw[at] ^= 1 << int(rng.integers(8))
-    path.write_bytes(raw)
-
-
-def head(path: Path, rng: Random) -> None:
-    """One bit in the first 4 kB flipped, which are mostly the library's."""
-    raw = bytearray(path.read_bytes())
-    raw[int(rng.integers(min(4096, len(raw))))] ^= 1 << int(rng.integers(8))
-    path.write_bytes(raw)
-
-
-def cut(path: Path, rng: Random) -> None:
-    """Its end missing."""
-    raw = path.read_bytes()
-    path.write_bytes(raw[: int(rng.integers(len(raw)))])
-
-
-def types(path: Path, rng: Random) -> None:
-    """A column of another type."""
-    kind = TYPES[int(rng.integers(len(TYPES)))]
-    special = {
-        "O": h5py.string_dtype(),
-        "ref": h5py.ref_dtype,
-        "enum": h5py.enum_dtype({"a": 0, "b": 1}),
-    }
-    with h5py.File(path, "a") as file:
-        name = _one(file, rng)
-        shape = file[name].shape
-        del file[name]
-        file.create_dataset(name, shape, dtype=special.get(kind) or np.dtype(kind))
-
-
-def sizes(path: Path, rng: Random) -> None:
-    """A column of other sizes, up to 10 billion rows that aren't stored."""
-    with h5py.File(path, "a") as file:
-        name = _one(file, rng)
-        old = file[name]
-        shape, kind = list(old.shape) or [1], old.dtype
-        del file[name]
-        shape[int(rng.integers(len(shape)))] = int(rng.choice([0, 1, 3, 10**6, 10**10]))
-        chunks = None if 0 in shape else tuple(min(n, 4) for n in shape)
-        file.create_dataset(name, tuple(shape), dtype=kind, chunks=chunks)
-
-
-def links(path: Path, rng: Random) -> None:
-    """A column, or its group, that is a link, or that lies in another file."""
-    with h5py.File(path, "a") as file:
-        name = _one(file, rng)
-        old = file[name]
-        shape, kind = old.shape, old.dtype
-        del file[name]
-        way = int(rng.integers(4))
-        if way == 0:
-            file[name] = h5py.ExternalLink("/dev/zero", "/a")
-        elif way == 1:
-            file[name] = h5py.SoftLink("/" + _one(file, rng))
-        elif way == 2 and kind.kind != "O" and shape:
-            file.create_dataset(name, shape, kind, external=[("/dev/zero", 0, h5py.h5f.UNLIMITED)])
-        elif shape:
-            layout = h5py.VirtualLayout(shape, "f8")
-            layout[:] = h5py.VirtualSource("/dev/zero", "a", shape)
-            file.create_virtual_dataset(name, layout)
-
-
-def attributes(path: Path, rng: Random) -> None:
-    """An attribute of another type or value."""
-    values = [1.5, True, "\x1b[2J", b"\xff", np.arange(3), "{}", -1, h5py.Empty("f8"), 2**63]
-    with h5py.File(path, "a") as file:
-        places = [file, *(file[name] for name in file if len(file[name].attrs))]
-        holder = places[int(rng.integers(len(places)))]
-        names = list(holder.attrs)
-        holder.attrs[names[int(rng.integers(len(names)))]] = values[int(rng.integers(len(values)))]
-
-
-def values(path: Path, rng: Random) -> None:
-    """One number of a column another: a NaN, a huge one, a negative one."""
-    with h5py.File(path, "a") as file:
-        numeric = [name for name in _datasets(file) if file[name].dtype.kind in "fiu"]
-        data = file[numeric[int(rng.integers(len(numeric)))]]
-        if data.size:
-            at = tuple(int(rng.integers(size)) for size in data.shape)
-            new = [float("nan"), 1e30, -7.0] if data.dtype.kind == "f" else [99, 7, 1]
-            data[at] = new[int(rng.integers(3))]
-
-
-CLASSES: dict[str, Callable[[Path, Random], None]] = {
-    one.__name__: one for one in (bits, head, cut, types, sizes, links, attributes, values)
-}
-
-
-def told(kind: str, path: Path) -> tuple[list[str], dict[str, str]]:
-    """The faults of a file, and digests of all that its reader gives."""
-    if kind in TOLD:
-        return TOLD[kind](path)
-    given: dict[str, str] = {}
-    if kind == "states":
-        states = read_states(path)
-        faults = list(state_faults(states))
-        for name, column in states.columns().items():
-            given[name] = hashlib.sha256(column.tobytes()).hexdigest()
-    else:
-        faults = verify_episodes(path, frames=None, pyknotid=False, act_out=True)
-        reader = EpisodeReader(path)
-        for index in range(len(reader)):
-            given[f"episode {index}"] = reader.episode(index).digest()
-            seen = reader.observations(index) if reader.stored != "none" else {}
-            seen = seen if isinstance(seen, dict) else {"": seen}
-            for name, one in seen.items():
-                whole = np.ascontiguousarray(one).tobytes()
-                given[f"observations {index} {name}"] = hashlib.sha256(whole).hexdigest()
-    return faults, given
-
-
-def _judge(kind: str, path: Path, right: dict[str, str], say: Any) -> None:
+def judged(kind: str, path: Path, right: dict[str, str]) -> str:
+    """What becomes of a file, read by this process."""
     try:
-        faults, given = told(kind, path)
+        faults, given = TOLD[kind](path)
         other = sorted(n for n in {*given, *right} if given.get(n) != right.get(n))
         wrong = f"wrong: {', '.join(other)}"
-        say.send("found" if faults else wrong if other else "unchanged")
+        return "found" if faults else wrong if other else "unchanged"
     except KnotgymError as error:
         clear = str(error).isprintable()
-        say.send("refused" if clear else f"traceback: control characters in {error!r}")
+        return "refused" if clear else f"traceback: control characters in {error!r}"
     except BaseException as error:  # whatever it is, it is the outcome
-        say.send(f"traceback: {type(error).__name__}: {error}")
+        return f"traceback: {type(error).__name__}: {error}"
 
 
-def outcome(kind: str, path: Path, right: dict[str, str], limit: float = LIMIT) -> str:
-    """What becomes of a file, found out in a process of its own."""
-    forked = multiprocessing.get_context("fork")
-    heard, say = forked.Pipe(duplex=False)
-    child = forked.Process(target=_judge, args=(kind, path, right, say))
-    child.start()
-    say.close()
+def _judge(kind: str, right: dict[str, str], pipe: Any) -> None:
+    for path in iter(pipe.recv, None):
+        pipe.send((judged(kind, path, right), time.process_time()))
+
+
+def _as_commands_say(path: Path) -> str:
+    """ "harmful" where `verify`, which tries files first, would say so in a line."""
     try:
-        return str(heard.recv()) if heard.poll(limit) else "hang"
-    except EOFError:
-        return "crash"
-    finally:
-        child.kill()
-        child.join()
+        try_files([path])
+    except HarmfulFile:
+        return "harmful"
+    return ""
 
 
-def _classes(kind: str) -> dict[str, Callable[[Path, Random], None]]:
-    return {one.__name__: one for one in DAMAGES[kind]} if kind in DAMAGES else CLASSES
+class Readers:
+    """Processes that read files of a kind, one at a time and each in place of a lost one.
+
+    Attributes:
+        cpu: seconds that those before the one now took.
+    """
+
+    def __init__(self, kind: str, right: dict[str, str], limit: float = LIMIT) -> None:
+        self.cpu = 0.0
+        self._given, self._limit = (kind, right), limit
+        self._begin()
+
+    def _begin(self) -> None:
+        forked = multiprocessing.get_context("fork")
+        self._pipe, pipe = forked.Pipe()
+        self._child = forked.Process(target=_judge, args=(*self._given, pipe))
+        self._child.start()
+        pipe.close()
+        self._left, self._taken = READ_BY_ONE, 0.0
+
+    def outcome(self, path: Path) -> str:
+        """What becomes of a file; also a crash, or a hang."""
+        said = "hang"
+        try:
+            self._pipe.send(path)
+            if self._pipe.poll(self._limit):
+                said, self._taken = self._pipe.recv()
+        except (EOFError, OSError):
+            said = "crash"
+        self._left -= 1
+        if said in ("hang", "crash") or not self._left:
+            self.close()
+            self._begin()
+        return _as_commands_say(path) or said if said in ("hang", "crash") else said
+
+    def close(self) -> None:
+        """End the process."""
+        self._child.kill()
+        self._child.join()
+        self.cpu += self._taken
 
 
-def run(files: dict[str, Path], count: int, seed: int = 0) -> dict[str, Any]:
-    """Mutate and read: `count` copies of each file, the classes in turn."""
-    counts: dict[str, Counter[str]] = {}
-    bad: list[str] = []
+def run(
+    kind: str,
+    source: Path,
+    count: int,
+    seed: int = 0,
+    done: dict[str, Any] | None = None,
+    save: Callable[[dict[str, Any]], object] = lambda _: None,
+) -> dict[str, Any]:
+    """Mutate a file and read the copies, the classes of damage in turn.
+
+    Args:
+        kind, source: what is mutated.
+        count, seed: of the copies.
+        done: what an earlier run of the same file and seed returned; goes on from there.
+        save: told how far it is, after every READ_BY_ONE copies.
+
+    Returns:
+        Outcomes of each class, each bad one with its number, and CPU seconds; JSON.
+    """
+    asked = {"sha256": sha256(source), "bytes": source.stat().st_size, "seed": seed}
+    before = done or {"count": 0, "classes": {}, "bad": [], "cpu_seconds": 0.0}
+    counts = {one.__name__: Counter(before["classes"].get(one.__name__)) for one in DAMAGES[kind]}
+    bad: list[str] = [*before["bad"]]
+    began = time.process_time()
+    right = TOLD[kind](source)[1]
+    readers = Readers(kind, right)
+
+    def told(number: int) -> dict[str, Any]:
+        spent = before["cpu_seconds"] + readers.cpu + time.process_time() - began
+        found = {"count": number, "classes": counts, "bad": bad, "cpu_seconds": round(spent, 1)}
+        return {**asked, **found}
+
     with tempfile.TemporaryDirectory() as folder:
-        for kind, source in files.items():
-            right = told(kind, source)[1]
-            classes = _classes(kind)
-            for number in range(count):
-                name = list(classes)[number % len(classes)]
-                copy = copied(kind, source, Path(folder))
-                classes[name](copy, np.random.default_rng([seed, number]))
-                said = outcome(kind, copy, right)
-                counts.setdefault(f"{kind} {name}", Counter())[said.split(":")[0]] += 1
-                if said.split(":")[0] in ("traceback", "crash", "hang", "wrong"):
-                    bad.append(f"{kind} {name} {number}: {said}")
-    return {"count": count, "seed": seed, "counts": counts, "bad": bad}
+        for number in range(before["count"], count):
+            damage = DAMAGES[kind][number % len(DAMAGES[kind])]
+            copy = copied(kind, source, Path(folder))
+            damage(copy, np.random.default_rng([seed, number]))
+            said = readers.outcome(copy)
+            counts[damage.__name__][said.split(":")[0]] += 1
+            if said.split(":")[0] in BAD:
+                bad.append(f"{kind} {damage.__name__} {number}: {said}")
+            if (number + 1) % READ_BY_ONE == 0:
+                save(told(number + 1))
+    readers.close()
+    return told(count)
+
+
+def table(report: dict[str, Any]) -> str:
+    """The outcomes of every kind and class."""
+    rows = {
+        f"{kind}, {name}": row
+        for kind, one in report.items()
+        for name, row in one["classes"].items()
+    }
+    outcomes = sorted({name for row in rows.values() for name in row} | {*BAD})
+    lines = [("class", *outcomes), ("---", *("---:" for _ in outcomes))]
+    lines += [(name, *(str(row.get(one, 0)) for one in outcomes)) for name, row in rows.items()]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--count", type=int, default=400, help="copies of each file")
     parser.add_argument("--seed", type=int, default=0)
-    for kind in KINDS:
+    for kind in TOLD:
         parser.add_argument(f"--{kind}", type=Path)
     parser.add_argument("--out", type=Path)
     given = parser.parse_args()
-    files = {kind: getattr(given, kind) for kind in KINDS}
-    report = run({k: path for k, path in files.items() if path}, given.count, given.seed)
-    outcomes = sorted({name for row in report["counts"].values() for name in row})
-    print("| class |", " | ".join(outcomes), "|")
-    print("| --- |", " | ".join("---:" for _ in outcomes), "|")
-    for name, row in report["counts"].items():
-        print(f"| {name} |", " | ".join(str(row[one]) for one in outcomes), "|")
-    print(*report["bad"], sep="\n")
-    if given.out:
-        given.out.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+    report: dict[str, Any] = {}
+    if given.out and given.out.is_file():
+        report = json.loads(given.out.read_text(encoding="utf-8"))
+    for kind in TOLD:
+        source: Path | None = getattr(given, kind)
+        if source is None:
+            continue
+        asked = {"sha256": sha256(source), "seed": given.seed}
+        done = report.get(kind, {})
+        done = done if asked.items() <= done.items() else {}
+        if done.get("count", 0) >= given.count:
+            continue
+
+        def save(found: dict[str, Any], kind: str = kind) -> None:
+            report[kind] = found
+            if given.out:
+                given.out.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+
+        save(run(kind, source, given.count, given.seed, done, save))
+        print(*report[kind]["bad"], sep="\n", flush=True)
+    print(table(report))
 
 
 if __name__ == "__main__":

@@ -143,6 +143,11 @@ class TaskConfig:
             if not whole or value < least or (most is not None and value > most):
                 right = f"from {least} to {most}" if most else f"of at least {least}"
                 raise InvalidSetting(f"{name} must be a whole number {right}, got {value!r}")
+        if self.hold > self.horizon:
+            raise InvalidSetting(
+                f"hold {self.hold} is longer than the horizon of {self.horizon} steps: no episode"
+                f" could succeed; at most {self.horizon}"
+            )
         goals = self.max_goals
         if goals is not None and (not isinstance(goals, int) or goals is True or goals < 1):
             raise InvalidSetting(

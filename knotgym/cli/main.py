@@ -130,6 +130,12 @@ def _run(command: typer.Typer, name: str, arguments: Sequence[str] | None) -> No
             "a worker died, perhaps for want of memory; --resume goes on from the last cycle",
             _FAILED,
         )
+    except MemoryError:
+        status = _say(
+            "no memory was left, here or at a worker; what a run has finished is kept, --resume"
+            " goes on from there",
+            _FAILED,
+        )
     except OSError as error:
         # a name that can't be one is the user's
         status = _say(_trouble(error), _MISTAKEN if error.errno in _NO_NAME else _FAILED)

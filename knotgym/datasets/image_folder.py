@@ -10,6 +10,7 @@ from typing import Any
 from knotgym.atomic_files import atomic_write, sha256
 from knotgym.datasets.cards.image_card import card, summary
 from knotgym.datasets.image_table import read_table
+from knotgym.datasets.machine import machine
 from knotgym.datasets.walks_file import WalksMade, walks_of, write_walks
 from knotgym.rope import Array
 
@@ -38,9 +39,15 @@ def finish(
 
 
 def write_card_and_manifest(
-    folder: Path, shards: Sequence[Path], request: Mapping[str, Any], report: Mapping[str, Any]
+    folder: Path,
+    shards: Sequence[Path],
+    request: Mapping[str, Any],
+    report: Mapping[str, Any],
+    machines: Sequence[dict[str, str]] | None = None,
 ) -> None:
-    """Write card and manifest into a folder that has everything else; see `finish`."""
+    """Write card and manifest into a folder that has everything else, made on these machines or on
+    this one; see `finish`.
+    """
     facts = summary(folder)
     text = card(facts, request["config"], report, sum(path.stat().st_size for path in shards))
     with atomic_write(folder / "README.md") as temporary:
@@ -49,6 +56,7 @@ def write_card_and_manifest(
         "format": "knotgym-images-manifest",
         "format_version": 2,
         **request,
+        "machines": machines or [machine()],
         "report": report,
         "summary": facts,
         "files": {

@@ -8,6 +8,7 @@ are PNG, lossless, in the layout of Hugging Face's Image feature. pyarrow is imp
 
 from __future__ import annotations
 
+import hashlib
 import importlib
 import json
 import os
@@ -28,6 +29,7 @@ from knotgym.quality_limits import UNITS
 
 FORMAT = "knotgym-images"
 FORMAT_VERSION = 1
+DIGEST = "content_sha256"  # beside them: of all rows, see `row_line`
 GRADES = ("easy", "medium", "hard", "extreme")
 ROW_GROUP = 100  # rows that are read together at least
 _LEAST_ROW = 64  # bytes that a shard stores of a row, and more: each has a picture of its own
@@ -138,6 +140,12 @@ def write_rows(path: str | os.PathLike[str], rows: Sequence[Mapping[str, Any]]) 
 
 def write_table(path: str | os.PathLike[str], table: Any) -> None:
     """As `write_rows`, of a pyarrow.Table that has the schema."""
+    digest = hashlib.sha256()
+    for row in _rows(table):
+        digest.update(row_line(row))
+    named = {"format": FORMAT, "format_version": FORMAT_VERSION, DIGEST: digest.hexdigest()}
+    told = {**table.schema.metadata, b"knotgym": json.dumps(named, sort_keys=True)}
+    table = table.replace_schema_metadata(told)
     with atomic_write(path) as temporary:
         arrow("pyarrow.parquet").write_table(
             table, temporary, row_group_size=ROW_GROUP, compression="zstd", write_page_index=True
@@ -249,11 +257,30 @@ def read_rows(
     Arguments and errors are those of `read_table`.
     """
     for shard in shards(path, split):
-        for batch in read_table(shard, split, columns).to_batches():
-            for row in batch.to_pylist():
-                if "image" in row:
-                    row["image"] = row["image"]["bytes"]
-                yield row
+        yield from _rows(read_table(shard, split, columns))
+
+
+def _rows(table: Any) -> Iterator[dict[str, Any]]:
+    """The rows of a table, see `read_rows`."""
+    for batch in table.to_batches():
+        for row in batch.to_pylist():
+            if "image" in row:
+                row["image"] = row["image"]["bytes"]
+            yield row
+
+
+def row_line(row: Mapping[str, Any]) -> bytes:
+    """A row as a line of JSON, its values by column and its picture's SHA-256 in its place: the
+    SHA-256 of all lines is a shard's `content_sha256`, however it is stored.
+    """
+    told = {**row, "image": hashlib.sha256(row["image"]).hexdigest()}
+    line = json.dumps([told[name] for name in sorted(COLUMNS)], sort_keys=True)
+    return f"{line}\n".encode()
+
+
+def stored_digest(shard: Path) -> str:
+    """The checksum of its rows that a shard was written with; "" where that isn't known."""
+    return str(_named(arrow("pyarrow.parquet").ParquetFile(shard)).get(DIGEST, ""))
 
 
 def points_of(table: Any) -> NDArray[np.float64]:
@@ -267,8 +294,7 @@ def _read(path: Path, columns: list[str] | None) -> Any:
     require_regular(path, "Parquet shard", InvalidImages)
     try:
         file = parquet.ParquetFile(path)
-        named = json.loads((file.schema_arrow.metadata or {}).get(b"knotgym", b"{}"))
-        named = named if isinstance(named, dict) else {}
+        named = _named(file)
         name, version = named.get("format", "none"), named.get("format_version", "none")
         if (name, version) != (FORMAT, FORMAT_VERSION):
             raise InvalidImages(
@@ -286,6 +312,12 @@ def _read(path: Path, columns: list[str] | None) -> Any:
         if str(error).startswith(f"{path} has format"):
             raise
         raise InvalidImages(f"{path} isn't a whole Parquet shard: {one_line(error)}") from error
+
+
+def _named(file: Any) -> dict[str, Any]:
+    """What an open shard says of itself."""
+    named = json.loads((file.schema_arrow.metadata or {}).get(b"knotgym", b"{}"))
+    return named if isinstance(named, dict) else {}
 
 
 def _require_schema(file: Any, stored: int) -> None:

@@ -5,6 +5,7 @@ Every label, measure and picture is recomputed, every walk made again, and split
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,7 +24,9 @@ from knotgym.datasets.image_table import (
     points_of,
     read_rows,
     read_table,
+    row_line,
     shards,
+    stored_digest,
 )
 from knotgym.datasets.manifest_check import listed_faults, read_manifest
 from knotgym.datasets.near_duplicates import NEAR, distances
@@ -96,12 +99,18 @@ def image_faults(path: str | Path, each: Map = map) -> Iterator[str]:
 
 
 def shard_faults(path: Path) -> list[str]:
-    """Faults of the rows of a shard, each by itself."""
+    """Faults of the rows of a shard, each by itself, and whether they are those written into it."""
+    faults, now = [], hashlib.sha256()
     try:
-        rows = enumerate(read_rows(path))
-        return [f"{path.name} row {n}: {fault}" for n, row in rows for fault in _all_faults(row)]
+        for n, row in enumerate(read_rows(path)):
+            faults += [f"{path.name} row {n}: {fault}" for fault in _all_faults(row)]
+            now.update(row_line(row))
+        digest = stored_digest(path)
     except (InvalidImages, MissingFile) as error:
         return [str(error)]
+    if digest not in ("", now.hexdigest()):
+        faults.append(f"{path.name}: its rows are not those written into it (SHA-256 differs)")
+    return faults
 
 
 def _all_faults(row: dict[str, Any]) -> list[str]:

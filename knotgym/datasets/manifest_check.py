@@ -33,7 +33,10 @@ def read_manifest(folder: Path) -> tuple[dict[str, Any], list[str]]:
     """The manifest, which has `files` and `config`, empty if it can't be read; and that fault."""
     try:
         manifest = read_json(folder / "manifest.json")
-        checked = {"files": dict(manifest["files"]), "config": dict(manifest["config"])}
+        checked = {"files": manifest["files"], "config": manifest["config"]}
+        for name, value in checked.items():
+            if not isinstance(value, dict):
+                raise InvalidManifest(f"{name} should be an object")
         _require_inside(checked["files"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         return {}, [f"manifest.json can't be read: {one_line(error)}"]
@@ -65,7 +68,13 @@ def report_faults(manifest: Mapping[str, Any]) -> list[str]:
 
 
 def listed_faults(folder: Path, manifest: Mapping[str, Any]) -> Iterator[str]:
-    """Files that the manifest lists and that are missing or of another checksum."""
+    """Files that the manifest lists and that are missing or of another checksum; and HDF5 files
+    that it doesn't list.
+    """
+    there = (path for path in sorted(folder.rglob("*.h*5")) if path.is_file())
+    for name in (path.relative_to(folder).as_posix() for path in there) if manifest else ():
+        if name not in manifest.get("files", {}):
+            yield f"{name} is not in the manifest"
     for name, digest in manifest.get("files", {}).items():
         if not (folder / name).is_file():
             yield f"{name} is missing"

@@ -11,11 +11,14 @@ from typing import Any
 
 from knotgym.datasets.episode_verification import verify_episodes
 from knotgym.datasets.image_table import is_images
+from knotgym.datasets.machine import others
 from knotgym.datasets.state_schema import FORMAT
 from knotgym.datasets.state_verification import folder_faults, state_faults
 from knotgym.datasets.states import read_states
 from knotgym.hdf5_files import hdf5_format
 
+# what the faults of replays say, which another machine's rounding may be behind
+_REPLAYED = ("bit for bit", "acted out again")
 Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # as the built-in `map`
 
 
@@ -37,7 +40,26 @@ def verify(source: str | os.PathLike[str]) -> list[str]:
 
 
 def faults(source: str | os.PathLike[str], each: Map = map) -> Iterator[str]:
-    """As `verify`, each fault as soon as it is found; `each` as of `image_faults`."""
+    """As `verify`, each fault as soon as it is found; `each` as of `image_faults`.
+
+    Where nothing is wrong but that replays end elsewhere, and the run names another machine than
+    this, the last line says so.
+    """
+    elsewhere, wrong = False, False
+    for fault in _faults(source, each):
+        replayed = any(phrase in fault for phrase in _REPLAYED)
+        elsewhere, wrong = elsewhere or replayed, wrong or not replayed
+        yield fault
+    given = Path(source)
+    unlike = others(given) if elsewhere and not wrong and given.is_dir() else ""
+    if unlike:
+        yield (
+            f"{given}: made on another machine, {unlike}, which may round otherwise; all but the"
+            " replays is as it was written"
+        )
+
+
+def _faults(source: str | os.PathLike[str], each: Map) -> Iterator[str]:
     given = Path(source)
     if is_images(given):
         # here, because it alone needs pyarrow and the walks' simulation

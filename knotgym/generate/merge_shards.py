@@ -32,6 +32,7 @@ from knotgym.datasets.image_table import (
     shards,
     write_table,
 )
+from knotgym.datasets.machine import distinct
 from knotgym.datasets.near_duplicates import apart
 from knotgym.datasets.splits import IMAGE_SPLITS, STATE_SPLITS, split
 from knotgym.datasets.state_schema import DRAWING
@@ -177,7 +178,7 @@ def _states(ordered: Sequence[ShardFolder], folder: Path) -> Path:
     if request["source"] == DRAWING:
         merged = _split_anew(chosen, config)
         write_states(folder / "states.h5", merged)
-        state_folder.finish(folder, merged, report, request)
+        state_folder.finish(folder, merged, report, request, _machines(ordered))
         return folder
     merged = _renumbered(chosen, config)
     write_states(folder / "states.h5", merged)
@@ -206,8 +207,13 @@ def _states(ordered: Sequence[ShardFolder], folder: Path) -> Path:
     archives = [Archive.load(shard.folder / "archive.h5") for shard in ordered]
     search = from_json(SearchSettings, config["search"])
     _joined_archive(archives, search).save(folder / "archive.h5")
-    state_folder.finish(folder, merged, report, request)
+    state_folder.finish(folder, merged, report, request, _machines(ordered))
     return folder
+
+
+def _machines(ordered: Sequence[ShardFolder]) -> list[dict[str, str]]:
+    """Those that made the shards."""
+    return distinct(shard.manifest for shard in ordered)
 
 
 def _renumbered(states: States, config: dict[str, Any]) -> States:
@@ -276,7 +282,8 @@ def _episodes(ordered: Sequence[ShardFolder], folder: Path) -> Path:
     config = from_json(CollectConfig, request["config"])
     tally = sum((Tally(**shard.manifest["tally"]) for shard in ordered), Tally())
     files = [shard.folder / "main_data.hdf5" for shard in ordered]
-    return write_whole(config, files, tally, folder, request, concatenate=True)
+    machines = _machines(ordered)
+    return write_whole(config, files, tally, folder, request, concatenate=True, machines=machines)
 
 
 def _images(ordered: Sequence[ShardFolder], folder: Path) -> Path:
@@ -297,7 +304,7 @@ def _images(ordered: Sequence[ShardFolder], folder: Path) -> Path:
     write_walks(folder / "walks.h5", joined_walks(walks))
     near = sum(int((~rows).sum()) for rows in kept.values())
     report = _report_of_images([shard.manifest["report"] for shard in ordered], near)
-    image_folder.write_card_and_manifest(folder, written, request, report)
+    image_folder.write_card_and_manifest(folder, written, request, report, _machines(ordered))
     return folder
 
 

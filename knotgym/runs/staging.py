@@ -48,14 +48,22 @@ def lock_folder(partial: Path) -> Iterator[None]:
     ever stale.
 
     Raises:
-        Occupied: another process holds it.
+        Occupied: another process holds it, or its disk knows no locks.
     """
+    new = not partial.exists()
     partial.mkdir(parents=True, exist_ok=True)
     with open(partial / "lock", "w") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
             raise Occupied(f"another run is writing {partial.name[1:-8]} now") from error
+        except OSError as error:
+            if new:
+                shutil.rmtree(partial)
+            raise Occupied(
+                f"{partial.name[1:-8]} can't be kept from other runs, for its disk has no locks"
+                f" ({error.strerror}): choose an --out on another"
+            ) from error
         if not (partial / "lock").is_file() or not os.path.samestat(
             os.stat(partial / "lock"), os.fstat(lock.fileno())
         ):

@@ -11,14 +11,22 @@ from typing import Any
 from unittest import mock
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 
+from knotgym.datasets.states import read_states, shipped, write_states
 from knotgym.generate.states.archive import Archive
 
 from ..scripts import ROOT, run_script
 
 FOLDER = ROOT / "benchmarks"
-MODULES = {"damaged_files", "pulled", "rope_states"}  # what the scripts share
+MODULES = {
+    "damaged_files",
+    "damaged_hdf5",
+    "file_readers",
+    "pulled",
+    "rope_states",
+}  # what the scripts share
 SCRIPTS = sorted(path for path in FOLDER.glob("*.py") if path.stem not in MODULES)
 EXTRAS = ("torch", "torch.utils", "torch.utils.data", "warp", "mujoco_warp")
 
@@ -98,6 +106,16 @@ def test_the_published_environment_steps_beside_ours(tmp_path: Path) -> None:
 def test_a_random_policy_leaves_the_rope_an_unknot(tmp_path: Path) -> None:
     counts = figures("random_policy", tmp_path, "--steps", 8, "--ropes", 4, "--horizon", 2)
     assert counts["steps"] == 8 and counts["nan"] == counts["changed_knot_type"] == 0
+
+
+def test_hard_play_is_looked_at_and_goes_on_after_what_is_done(tmp_path: Path) -> None:
+    words = ("--ropes", 2, "--length", 1, "--every", 1, "--actions")
+    played = [figures("long_play", tmp_path, *words, count) for count in (6, 10)]
+    assert [one["way"] for one in played[1]["slices"]] == [
+        *("random", "one bead", "neighbours", "through", "tow")
+    ]
+    assert played[1]["slices"][:3] == played[0]["slices"]
+    assert not any(one["breaks"] for one in played[1]["slices"])
 
 
 def test_evaluations_make_the_table_of_learners(tmp_path: Path) -> None:
@@ -191,6 +209,21 @@ def test_the_transitions_of_an_archive_make_a_table(searched: Archive, tmp_path:
 
 
 # Seconds each, for the ropes they look at have to be tangled first, or processes have to start.
+
+
+@pytest.mark.slow
+def test_a_collection_that_is_killed_ends_with_the_same_bytes(tmp_path: Path) -> None:
+    told = figures("kills", tmp_path, "--kinds", "collect", "--kills", 1)["collect"]
+    assert told["kills"] == told["finished"] == 1 and told["faults"] == []
+
+
+@pytest.mark.slow
+def test_changed_bytes_of_every_column_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "states.h5"
+    write_states(path, read_states(shipped()).taken(np.array([1])))
+    told = figures("byte_classes", tmp_path, "--states", path, "--count", 1)["states"]
+    assert told.keys() >= {"qpos", "points", "image", "source/seed", "the library's own"}
+    assert told["points"]["caught"] == 1
 
 
 @pytest.mark.slow

@@ -88,7 +88,7 @@ WORDS: dict[str, tuple[str, ...]] = {
     "--count": ("0",),
     "--episodes": ("0", "x", "random=x", "x=1", "-1"),
     "--horizon": ("0",),
-    "--hold": ("0",),
+    "--hold": ("0", "999"),
     "--integrator-steps": ("0",),
     "--budget": ("-1",),
     "--steps": ("0",),
@@ -183,6 +183,16 @@ def test_some_mistakes_of_every_command_are_one_line(
     room: dict[str, str], capfd: pytest.CaptureFixture[str]
 ) -> None:
     assert complaints(list(lines())[::16], room, capfd) == []
+
+
+@pytest.mark.parametrize("command", ["collect", "evaluate", "prompt"])
+def test_a_hold_past_the_horizon_is_one_line(
+    command: str, room: dict[str, str], capfd: pytest.CaptureFixture[str]
+) -> None:
+    line = (command, *BASES[command], "--hold", "999")
+    assert complaints([line], room, capfd) == []
+    assert knotgym(*(_filled(word, room) for word in line)) == 2
+    assert "hold 999 is longer than the horizon of" in capfd.readouterr().err
 
 
 @pytest.mark.slow

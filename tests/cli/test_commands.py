@@ -520,3 +520,14 @@ def test_a_link_is_not_imported_by_its_bare_name(name: str) -> None:
     )
     assert run.returncode == 1
     assert f"import knotgym.{name}" in run.stderr.splitlines()[-1]
+
+
+def test_no_memory_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def full(*_: Any, **__: Any) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(cli, "app", full)
+    assert knotgym("dataset", "show", "x") == 1
+    assert capfd.readouterr().err.startswith("knotgym: no memory was left, here or at a worker")

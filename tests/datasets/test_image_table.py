@@ -105,3 +105,16 @@ def test_a_picture_that_would_fill_the_memory_is_refused() -> None:
     for data in (bomb, b"", b"GIF89a" + sound):
         with pytest.raises(InvalidImages):
             decode(data)
+
+
+def test_an_origin_that_was_changed_is_found_by_the_checksum(shard: Path, tmp_path: Path) -> None:
+    assert shard_faults(shard) == []
+    (fault,) = shard_faults(with_cell(shard, tmp_path, "source", "walk", 99))
+    assert fault.endswith("its rows are not those written into it (SHA-256 differs)")
+
+
+def test_a_shard_of_before_the_checksum_is_read(shard: Path, tmp_path: Path) -> None:
+    said = {"knotgym": '{"format": "knotgym-images", "format_version": 1}'}
+    assert not shard_faults(
+        changed(shard, tmp_path, lambda table: table.replace_schema_metadata(said))
+    )

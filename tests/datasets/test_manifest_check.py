@@ -10,7 +10,12 @@ from typing import Any
 import pytest
 
 from knotgym.configuration import UnreadableJson, read_json
-from knotgym.datasets.manifest_check import read_manifest, report_faults, run_report
+from knotgym.datasets.manifest_check import (
+    listed_faults,
+    read_manifest,
+    report_faults,
+    run_report,
+)
 
 SOUND: dict[str, Any] = {
     "config": {"seed": 0},
@@ -80,3 +85,19 @@ def test_a_pipe_and_what_is_too_large_are_not_read(tmp_path: Path) -> None:
             read_json(tmp_path / name)
     with pytest.raises(UnreadableJson, match="more than 100 bytes"):
         read_json(tmp_path / "large", most=100)
+
+
+@pytest.mark.parametrize("name", ["files", "config"])
+@pytest.mark.parametrize("value", ["", [], 3, None])
+def test_an_empty_word_for_a_list_of_files_is_a_fault(
+    tmp_path: Path, name: str, value: Any
+) -> None:
+    manifest, (fault,) = read_manifest(written(tmp_path, **{name: value}))
+    assert manifest == {} and f"{name} should be an object" in fault
+
+
+def test_a_data_file_that_is_not_listed_is_a_fault(tmp_path: Path) -> None:
+    manifest, _ = read_manifest(written(tmp_path, files={}))
+    (tmp_path / "states.h5").write_bytes(b"")
+    (tmp_path / "notes.txt").write_text("mine")
+    assert list(listed_faults(tmp_path, manifest)) == ["states.h5 is not in the manifest"]

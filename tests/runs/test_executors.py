@@ -28,6 +28,7 @@ from knotgym.tasks import TaskConfig
 
 from ..cli.test_generate_command import bytes_of, said
 from ..small_job import SECONDS, WANTED, knotgym, typed
+from .test_kills import COLLECT, made
 
 with_dask = pytest.mark.skipif(
     importlib.util.find_spec("distributed") is None, reason="Dask distributed isn't installed"
@@ -321,6 +322,79 @@ def test_a_scheduler_that_dies_is_one_line_and_the_run_goes_on_elsewhere(
     )
     assert knotgym("generate", *WANTED, "--workers", 1, "--out", out, "--resume", "--quiet") == 0
     assert bytes_of(out) == bytes_of(curated)
+
+
+def spoilt(room: Path, done: str, after: int) -> Path:
+    """What a worker loads at its start, so that it does this after some actions."""
+    path = room / "spoilt.py"
+    path.write_text(
+        "import itertools, os, signal\n"
+        "from knotgym.simulation import Simulation\n"
+        "def spoilt(*words, **more):\n"
+        f"    if next(Simulation.taken) >= {after}:\n        {done}\n"
+        "    return Simulation.whole(*words, **more)\n"
+        "if not hasattr(Simulation, 'whole'):  # a worker loads it more than once\n"
+        "    Simulation.whole, Simulation.taken = Simulation.step, itertools.count()\n"
+        "    Simulation.step = spoilt\n"
+    )
+    return path
+
+
+@with_dask
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("done", "line"),
+    [
+        ("raise MemoryError", "no memory was left, here or at a worker; what a run has finished"),
+        ("os.kill(os.getpid(), signal.SIGKILL)", "the cluster has had no worker for 2 s; --resume"),
+    ],
+    ids=["told", "killed by the system"],
+)
+def test_a_worker_out_of_memory_is_one_line_and_what_was_finished_is_kept(
+    done: str,
+    line: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    from knotgym.runs import dask_executor
+
+    words = (*COLLECT, "--quiet", "--out")
+    assert knotgym(*words, tmp_path / "whole", "--workers", 1) == 0
+    capfd.readouterr()
+    preload = spoilt(tmp_path, done, after=8)  # in the second shard
+    with cluster(tmp_path, 1, "--preload", str(preload)) as (scheduler, _, _):
+        engine = ("--engine", "dask", "--scheduler", scheduler)
+        wait_for_a_worker(scheduler)
+        monkeypatch.setattr(dask_executor, "WAIT", 2.0)
+        assert knotgym(*words, tmp_path / "a", *engine) == 1
+    (said_,) = said(capfd)
+    assert said_.startswith(f"knotgym: {line}")
+    assert list((tmp_path / "a").rglob("episodes-*.json"))
+    assert knotgym(*words, tmp_path / "a", "--workers", 1, "--resume") == 0
+    assert made(tmp_path / "a") == made(tmp_path / "whole")
+
+
+def wait_for_a_worker(scheduler: str) -> None:
+    from distributed import Client
+
+    with Client(scheduler, set_as_default=False) as client:
+        client.wait_for_workers(1, timeout=SECONDS)
+
+
+@with_dask
+@pytest.mark.slow
+def test_a_worker_of_another_version_is_one_line(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / "other.py"
+    other.write_text("import knotgym\nknotgym.__version__ = '0.0.9'\n")
+    with cluster(tmp_path, 1, "--preload", str(other)) as (scheduler, _, _):
+        engine = ("--engine", "dask", "--scheduler", scheduler)
+        assert knotgym(*COLLECT, *engine, "--quiet", "--out", tmp_path / "a") == 2
+    (line,) = said(capfd)
+    assert line.startswith("knotgym: a worker has knotgym 0.0.9 and MuJoCo ")
+    assert made(tmp_path / "a") == {}
 
 
 @with_dask

@@ -8,6 +8,7 @@ cluster's workers in test_engines.
 import contextlib
 import functools
 import importlib.util
+import itertools
 import json
 import os
 import resource
@@ -17,12 +18,16 @@ import subprocess
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from knotgym.runs import engine
+
 from ..cli.test_generate_command import bytes_of, held, said
 from ..small_job import SECONDS, SETTINGS, WANTED, knotgym, typed, wait_for_file
+from .test_engine import lockless
 
 with_arrow = pytest.mark.skipif(
     importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed"
@@ -347,3 +352,64 @@ def test_spoilt_walks_and_shards_of_pictures_are_made_anew(
     assert made(tmp_path / "a") == unbroken(IMAGES) and [
         path.name for path in tmp_path.iterdir()
     ] == ["a"]
+
+
+# What the engine's own tests say of the one engine (test_engine), here of each of the kinds.
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_disk_without_locks_is_one_line(
+    command: tuple[object, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    folder = final_folder(command, tmp_path)
+    lockless(monkeypatch)
+    assert knotgym(*command, "--workers", 1, "--quiet", "--out", tmp_path / "a") == 2
+    (line,) = said(capfd)
+    assert f"{folder.name} can't be kept from other runs, for its disk has no locks" in line
+    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", RESUMABLE)
+def test_a_clock_that_jumps_changes_no_byte(
+    command: tuple[object, ...],
+    unbroken: Unbroken,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    expected = unbroken(command)
+    jumps = itertools.cycle([1e9, -1e9, 0.0, 5e9, 3.0])
+    for name in ("time", "perf_counter"):
+        monkeypatch.setattr(time, name, lambda: next(jumps))
+    assert knotgym(*command, "--workers", 1, "--quiet", "--out", tmp_path / "a") == 0
+    assert made(tmp_path / "a") == expected
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", RESUMABLE)
+def test_a_folder_removed_under_a_run_is_one_line_and_the_next_makes_the_same(
+    command: tuple[object, ...],
+    unbroken: Unbroken,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    folder = final_folder(command, tmp_path)
+    followed = engine.Batch.follow
+
+    def removing(batch: engine.Batch, pool: Any) -> Iterator[None]:
+        for done in followed(batch, pool):
+            shutil.rmtree(folder.parent / f".{folder.name}.partial", ignore_errors=True)
+            yield done
+
+    with monkeypatch.context() as patch:
+        patch.setattr(engine.Batch, "follow", removing)
+        assert knotgym(*command, "--workers", 1, "--quiet", "--out", tmp_path / "a") in (1, 2)
+    (line,) = said(capfd)
+    assert line.startswith("knotgym: ") and made(tmp_path / "a") == {}
+    assert knotgym(*command, "--workers", 1, "--quiet", "--out", tmp_path / "a", "--resume") == 0
+    assert made(tmp_path / "a") == unbroken(command)

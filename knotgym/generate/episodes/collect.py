@@ -22,6 +22,7 @@ from knotgym.control.expert import Expert
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import Rollout, rollout
 from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
+from knotgym.datasets.machine import machine
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
 from knotgym.datasets.states import minari_root, read_states, ships, states_file
 from knotgym.errors import KnotgymError
@@ -292,9 +293,10 @@ def write_whole(
     request: dict[str, Any],
     *,
     concatenate: bool = False,
+    machines: Sequence[dict[str, str]] | None = None,
 ) -> Path:
-    """Write the dataset of a run below `root` from its episodes' files, `concatenate` as of
-    `publish`; its folder.
+    """Write the dataset of a run below `root` from its episodes' files, played on these machines or
+    on this one, `concatenate` as of `publish`; its folder.
 
     Raises:
         InvalidCollection: no episode is left.
@@ -306,18 +308,23 @@ def write_whole(
         )
     carried = None if ships(config.task.states) else states_file(config.task.states)
     made = publish(sources, _metadata(config, tally), root, concatenate=concatenate, states=carried)
-    _report(made / "data" / REPORT, request, tally)
+    _report(made / "data" / REPORT, request, tally, machines=machines)
     return made
 
 
 def _report(
-    path: Path, request: dict[str, Any], tally: Tally, files: dict[str, str] | None = None
+    path: Path,
+    request: dict[str, Any],
+    tally: Tally,
+    files: dict[str, str] | None = None,
+    machines: Sequence[dict[str, str]] | None = None,
 ) -> None:
     counted = {**asdict(tally), "planning_seconds": round(tally.planning_seconds, 1)}
     said = {
         "format": "knotgym-collection",
         "format_version": 1,
         **request,
+        "machines": machines or [machine()],
         "tally": counted,
         **({"files": files} if files else {}),
     }

@@ -22,6 +22,7 @@ from knotgym.atomic_files import sha256
 from knotgym.datasets.cards.state_card import card, summary
 from knotgym.datasets.episode_writer import EpisodeWriter
 from knotgym.datasets.gallery import write_gallery
+from knotgym.datasets.machine import machine
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
 from knotgym.datasets.splits import STATE_SPLITS, split
 from knotgym.datasets.states import States, demonstrations_id, write_states
@@ -150,14 +151,23 @@ def write(run: CurationRun, folder: Path, request: dict[str, Any]) -> None:
     finish(folder, states, report_of(run), request)
 
 
-def finish(folder: Path, states: States, report: dict[str, Any], request: dict[str, Any]) -> None:
-    """Write gallery, card and manifest into a folder that has the states and the trajectories."""
+def finish(
+    folder: Path,
+    states: States,
+    report: dict[str, Any],
+    request: dict[str, Any],
+    machines: Sequence[dict[str, str]] | None = None,
+) -> None:
+    """Write gallery, card and manifest into a folder that has the states and the trajectories, made
+    on these machines or on this one.
+    """
     write_gallery(folder / "gallery.png", states)
     (folder / "README.md").write_text(card(states, report, request["config"]), encoding="utf-8")
     manifest = {
         "format": "knotgym-manifest",
         "format_version": 2,
         **request,
+        "machines": machines or [machine()],
         "report": report,
         "summary": summary(states),
         "splits": states.split.tolist(),
