@@ -139,7 +139,9 @@ def play(way: str, seed: int, ropes: int, length: int, every: int) -> dict[str, 
         nan = ~np.isfinite(simulation.points).all(axis=(1, 2))
         for name, wrong in (("NaN", nan), ("wide gap", ~(gaps < bead))):
             counts[name] += int(wrong.sum())
-            breaks += [_named(way, seed, step, rope, name) for rope in np.flatnonzero(wrong)]
+            breaks += [
+                _named(way, seed, step, rope, name) for rope in np.flatnonzero(wrong).tolist()
+            ]
         if step % every == every - 1 or step == length - 1:
             now = types(simulation)
             counts["certified"] += sum(1 for one in now if one)

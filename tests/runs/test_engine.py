@@ -31,7 +31,7 @@ def squared(number: int) -> int:
 class Squares:
     """A recipe of squares, saved after each."""
 
-    flexible = ()
+    flexible: tuple[str, ...] = ()
     done: list[int]
 
     def request(self) -> dict[str, Any]:
