@@ -4,6 +4,7 @@ is tried before hours of work. Under a pseudo-terminal where a person would look
 
 from __future__ import annotations
 
+import importlib.util
 import io
 import json
 import os
@@ -22,7 +23,6 @@ import pytest
 from rich.console import Console
 
 from knotgym.cli import main as cli
-from knotgym.cli import run_commands
 from knotgym.cli.options import default_folder
 from knotgym.cli.summaries import _in_words
 from knotgym.control.policies import PolicyConfig
@@ -120,21 +120,38 @@ def test_a_terminal_is_told_from_the_first_moment_and_at_the_end(
     assert result in told.partition("starting")[2]
 
 
-def test_the_first_line_comes_before_anything_heavy_is_imported(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    class Entered(Exception):
-        pass
+FIRST_LINES = """
+import os, sys
+from typer.testing import CliRunner
+from knotgym.cli.main import app
+from knotgym.runs.progress import Progress
 
-    def enter(progress: Progress) -> Progress:
-        raise Entered
+HEAVY = ("mujoco", "numba", "cv2", "h5py", "minari", "torch", "pyarrow", "openai")
+early = {}
 
-    monkeypatch.setattr(Progress, "__enter__", enter)
-    for name in ("knotgym.generate.states.state_recipe", "knotgym.generate.images.image_recipe"):
-        monkeypatch.setitem(sys.modules, name, None)  # importing it would fail
-    for command in (run_commands.generate, run_commands.images):
-        with pytest.raises(Entered):
-            command()
+def enter(progress):
+    early[command] = [name for name in HEAVY if name in sys.modules]
+    raise KeyboardInterrupt
+
+Progress.__enter__ = enter
+for command in sys.argv[1:]:
+    CliRunner().invoke(app, command.split())
+print(early)
+"""
+
+
+def test_the_first_line_comes_before_anything_heavy_is_imported() -> None:
+    commands = [
+        *("generate", "collect", "suite", "evaluate", "images", "prompt --model x"),
+        *(f"dataset {name} x" for name in ("show", "verify", "gallery", "replay", "page")),
+        *("dataset merge x --out y", "dataset export x --out y"),
+    ]
+    if all(importlib.util.find_spec(name) for name in ("torch", "safetensors")):
+        commands.append("train --out y --data x")
+    run = subprocess.run(
+        [sys.executable, "-c", FIRST_LINES, *commands], capture_output=True, text=True, check=True
+    )
+    assert run.stdout.strip() == str({command: [] for command in commands})
 
 
 def test_it_ticks_while_a_single_piece_of_work_goes_on() -> None:
@@ -440,13 +457,21 @@ def test_numbers_and_dicts_are_told_in_words() -> None:
     ],
 )
 def test_verify_takes_all_that_a_run_made_and_says_what_it_checked(
-    curated: Path, capfd: pytest.CaptureFixture[str], name: str, told: str
+    curated: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    name: str,
+    told: str,
 ) -> None:
+    counted: set[tuple[object, ...]] = set()
+    monkeypatch.setattr(Progress, "stage", lambda _, *said: counted.add(said))
     assert knotgym("dataset", "verify", curated / name) == 0
     last = capfd.readouterr().out.splitlines()[-1]
     assert told in last and last.endswith("no faults")
     if not name:
         assert "checksums" in last
+        assert {("states", 7, 8), ("episodes", 1, 2)} <= counted
+        assert any(said[0] == "episodes acted out again" for said in counted)
 
 
 @pytest.mark.parametrize(
