@@ -22,6 +22,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from knotgym import __version__
 from knotgym.cli import main as cli
 from knotgym.cli.options import default_folder
 from knotgym.cli.summaries import _in_words
@@ -35,7 +36,7 @@ from knotgym.runs.run_options import RunOptions
 from knotgym.runs.staging import staging_folder
 from knotgym.tasks import TaskConfig
 
-from ..small_job import knotgym
+from ..small_job import knotgym, typed
 
 ROOT = Path(__file__).parents[2]
 ID = "knotgym/tie-nx1/demonstrations-v0"
@@ -118,6 +119,31 @@ def test_a_terminal_is_told_from_the_first_moment_and_at_the_end(
         "export": "2 episodes, ",
     }[command]
     assert result in told.partition("starting")[2]
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        name if name == "evaluate" else pytest.param(name, marks=pytest.mark.slow)
+        for name in COMMANDS
+    ],
+)
+def test_the_first_line_costs_less_than_two_seconds(
+    command: str, curated: Path, tmp_path: Path
+) -> None:
+    words = [str(word).format(tmp_path, curated=curated) for word in COMMANDS[command]]
+    master, slave = pty.openpty()
+    run = subprocess.Popen(
+        typed(*words), stdout=slave, stderr=slave, env={**os.environ, "TERM": "xterm"}
+    )
+    assert os.read(master, 1)
+    run.kill()
+    _, _, used = os.wait4(run.pid, 0)
+    run.returncode = -9  # waited for just now
+    os.close(slave)
+    os.close(master)
+    # computing, for the time by the clock depends on what else the machine does
+    assert used.ru_utime + used.ru_stime < 2
 
 
 FIRST_LINES = """
@@ -522,6 +548,13 @@ def test_a_path_that_is_not_there_is_no_such_file(
     assert knotgym("dataset", command, tmp_path / "absent", *more) == 2
     (line,) = said(capfd)
     assert f"no such file: {tmp_path / 'absent'}" in line and list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif("+" in __version__, reason="a checkout that isn't installed")
+def test_a_dataset_requires_this_distribution_not_the_published_one(curated: Path) -> None:
+    told = json.loads((curated / WAYS / "data/metadata.json").read_text(encoding="utf-8"))
+    assert f"knotgym>={__version__}" in told["requirements"] and int(__version__.split(".")[0]) >= 1
+    assert " " not in told["observation_space"]
 
 
 # The links at the top of a checkout.
