@@ -178,14 +178,14 @@ def test_verify_asks_the_check_that_is_for_what_is_there(tmp_path: Path, monkeyp
     assert knotgym.verify("knotgym/tie-nx2/expert-v0") == ["knotgym/tie-nx2/expert-v0 bad"]
     monkeypatch.setattr(
         "knotgym.datasets.image_verification.image_faults",
-        lambda path, each: iter([f"{path.name} bad"]),
+        lambda path, *_: iter([f"{path.name} bad"]),
     )
     (tmp_path / "train.parquet").write_bytes(b"PAR1")
     assert knotgym.verify(tmp_path / "train.parquet") == ["train.parquet bad"]
     (tmp_path / "made").mkdir()
     (tmp_path / "made" / "manifest.json").write_text("{}")
     monkeypatch.setattr(
-        "knotgym.datasets.verification.folder_faults", lambda path: iter([f"{path.name} bad"])
+        "knotgym.datasets.verification.folder_faults", lambda path, *_: iter([f"{path.name} bad"])
     )
     assert knotgym.verify(tmp_path / "made") == ["made bad"]
 

@@ -425,3 +425,16 @@ def test_the_citation_has_the_version_of_the_package() -> None:
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert f"\nversion: {project['version']}\n" in citation
     assert all((ROOT / name).is_file() for name in project["license-files"])
+
+
+def test_every_extra_is_named_by_readme() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"][
+        "optional-dependencies"
+    ]
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    missing = [
+        name
+        for name in extras
+        if name != "check" and f"`{name}`" not in text and f"[{name}]" not in text  # CI's own
+    ]
+    assert missing == []

@@ -95,7 +95,7 @@ def faults(named: str, progress: Progress) -> Iterator[str]:
     with executor(0 if large else 1) as pool:
         for _, path in places(named):
             progress.stage(f"checking {path}")
-            yield from verification.faults(path, pool.map)
+            yield from verification.faults(path, pool.map, progress.stage)
 
 
 def checked(named: str) -> str:

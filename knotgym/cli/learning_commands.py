@@ -11,6 +11,7 @@ from rich.console import Console
 
 from knotgym.cli.options import QuietOption, ResumeOption, SettingsOption, with_settings
 from knotgym.errors import KnotgymError
+from knotgym.runs.progress import Progress
 
 
 class MissingLearn(KnotgymError, ImportError):
@@ -38,8 +39,9 @@ def train(
                 f"knotgym train needs {library}, which isn't installed: pip install"
                 " 'knotgym[learn]'"
             )
-    from knotgym.learn.training import TrainConfig
-    from knotgym.learn.training import train as run
+    with Progress(quiet, console=Console(stderr=True)) as progress:
+        from knotgym.learn.training import TrainConfig
+        from knotgym.learn.training import train as run
 
-    config = with_settings(TrainConfig(steps=steps, seed=seed), settings)
-    run(data, out, config, resume=resume, quiet=quiet, console=Console(stderr=True))
+        config = with_settings(TrainConfig(steps=steps, seed=seed), settings)
+        run(data, out, config, resume=resume, progress=progress)

@@ -6,7 +6,7 @@ Points are compared bit for bit, as are rewards and observations; a code is aske
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -36,6 +36,12 @@ from knotgym.topology.reference_labeller import pyknotid_code
 from knotgym.towing import TowBound
 
 _BATCH = 64  # episodes replayed side by side
+
+Count = Callable[[str, int, int], None]  # told what is looked at, how many were, and of how many
+
+
+def uncounted(what: str, done: int, total: int) -> None:
+    """A `Count` that nobody reads."""
 
 
 def replay(episodes: Sequence[Episode], task: TaskConfig, threads: int = 1) -> list[int | None]:
@@ -73,6 +79,7 @@ def verify_episodes(
     pyknotid: bool = True,
     act_out: bool = False,
     threads: int = 1,
+    count: Count = uncounted,
 ) -> list[str]:
     """Check an episode file or a Minari dataset.
 
@@ -83,6 +90,7 @@ def verify_episodes(
         pyknotid: ask the independent labeller about each episode's last state, about 10 ms each.
         act_out: `replay` every episode without a fault.
         threads: of the simulation that does.
+        count: told after each episode.
 
     Returns:
         Faults, each naming the file, the episode and where it can the step; empty when all is well.
@@ -95,12 +103,14 @@ def verify_episodes(
     faults = [*_file_faults(reader, rope), *split_faults(reader), *duplicate_faults(reader)]
     faultless: list[int] = []
     for index, row in enumerate(reader.rows):
+        count("episodes", index, len(reader))
         where = f"{reader.path}, episode {row}"
         own = _faults_of(reader, index, rope, frames, pyknotid)
         faults += [f"{where}: {fault.removeprefix(f'{where}: ')}" for fault in own]
         if not own:
             faultless.append(index)
     for start in range(0, len(faultless) if act_out else 0, _BATCH):
+        count("episodes acted out again", start, len(faultless))
         batch = faultless[start : start + _BATCH]
         different = replay([reader.episode(index) for index in batch], reader.task, threads)
         for index, step in zip(batch, different, strict=True):

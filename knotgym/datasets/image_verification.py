@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.configuration import from_json
+from knotgym.datasets.episode_verification import Count, uncounted
 from knotgym.datasets.image_rows import appearance_of, labels, measures
 from knotgym.datasets.image_table import (
     GRADES,
@@ -69,7 +70,7 @@ class _WalkBatch(NamedTuple):
     relaxation: RelaxationConfig
 
 
-def image_faults(path: str | Path, each: Map = map) -> Iterator[str]:
+def image_faults(path: str | Path, each: Map = map, count: Count = uncounted) -> Iterator[str]:
     """Faults of a table: manifest and checksums first, then rows, then splits, then walks.
 
     Args:
@@ -77,13 +78,16 @@ def image_faults(path: str | Path, each: Map = map) -> Iterator[str]:
             checked.
         each: does the work on shards and walks, in any order or place, and returns the results in
             order: `map`, or a pool's.
+        count: told after each file of pictures and each batch of walks.
     """
     folder = Path(path)
     arrow()
     if folder.is_dir():
         yield from _folder_faults(folder)
-    readable = True
-    for faults in each(shard_faults, shards(path)):
+    readable, files = True, shards(path)
+    count("files of pictures", 0, len(files))
+    for done, faults in enumerate(each(shard_faults, files), 1):
+        count("files of pictures", done, len(files))
         yield from faults
         readable &= not any("Parquet shard" in fault or "format" in fault for fault in faults)
     if not readable:
@@ -94,7 +98,11 @@ def image_faults(path: str | Path, each: Map = map) -> Iterator[str]:
     if folder.is_dir():
         batches, faults = _walk_batches(folder)
         yield from faults
-        for faults in each(_walk_faults, batches):
+        rows, done = sum(len(batch.rows) for batch in batches), 0
+        count("walks made again", done, rows)
+        for batch, faults in zip(batches, each(_walk_faults, batches), strict=True):
+            done += len(batch.rows)
+            count("walks made again", done, rows)
             yield from faults
 
 

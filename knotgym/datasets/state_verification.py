@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from knotgym.actions import drawn_actions
 from knotgym.configuration import from_json
 from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.datasets.episode_verification import verify_episodes
+from knotgym.datasets.episode_verification import Count, uncounted, verify_episodes
 from knotgym.datasets.manifest_check import listed_faults, read_manifest, report_faults
 from knotgym.datasets.near_duplicates import NEAR, distances, repeated
 from knotgym.datasets.splits import STATE_SPLITS
@@ -43,10 +43,11 @@ REDRAWN = 1e-4
 _LONGEST = 100_000  # actions of a random walk; more are a slip, and would fill the memory
 
 
-def state_faults(states: States) -> Iterator[str]:
+def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
     """Faults of the rows: schema, labels, measures, pictures, replay of the provenance, splits.
 
-    Of a file that says the checksum of its columns also whether they are those.
+    Of a file that says the checksum of its columns also whether they are those. `count` is told
+    after each row.
     """
     rope = Rope()
     if states.attributes.get("rope") != rope.config.fingerprint:
@@ -61,8 +62,10 @@ def state_faults(states: States) -> Iterator[str]:
         return
     for first in range(0, len(states), AT_ONCE):
         rows = range(first, min(first + AT_ONCE, len(states)))
+        count("states", first, len(states))
         ends = _replayed(states, rows, rope)
         for row in rows:
+            count("states", row, len(states))
             for fault in _row_faults(states, row, rope, ends.get(row)):
                 yield f"states.h5 row {row}: {fault}"
     yield from _leaks(states)
@@ -73,10 +76,11 @@ def state_faults(states: States) -> Iterator[str]:
         yield "states.h5: its columns are not those written into it (SHA-256 differs)"
 
 
-def folder_faults(folder: Path) -> Iterator[str]:
+def folder_faults(folder: Path, count: Count = uncounted) -> Iterator[str]:
     """Faults of a folder that `knotgym generate` made.
 
     Manifest and checksums come first, then the rows, then the trajectories, then the splits.
+    `count` is told after each row and episode.
     """
     manifest, faults = read_manifest(folder)
     yield from faults
@@ -87,9 +91,9 @@ def folder_faults(folder: Path) -> Iterator[str]:
     except (InvalidStates, MissingFile) as error:
         yield str(error)
         return
-    yield from state_faults(states)
+    yield from state_faults(states, count)
     for dataset in sorted(folder.glob("minari/**/main_data.hdf5")):
-        own = verify_episodes(dataset, act_out=True)
+        own = verify_episodes(dataset, act_out=True, count=count)
         yield from own
         if not own:
             name = dataset.relative_to(folder / "minari").parents[1].as_posix()

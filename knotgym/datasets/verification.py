@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from knotgym.datasets.episode_verification import verify_episodes
+from knotgym.datasets.episode_verification import Count, uncounted, verify_episodes
 from knotgym.datasets.image_table import is_images
 from knotgym.datasets.machine import others
 from knotgym.datasets.state_schema import FORMAT
@@ -39,14 +39,17 @@ def verify(source: str | os.PathLike[str]) -> list[str]:
     return list(faults(source))
 
 
-def faults(source: str | os.PathLike[str], each: Map = map) -> Iterator[str]:
-    """As `verify`, each fault as soon as it is found; `each` as of `image_faults`.
+def faults(
+    source: str | os.PathLike[str], each: Map = map, count: Count = uncounted
+) -> Iterator[str]:
+    """As `verify`, each fault as soon as it is found; `each` as of `image_faults`, and `count` told
+    what is looked at, how many were, and of how many.
 
     Where nothing is wrong but that replays end elsewhere, and the run names another machine than
     this, the last line says so.
     """
     elsewhere, wrong = False, False
-    for fault in _faults(source, each):
+    for fault in _faults(source, each, count):
         replayed = any(phrase in fault for phrase in _REPLAYED)
         elsewhere, wrong = elsewhere or replayed, wrong or not replayed
         yield fault
@@ -59,16 +62,16 @@ def faults(source: str | os.PathLike[str], each: Map = map) -> Iterator[str]:
         )
 
 
-def _faults(source: str | os.PathLike[str], each: Map) -> Iterator[str]:
+def _faults(source: str | os.PathLike[str], each: Map, count: Count) -> Iterator[str]:
     given = Path(source)
     if is_images(given):
         # here, because it alone needs pyarrow and the walks' simulation
         from knotgym.datasets.image_verification import image_faults
 
-        yield from image_faults(given, each)
+        yield from image_faults(given, each, count)
     elif given.is_dir() and any((given / n).is_file() for n in ("manifest.json", "states.h5")):
-        yield from folder_faults(given)
+        yield from folder_faults(given, count)
     elif given.is_file() and hdf5_format(given) in (FORMAT, None):
-        yield from state_faults(read_states(given))
+        yield from state_faults(read_states(given), count)
     else:
-        yield from verify_episodes(str(source), act_out=True, threads=0)
+        yield from verify_episodes(str(source), act_out=True, threads=0, count=count)

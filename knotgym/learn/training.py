@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from rich.console import Console
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
@@ -77,7 +76,7 @@ def train(
     *,
     resume: bool = False,
     quiet: bool = False,
-    console: Console | None = None,
+    progress: Progress | None = None,
 ) -> Learned:
     """Train a learner on datasets and write its folder.
 
@@ -85,30 +84,33 @@ def train(
         InvalidTraining: the folder holds another training, or none to resume.
         InvalidTrainingData, InvalidEpisodeFile, MissingFile: the data won't do.
     """
-    console = console or Console(stderr=True)
+    if progress is None:
+        with Progress(quiet) as progress:
+            return train(datasets, out, config, resume=resume, progress=progress)
     began = time.perf_counter()
+    progress.stage("reading the episodes")
     data = read_training_data(datasets)
     request = {"config": as_json(config), "data_sha256": data.digest}
     kept = _begin(out, request, resume)
     if "rope" not in kept:
-        kept |= _fit_rope(data, config, None if quiet else console)
+        kept |= _fit_rope(data, config, progress)
         _keep(out, kept)
     rope = kept["rope"].numpy()
     training = ReaderTraining(data, Dynamics(rope), config.steps, config.batch, config.seed)
     if "losses" in kept:
         _restore(out, training, kept)
-    with Progress(quiet, console=console) as progress:
 
-        def status() -> Status:
-            facts = {"loss": f"{training.losses[-1][1]:.3f}"} if training.losses else {}
-            return Status(training.step, config.steps, "steps of the reader", facts, even=True)
+    def status() -> Status:
+        facts = {"loss": f"{training.losses[-1][1]:.3f}"} if training.losses else {}
+        return Status(training.step, config.steps, "steps of the reader", facts, even=True)
 
-        while training.step < config.steps:
-            progress.show(status)
-            training.advance()
-            if training.step % config.save_every == 0 or training.step == config.steps:
-                _keep(out, kept | training.state())
-        progress.show(status, last=True)
+    progress.stage("learning to read")
+    while training.step < config.steps:
+        progress.show(status)
+        training.advance()
+        if training.step % config.save_every == 0 or training.step == config.steps:
+            _keep(out, kept | training.state())
+    progress.show(status, last=True)
     learned = Learned(training.reader.eval(), rope, _places(data, config))
     _draw_curve(out, training.losses)
     errors = 1000 * kept["fit"]
@@ -175,17 +177,15 @@ def _keep(out: Path, kept: dict[str, Tensor]) -> None:
         part.write_bytes(save({name: own.contiguous() for name, own in kept.items()}))
 
 
-def _fit_rope(
-    data: TrainingData, config: TrainConfig, console: Console | None
-) -> dict[str, Tensor]:
+def _fit_rope(data: TrainingData, config: TrainConfig, progress: Progress) -> dict[str, Tensor]:
     """The numbers of the rope's model, "rope", and the errors that its stages left, "fit"."""
+    progress.stage("fitting the rope's model")
     rng = generator(Stream.LEARN_ROPE, config.seed)
     errors: list[float] = []
 
     def told(stage: str, error: float) -> None:
         errors.append(error)
-        if console is not None:
-            console.print(f"rope's model, {stage}: {1000 * error:.2f} mm", highlight=False)
+        progress.say(f"rope's model, {stage}: {1000 * error:.2f} mm")
 
     rope = fitted(_some(data.stretches, config.stretches, rng), rng, config.tries, told)
     return {"rope": torch.from_numpy(rope), "fit": torch.tensor(errors, dtype=torch.float64)}

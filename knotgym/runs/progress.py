@@ -57,7 +57,7 @@ class Progress:
     ) -> None:
         self._clock, self._began = clock, clock()
         self._told: float | None = None
-        self._first: Status | None = None
+        self._first: tuple[float, Status] | None = None  # the first status, and when
         self._status: Status | None = None
         self._stage, self._count = "starting", ""
         self.console = console or Console()
@@ -92,7 +92,9 @@ class Progress:
             self.console.print(text, soft_wrap=True, highlight=False, markup=False)
 
     def stage(self, name: str, done: int = 0, total: int = 0) -> None:
-        """Say what is being done now, and how much of it is."""
+        """Say what is being done now, and how much of it is; in plain lines until a status is."""
+        if self._lines and self._told is None and name != self._stage:
+            self.say(f"{self._clock() - self._began:5.0f} s  {name}")
         self._stage, self._count = name, f" {done} of {total}" if total else ""
 
     def show(self, status_of: Callable[[], Status], last: bool = False) -> None:
@@ -101,7 +103,7 @@ class Progress:
         if self._quiet or (self._told is not None and now - self._told < every and not last):
             return
         self._told, self._status = now, status_of()
-        self._first = self._first or self._status
+        self._first = self._first or (now, self._status)
         if self._lines:
             line = "; ".join(f"{name} {value}" for name, value in self._facts().items())
             self.console.print(
@@ -110,13 +112,14 @@ class Progress:
 
     def _facts(self) -> dict[str, str]:
         """What is to be told now, name -> value."""
-        status, first = self._status, self._first
-        if status is None or first is None:
+        status = self._status
+        if status is None or self._first is None:
             return {}
+        since, first = self._first
         facts = {status.counted: f"{status.done} of {status.total}", **status.facts}
         done = status.done - first.done  # what an earlier sitting did says nothing of the speed
         if status.even and 0 < done < status.total:
-            left = (self._clock() - self._began) * (status.total - status.done) / done
+            left = (self._clock() - since) * (status.total - status.done) / done
             facts["time left, about"] = duration(left)
         return facts
 

@@ -62,6 +62,15 @@ def test_the_page_has_lines_for_every_client_of_its_table() -> None:
     assert all("```python" in text for text in SECTIONS.values())
 
 
+def test_readme_gives_lines_of_that_page() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    table = text.split("## With your trainer")[1].split("\n## ")[0]
+    rows = dict(re.findall(r"^\| ([\w-]+)[^|]* \| (.*`.*) \|$", table, re.M))
+    assert [*rows] == [*NEEDS]
+    for client, lines in rows.items():
+        assert all(line in SECTIONS[client] for line in re.findall(r"`(.+?)`", lines)), client
+
+
 @pytest.mark.clients
 @pytest.mark.parametrize("client", [*NEEDS])
 def test_the_lines_of_the_page_run(client: str, room: Path) -> None:

@@ -4,6 +4,7 @@ is tried before hours of work. Under a pseudo-terminal where a person would look
 
 from __future__ import annotations
 
+import importlib.util
 import io
 import json
 import os
@@ -21,8 +22,8 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from knotgym import __version__
 from knotgym.cli import main as cli
-from knotgym.cli import run_commands
 from knotgym.cli.options import default_folder
 from knotgym.cli.summaries import _in_words
 from knotgym.control.policies import PolicyConfig
@@ -35,7 +36,7 @@ from knotgym.runs.run_options import RunOptions
 from knotgym.runs.staging import staging_folder
 from knotgym.tasks import TaskConfig
 
-from ..small_job import knotgym
+from ..small_job import knotgym, typed
 from .test_generate_command import held
 
 ROOT = Path(__file__).parents[2]
@@ -121,21 +122,63 @@ def test_a_terminal_is_told_from_the_first_moment_and_at_the_end(
     assert result in told.partition("starting")[2]
 
 
-def test_the_first_line_comes_before_anything_heavy_is_imported(
-    monkeypatch: pytest.MonkeyPatch,
+@pytest.mark.parametrize(
+    "command",
+    [
+        name if name == "evaluate" else pytest.param(name, marks=pytest.mark.slow)
+        for name in COMMANDS
+    ],
+)
+def test_the_first_line_costs_less_than_two_seconds(
+    command: str, curated: Path, tmp_path: Path
 ) -> None:
-    class Entered(Exception):
-        pass
+    words = [str(word).format(tmp_path, curated=curated) for word in COMMANDS[command]]
+    master, slave = pty.openpty()
+    run = subprocess.Popen(
+        typed(*words), stdout=slave, stderr=slave, env={**os.environ, "TERM": "xterm"}
+    )
+    assert os.read(master, 1)
+    run.kill()
+    _, _, used = os.wait4(run.pid, 0)
+    run.returncode = -9  # waited for just now
+    os.close(slave)
+    os.close(master)
+    # computing, for the time by the clock depends on what else the machine does
+    assert used.ru_utime + used.ru_stime < 2
 
-    def enter(progress: Progress) -> Progress:
-        raise Entered
 
-    monkeypatch.setattr(Progress, "__enter__", enter)
-    for name in ("knotgym.generate.states.state_recipe", "knotgym.generate.images.image_recipe"):
-        monkeypatch.setitem(sys.modules, name, None)  # importing it would fail
-    for command in (run_commands.generate, run_commands.images):
-        with pytest.raises(Entered):
-            command()
+FIRST_LINES = """
+import os, sys
+from typer.testing import CliRunner
+from knotgym.cli.main import app
+from knotgym.runs.progress import Progress
+
+HEAVY = ("mujoco", "numba", "cv2", "h5py", "minari", "torch", "pyarrow", "openai")
+early = {}
+
+def enter(progress):
+    early[command] = [name for name in HEAVY if name in sys.modules]
+    raise KeyboardInterrupt
+
+Progress.__enter__ = enter
+for command in sys.argv[1:]:
+    CliRunner().invoke(app, command.split())
+print(early)
+"""
+
+
+def test_the_first_line_comes_before_anything_heavy_is_imported() -> None:
+    commands = [
+        *("generate", "collect", "suite", "evaluate", "images", "prompt --model x"),
+        *(f"dataset {name} x" for name in ("show", "verify", "gallery", "replay", "page")),
+        *("dataset merge x --out y", "dataset export x --out y"),
+    ]
+    if all(importlib.util.find_spec(name) for name in ("torch", "safetensors")):
+        commands.append("train --out y --data x")
+    run = subprocess.run(
+        [sys.executable, "-c", FIRST_LINES, *commands], capture_output=True, text=True, check=True
+    )
+    assert run.stdout.strip() == str({command: [] for command in commands})
 
 
 def test_it_ticks_while_a_single_piece_of_work_goes_on() -> None:
@@ -450,13 +493,21 @@ def test_numbers_and_dicts_are_told_in_words() -> None:
     ],
 )
 def test_verify_takes_all_that_a_run_made_and_says_what_it_checked(
-    curated: Path, capfd: pytest.CaptureFixture[str], name: str, told: str
+    curated: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    name: str,
+    told: str,
 ) -> None:
+    counted: set[tuple[object, ...]] = set()
+    monkeypatch.setattr(Progress, "stage", lambda _, *said: counted.add(said))
     assert knotgym("dataset", "verify", curated / name) == 0
     last = capfd.readouterr().out.splitlines()[-1]
     assert told in last and last.endswith("no faults")
     if not name:
         assert "checksums" in last
+        assert {("states", 7, 8), ("episodes", 1, 2)} <= counted
+        assert any(said[0] == "episodes acted out again" for said in counted)
 
 
 @pytest.mark.parametrize(
@@ -507,6 +558,13 @@ def test_a_path_that_is_not_there_is_no_such_file(
     assert knotgym("dataset", command, tmp_path / "absent", *more) == 2
     (line,) = said(capfd)
     assert f"no such file: {tmp_path / 'absent'}" in line and list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif("+" in __version__, reason="a checkout that isn't installed")
+def test_a_dataset_requires_this_distribution_not_the_published_one(curated: Path) -> None:
+    told = json.loads((curated / WAYS / "data/metadata.json").read_text(encoding="utf-8"))
+    assert f"knotgym>={__version__}" in told["requirements"] and int(__version__.split(".")[0]) >= 1
+    assert " " not in told["observation_space"]
 
 
 # The links at the top of a checkout.

@@ -111,7 +111,10 @@ def test_the_largest_nx_is_for_test_nx_alone(rows: list[dict[str, Any]]) -> None
 
 
 def test_every_check_passes(folder: Path) -> None:
-    assert list(image_faults(folder)) == []
+    told: list[tuple[str, int, int]] = []
+    assert list(image_faults(folder, count=lambda *said: told.append(said))) == []
+    assert {what for what, _, _ in told} == {"files of pictures", "walks made again"}
+    assert all(0 <= done <= of for _, done, of in told) and told[-1][1] == told[-1][2] > 0
 
 
 def test_no_two_rows_are_near_duplicates(folder: Path) -> None:

@@ -19,6 +19,18 @@ function facts(list, rows) {
   }));
 }
 
+// JSON to unfold; other text as it is
+function unfolding(text) {
+  if (!text.startsWith("{")) return text;
+  let whole = text;
+  try {
+    whole = JSON.stringify(JSON.parse(text), null, 1);
+  } catch { /* it was cut */ }
+  const box = made("details");
+  box.append(made("summary", "show"), made("pre", whole));
+  return box;
+}
+
 function tool(box, text, act, pressed) {
   const button = made("button", text, { type: "button", onclick: act });
   if (pressed !== undefined) button.setAttribute("aria-pressed", pressed);
@@ -138,7 +150,9 @@ function card(row, index) {
   const says = made("div"), line = made("span"), dot = made("i");
   dot.style.background = colourOf(row.nx);
   line.append(dot, `nx ${row.nx}  ${row.split}  #${row.row}`);
-  says.append(made("b", row.code || "loop", { title: row.code || "loop" }), line);
+  const code = made("b", "", { title: row.code || "loop" });
+  for (const visit of row.code ? row.code.split(/(?<=,)/) : ["loop"]) code.append(made("span", visit), made("wbr"));
+  says.append(code, line);
   const shown = row.image ? made("img", "", { src: row.image, alt: "", loading: "lazy" }) : made("canvas");
   shown.dataset.row = index;
   button.append(shown, says);
@@ -338,19 +352,19 @@ function showEpisode() {
     if (state.marked && crossings) drawCrossings(pen, points, crossings, see, 0);
     if (after) after(pen, see);
   };
-  const next = now + 1;
+  const next = now + 1, strength = next <= last ? Math.hypot(...episode.force[next]) : 0;
   draw("film", frame, part ? null : episode.x[now], (pen, see) => {
-    if (next <= last) drawPull(pen, frame, episode.bead[next], episode.force[next], see);
+    if (strength) drawPull(pen, frame, episode.bead[next], episode.force[next], see);
   });
   draw("goal", episode.goalFrame, episode.goal_x);
   drawTimeLine(by("time"), episode, state.step);
   const code = episode.codes[episode.code[now]], total = episode.rewards.slice(0, now).reduce((a, b) => a + b, 0);
-  const strength = next <= last ? Math.hypot(...episode.force[next]) : 0;
   by("film-code").replaceChildren(...spelt(episode.chiral[episode.code_chiral[now]]));
   facts(by("episode-facts"), [
     ["step", `${now} of ${last}`],
     ["code", (code || "loop") + (code === episode.goal ? ", the goal's" : "")],
-    ["pull", next <= last ? `bead ${episode.bead[next]}, ${shortened(strength)} N` : "none, the episode ended"],
+    ["pull", strength ? `bead ${episode.bead[next]}, ${shortened(strength)} N`
+      : next <= last ? "none, the rope is left to rest" : "none, the episode ended"],
     ["why", next <= last && episode.moves ? episode.moves[next] : ""],
     ["reward", now ? `${shortened(episode.rewards[now - 1])}, ${shortened(total)} so far` : "0"],
     ["policy", episode.policy], ["split", episode.split], ["seed", episode.seed], ["dataset", episode.set],
@@ -458,7 +472,7 @@ function start() {
   by("says").textContent = DATA.says;
   by("notices").hidden = !DATA.notices.length;
   by("notices").textContent = DATA.notices.join(" ");
-  facts(by("about"), DATA.about);
+  facts(by("about"), DATA.about.map(([name, value]) => [name, unfolding(value)]));
   by("growth-box").hidden = DATA.growth.length < 2;
   by("rejected-box").hidden = !Object.keys(DATA.rejected).length;
   const has = [["states", "States", states.length], ["episodes", "Episodes", DATA.episodes.length], ["run", "Run", 1]];

@@ -33,6 +33,7 @@ MOST_PICTURES = 400  # 8 kB more each
 MOST_FRAMES = 7000  # states of episodes, 1.1 kB each
 MOST_STEPS = 1000  # of one episode
 _GROWTH_ROWS = 200
+_LONGEST_TEXT = 20_000  # characters of a configuration
 
 
 class UnshownDataset(KnotgymError, ValueError):
@@ -288,7 +289,7 @@ def _versions(attributes: Mapping[str, Any]) -> dict[str, str]:
 
 def _cut(config: Any) -> str:
     text = config if isinstance(config, str) else json.dumps(config)
-    return text if len(text) < 1500 else text[:1500] + " ..."
+    return text if len(text) < _LONGEST_TEXT else text[:_LONGEST_TEXT] + " ..."
 
 
 def _pairs(about: Mapping[str, Any]) -> list[list[str]]:

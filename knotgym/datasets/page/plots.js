@@ -78,6 +78,13 @@ function drawHistogram(canvas, values, low, high_) {
   });
 }
 
+// round numbers from 0 to the largest, at most five
+function ticks(most) {
+  const least = Math.max(1, most / 4), power = 10 ** Math.floor(Math.log10(least));
+  const step = power * [1, 2, 5, 10].find((times) => times * power >= least);
+  return Array.from({ length: Math.floor(most / step) + 1 }, (_, k) => k * step);
+}
+
 // codes known to the search (thin) and states accepted (thick) against environment steps
 function drawGrowth(canvas, rows) {
   const pen = fitted(canvas), wide = canvas.clientWidth, high = canvas.clientHeight;
@@ -85,11 +92,11 @@ function drawGrowth(canvas, rows) {
   const most = Math.max(1, ...rows.flatMap((row) => every.flatMap((nx) => [row.known[nx] || 0, row.accepted[nx] || 0])));
   const last = Math.max(1, rows[rows.length - 1].steps);
   const x = (steps) => 44 + ((wide - 60) * steps) / last, y = (n) => high - 34 - ((high - 58) * n) / most;
-  for (let k = 0; k <= 4; k++) {
-    rule(pen, 44, y((most * k) / 4), wide - 16, y((most * k) / 4));
-    label(pen, compact((most * k) / 4), 38, y((most * k) / 4), DIM, "right");
-    label(pen, compact((last * k) / 4), x((last * k) / 4), high - 20, DIM, "center");
+  for (const n of ticks(most)) {
+    rule(pen, 44, y(n), wide - 16, y(n));
+    label(pen, compact(n), 38, y(n), DIM, "right");
   }
+  for (const steps of ticks(last)) label(pen, compact(steps), x(steps), high - 20, DIM, "center");
   label(pen, "environment steps", x(last / 2), high - 6, DIM, "center");
   every.forEach((nx, k) => {
     for (const [name, thick, dash] of [["known", 1.5, [4, 4]], ["accepted", 2.5, []]]) {
@@ -101,6 +108,8 @@ function drawGrowth(canvas, rows) {
       pen.stroke();
     }
     pen.setLineDash([]);
+    pen.fillStyle = colourOf(Number(nx));
+    for (const row of rows) pen.fillRect(x(row.steps) - 3, y(row.accepted[nx] || 0) - 3, 6, 6);
     label(pen, `nx ${nx}`, 50 + 48 * k, 10, colourOf(Number(nx)));
   });
 }
@@ -111,7 +120,8 @@ function drawRejected(canvas, rejected) {
     Object.entries(reasons).sort((a, b) => b[1] - a[1]).map(([reason, count]) => [nx, reason, count]));
   canvas.style.height = `${rows.length * 24 + 8}px`;
   const pen = fitted(canvas), wide = canvas.clientWidth, most = Math.max(...rows.map((row) => row[2]));
-  const left = Math.min(250, 0.55 * wide);
+  pen.font = "11px system-ui, sans-serif";
+  const left = 54 + Math.max(...rows.map((row) => pen.measureText(row[1]).width));
   rows.forEach(([nx, reason, count], k) => {
     const y = 24 * k + 14;
     label(pen, `nx ${nx}`, 0, y, colourOf(Number(nx)));
