@@ -20,7 +20,7 @@ def made_on(folder: Path, *machines: Any) -> Path:
 
 
 def found(folder: Path, monkeypatch: pytest.MonkeyPatch, *faults: str) -> list[str]:
-    def told(_: Path, *_: object) -> Iterator[str]:
+    def told(folder: Path, *count: object) -> Iterator[str]:
         yield from faults
 
     monkeypatch.setattr(verification, "folder_faults", told)
