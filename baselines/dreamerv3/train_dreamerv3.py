@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import importlib.util
 import platform
 import sys
 from pathlib import Path
@@ -90,6 +91,7 @@ def train(given: argparse.Namespace) -> None:
     settings = read_settings(SETTINGS, given.settings, given.set)
     tried_at = trials(given, task)
     commit = require_checkout(DREAMER, given.checkout)
+    _require_platform(settings["jax.platform"])
     request = {"settings": settings, "task": as_json(task), "seed": given.seed, "commit": commit}
     require_folder(given.out, REQUEST, request, given.resume)
     progress = Progress(given.out, given.resume)
@@ -101,6 +103,16 @@ def train(given: argparse.Namespace) -> None:
         told = {**_told(agent, commit, settings, given.seed), **progress.told()}
         evaluate_learner(
             "dreamerv3", DreamerPolicy(agent), given.out, told, quiet=given.quiet, **tried_at
+        )
+
+
+def _require_platform(platform: str) -> None:
+    """Refuse CUDA where jax has none; asked itself, it would be set up before the official code."""
+    plugins = ("jax_cuda12_plugin", "jax_cuda13_plugin")
+    if platform == "cuda" and not any(map(importlib.util.find_spec, plugins)):
+        raise InvalidBaseline(
+            "jax has no CUDA here, which --settings paper asks for; install jax[cuda12], or"
+            " --set jax.platform=cpu"
         )
 
 

@@ -74,6 +74,7 @@ TDMPC = OfficialCode(
 REQUEST, MODEL, LOSSES = "tdmpc2.json", "model.pt", "losses.jsonl"
 SETTINGS = Path(__file__).with_name("settings.toml")
 OURS = ("device", "seed_steps")  # settings that aren't in the official config.yaml
+DEVICES = ("cuda:0", "cpu")
 LEAST_SIZE = 79  # pixels that are left one by the encoder's five convolutions
 
 
@@ -123,6 +124,8 @@ def check_settings(settings: Settings) -> None:
     Raises:
         InvalidBaseline: so it is.
     """
+    if settings["device"] not in DEVICES:
+        raise InvalidBaseline(f"device must be {' or '.join(DEVICES)}, got {settings['device']!r}")
     ropes = settings["num_envs"]
     if ropes < 1:
         raise InvalidBaseline(f"num_envs must be at least 1, got {ropes}")

@@ -55,6 +55,7 @@ def refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
         (("--threads", -1), "threads must be a whole number of at least 0, got -1"),
         (("--settings", "huge"), "no settings 'huge'; there is paper, small"),
         (("--set", "lr=fast"), "lr must be like 0.0003, got 'fast'"),
+        (("--set", "device=tpu"), "device must be cuda:0 or cpu, got 'tpu'"),
         (("--set", "num_envs=0"), "num_envs must be at least 1, got 0"),
         (("--set", "num_envs=3"), "eval_freq must be a multiple of num_envs, 3, got 50000"),
     ],
