@@ -97,7 +97,7 @@ def train(given: argparse.Namespace) -> None:
         )
     check_numbers(given, counts=("steps",), whole=("seed", "threads"), error=InvalidBaseline)
     settings = read_settings(SETTINGS, given.settings, given.set)
-    check_settings(settings)
+    check_settings(settings, task.horizon)
     tried_at = trials(given, task)
     commit = require_checkout(TDMPC, given.checkout)
     request = {"settings": settings, "task": as_json(task), "seed": given.seed, "commit": commit}
@@ -118,7 +118,7 @@ def train(given: argparse.Namespace) -> None:
         evaluate_learner("tdmpc2", policy, given.out, told, quiet=given.quiet, **tried_at)
 
 
-def check_settings(settings: Settings) -> None:
+def check_settings(settings: Settings, horizon: int) -> None:
     """Refuse what the official trainer would stumble over, or never come to.
 
     Raises:
@@ -134,6 +134,11 @@ def check_settings(settings: Settings) -> None:
             raise InvalidBaseline(
                 f"{name} must be a multiple of num_envs, {ropes}, got {settings[name]}"
             )
+    if settings["seed_steps"] < ropes * horizon:
+        raise InvalidBaseline(
+            f"seed_steps must be at least {ropes * horizon}, a round of num_envs episodes, got"
+            f" {settings['seed_steps']}"
+        )
 
 
 def _config(given: argparse.Namespace, task: TaskConfig, settings: Settings, begun_at: int) -> Any:
@@ -270,6 +275,11 @@ def _learn(given: argparse.Namespace, task: TaskConfig, agent: Any, progress: Pr
                 file.write(json.dumps(line) + "\n")
 
     class Buffer(buffers.Buffer):
+        def __init__(self, cfg: Any) -> None:
+            super().__init__(cfg)
+            least: int = cfg.num_envs * (cfg.episode_length + 1)
+            self._capacity: int = max(self._capacity, least)
+
         def _init(self, episodes: Any) -> Any:
             if self._device.type == "cuda":
                 return super()._init(episodes)

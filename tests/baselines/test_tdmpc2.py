@@ -57,6 +57,7 @@ def refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
         (("--set", "lr=fast"), "lr must be like 0.0003, got 'fast'"),
         (("--set", "device=tpu"), "device must be cuda:0 or cpu, got 'tpu'"),
         (("--set", "num_envs=0"), "num_envs must be at least 1, got 0"),
+        (("--set", "seed_steps=784"), "seed_steps must be at least 800, a round of num_envs"),
         (("--set", "num_envs=3"), "eval_freq must be a multiple of num_envs, 3, got 50000"),
     ],
 )
@@ -124,7 +125,7 @@ def test_the_encoder_has_the_layers_of_the_paper() -> None:
 @pytest.mark.skipif(not CHECKOUT, reason="KNOTGYM_TDMPC2 names no checkout")
 def test_the_official_code_trains_goes_on_and_is_tried(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    few = ("--set", "seed_steps=100", "--set", "eval_freq=200", "--threads", 1)
+    few = ("--set", "seed_steps=200", "--set", "eval_freq=200", "--threads", 1)
     words = ("--checkout", CHECKOUT, "--settings", "small", *few, "--image-size", 79, "--out", out)
     tried = ("--episodes", 1, "--split", "test", "--quiet")
     for more in (("--steps", 300), ("--steps", 600, "--resume")):
