@@ -101,7 +101,8 @@ def test_an_episode_cut_off_is_no_terminal_one_and_the_next_begins(adapter: Any)
 @pytest.mark.skipif(not CHECKOUT, reason="KNOTGYM_DREAMERV3 names no checkout")
 def test_the_official_code_trains_goes_on_and_is_tried(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    words = ("--checkout", CHECKOUT, "--settings", "small", "--image-size", 48, "--out", out)
+    small = ("--settings", "small", "--set", "run.log_every=1", "--image-size", 48)
+    words = ("--checkout", CHECKOUT, *small, "--out", out)
     tried = ("--episodes", 1, "--split", "test", "--quiet")
     for more in (("--steps", 300), ("--steps", 400, "--resume")):
         command = [sys.executable, SCRIPT, *words, *tried, *more]
