@@ -27,36 +27,27 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import json
 import platform
 import shutil
-import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
+from baseline_script import InvalidBaseline, parser, require_folder, run, trials, write_json
 from rich.console import Console
 
 import knotgym
 from knotgym.adapters import sb3_vec_env
-from knotgym.atomic_files import atomic_write, require_writable
-from knotgym.cli.options import words
-from knotgym.configuration import as_json, check_numbers, differences
+from knotgym.atomic_files import atomic_write
+from knotgym.configuration import as_json, check_numbers
 from knotgym.control.learned_policies import ModelPolicy
-from knotgym.control.policies import PolicyConfig
-from knotgym.episode_batch import state_origins
-from knotgym.errors import KnotgymError, MissingExtra, one_line
-from knotgym.generate.episodes.evaluate import EvaluateConfig
+from knotgym.errors import MissingExtra, one_line
 from knotgym.generate.episodes.learner_evaluation import evaluate_learner
 from knotgym.tasks import TaskConfig
 
 REQUEST, MODEL = "ppo.json", "model.zip"
 POLICIES = {"pixels": "CnnPolicy", "state": "MlpPolicy"}
-
-
-class InvalidBaseline(KnotgymError, ValueError):
-    """A training that can't be done as asked."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,47 +93,19 @@ class PpoConfig:
             )
 
 
-class _OneLine(argparse.ArgumentParser):
-    """Says in one line what is wrong."""
-
-    def error(self, message: str) -> NoReturn:
-        raise InvalidBaseline(f"{message}; see --help")
-
-
 def options() -> argparse.ArgumentParser:
     """What can be asked for."""
     usual = PpoConfig()
-    parser = _OneLine(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--task", default="unknot", help="unknot, tie or convert")
-    parser.add_argument("--nx", type=int, default=2)
-    parser.add_argument("--states", help="readable (default), random-walk or a state file")
-    parser.add_argument("--observation", default="pixels", choices=tuple(POLICIES))
-    parser.add_argument("--image-size", type=int, default=128)
-    parser.add_argument("--steps", type=int, default=1_000_000, help="to the end of the rollout")
-    parser.add_argument("--every", type=int, default=250_000, help="steps between checkpoints")
-    parser.add_argument("--out", type=Path, required=True, help="folder to make")
-    parser.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
-    parser.add_argument("--split", default="train,test", help="to be tried on")
-    parser.add_argument("--episodes", type=int, default=384, help="tried of each split; 0: not")
-    parser.add_argument("--device", default="auto", help="cpu, cuda ...")
-    parser.add_argument("--threads", type=int, default=0, help="of the simulation; 0: every core")
-    parser.add_argument("--quiet", action="store_true")
+    found = parser(__doc__ or "", "to the end of the rollout")
+    found.add_argument("--observation", default="pixels", choices=tuple(POLICIES))
+    found.add_argument("--every", type=int, default=250_000, help="steps between checkpoints")
+    found.add_argument("--device", default="auto", help="cpu, cuda ...")
+    found.add_argument("--threads", type=int, default=0, help="of the simulation; 0: every core")
     for name in ("learning_rate", "envs", "rollout", "batch", "epochs", "seed"):
         value = getattr(usual, name)
         word = f"--{name.replace('_', '-')}"
-        parser.add_argument(word, type=type(value), default=value, help=f"{value}")
-    return parser
-
-
-def main() -> None:
-    try:
-        train(options().parse_args())
-    except KnotgymError as error:
-        print(f"error: {one_line(error)}", file=sys.stderr)
-        sys.exit(2)
-    except KeyboardInterrupt:
-        print("stopped; --resume goes on from the last checkpoint", file=sys.stderr)
-        sys.exit(130)
+        found.add_argument(word, type=type(value), default=value, help=f"{value}")
+    return found
 
 
 def train(given: argparse.Namespace) -> None:
@@ -156,48 +119,29 @@ def train(given: argparse.Namespace) -> None:
         observation=given.observation,
         image_size=given.image_size,
     )
-    trials = _trials(given, task)
+    tried_at = trials(given, task)
     check_numbers(given, counts=("steps", "every"), whole=("threads",), error=InvalidBaseline)
     _require_device(given.device)
     request = {"ppo": as_json(config), "task": as_json(task)}
-    found = _begun(given.out, request, given.resume)
+    require_folder(given.out, REQUEST, request, given.resume)
+    found = _newest(given.out) if given.resume else None
     envs = _envs(task, config, given.threads)
     model, course = _learner(given, config, envs, found)
-    if not given.resume:
-        given.out.mkdir(parents=True, exist_ok=True)
-    with atomic_write(given.out / REQUEST) as part:
-        part.write_text(json.dumps(request, indent=1) + "\n", encoding="utf-8")
+    write_json(given.out / REQUEST, request)
     if model.num_timesteps < given.steps:
         left = given.steps - model.num_timesteps
         model.learn(left, course, reset_num_timesteps=False, tb_log_name="ppo")
         course.save()
     _copy_last(given.out)
-    if trials is not None:
+    if tried_at is not None:
         evaluate_learner(
             f"sb3-ppo-{task.observation}",
             ModelPolicy(lambda seen: model.predict(seen, deterministic=True)[0], "ppo"),
             given.out,
             _told(model, course, config),
             quiet=given.quiet,
-            **trials,
+            **tried_at,
         )
-
-
-def _trials(given: argparse.Namespace, task: TaskConfig) -> dict[str, Any] | None:
-    """What the learner will be tried at, with which all states are there; None for nothing."""
-    state_origins(task)
-    if given.episodes == 0:
-        return None
-    settings: dict[str, Any] = {
-        "tasks": (task.task,),
-        "nx": (task.nx,),
-        "splits": words(given.split),
-        "episodes": given.episodes,
-        "task": task,
-    }
-    for _, setup in EvaluateConfig(policies=(PolicyConfig(),), **settings).setups():
-        state_origins(setup)
-    return settings
 
 
 def _require_device(device: str) -> None:
@@ -211,28 +155,6 @@ def _require_device(device: str) -> None:
         torch.zeros(1, device=get_device(device))
     except (RuntimeError, AssertionError) as error:  # torch's own, of CUDA the latter
         raise InvalidBaseline(f"no device {device!r}: {one_line(error)[:200]}") from error
-
-
-def _begun(out: Path, request: dict[str, Any], resume: bool) -> Path | None:
-    """The checkpoint to go on from; None to begin. Refuses a folder that holds something else."""
-    from training_course import checkpoints
-
-    if not resume:
-        require_writable(out / REQUEST)
-        if out.is_file() or (out.is_dir() and any(out.iterdir())):
-            raise InvalidBaseline(
-                f"{out} holds something already; name a new folder, or --resume a training in it"
-            )
-        return None
-    try:
-        before = json.loads((out / REQUEST).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise InvalidBaseline(
-            f"no training of this script in {out}; leave --resume out to begin one"
-        ) from error
-    if found := list(differences(before, request)):
-        raise InvalidBaseline(f"{out} was begun otherwise: {'; '.join(found)}")
-    return checkpoints(out)[-1] if checkpoints(out) else None
 
 
 def _envs(task: TaskConfig, config: PpoConfig, threads: int) -> Any:
@@ -283,6 +205,12 @@ def _learner(
     return model, Course(given.out, given.every, rows, before, console)
 
 
+def _newest(out: Path) -> Path | None:
+    from training_course import checkpoints
+
+    return checkpoints(out)[-1] if checkpoints(out) else None
+
+
 def _copy_last(out: Path) -> None:
     from training_course import checkpoints
 
@@ -312,4 +240,4 @@ def _told(model: Any, course: Any, config: PpoConfig) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    main()
+    run(train, options())
