@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import functools
 import os
 import signal
 import sys
@@ -110,11 +111,15 @@ def main_generate(arguments: Sequence[str] | None = None) -> None:
     _run(generate_app, "knotgym-generate", arguments)
 
 
+# what typer makes anew, at every call, of the signatures of all commands
+_built = functools.cache(typer.main.get_command)
+
+
 def _run(command: typer.Typer, name: str, arguments: Sequence[str] | None) -> None:
     for number in _SIGNALS:
         signal.signal(number, _interrupt)
     try:
-        result = command(args=arguments, prog_name=name, standalone_mode=False)
+        result = _built(command)(args=arguments, prog_name=name, standalone_mode=False)
         status = result if isinstance(result, int) else 0
         if status == _INTERRUPTED:  # what typer makes of a KeyboardInterrupt
             _say(_STOPPED, status)

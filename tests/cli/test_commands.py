@@ -586,6 +586,6 @@ def test_no_memory_is_one_line(
     def full(*_: Any, **__: Any) -> None:
         raise MemoryError
 
-    monkeypatch.setattr(cli, "app", full)
+    monkeypatch.setattr(cli, "_built", lambda _: full)
     assert knotgym("dataset", "show", "x") == 1
     assert capfd.readouterr().err.startswith("knotgym: no memory was left, here or at a worker")

@@ -64,8 +64,9 @@ def test_labels_are_an_expert_s_and_change_nothing_that_is_played(
     states_path: str, tmp_path: Path
 ) -> None:
     policy = PolicyConfig(policy="random", planner=PlannerConfig(budget=48))
-    plain = config(states_path, policy=policy, episodes=2)
-    labelled = config(states_path, policy=policy, episodes=2, labels="expert")
+    task = replace(config(states_path).task, horizon=3)
+    plain = config(states_path, task=task, policy=policy, episodes=2)
+    labelled = config(states_path, task=task, policy=policy, episodes=2, labels="expert")
     assert labelled.dataset_id == "knotgym/unknot-nx1/random-labelled-v0"
     made_plain, made_labelled = (collect(one, tmp_path, QUIET) for one in (plain, labelled))
     assert verify_episodes(made_labelled) == []
@@ -96,7 +97,7 @@ def test_what_the_expert_says_at_every_state_leads_to_the_goal(states_path: str)
 
 def test_of_several_attempts_the_shortest_success_is_kept(states_path: str, tmp_path: Path) -> None:
     acted = {
-        "task": replace(config(states_path).task, horizon=12),
+        "task": replace(config(states_path).task, horizon=10),
         "policy": PolicyConfig(policy="random"),
     }
     once, thrice = (
@@ -120,8 +121,12 @@ def test_episodes_of_a_rope_integrated_otherwise_say_so_and_can_be_acted_out_aga
     states_path: str, tmp_path: Path
 ) -> None:
     usual, coarse = (
-        config(states_path),
-        config(states_path, task=replace(config(states_path).task, integrator_steps=20)),
+        config(states_path, episodes=2),
+        config(
+            states_path,
+            task=replace(config(states_path).task, integrator_steps=20),
+            episodes=2,
+        ),
     )
     folders = [
         collect(one, tmp_path / str(one.task.integrator_steps), QUIET) for one in (usual, coarse)

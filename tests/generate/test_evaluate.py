@@ -65,13 +65,13 @@ def test_every_setup_gets_its_row_in_order(states_path: str) -> None:
 def test_an_expert_beats_random_and_says_what_planning_took(states_path: str) -> None:
     policies = (
         PolicyConfig(policy="random"),
-        PolicyConfig(policy="expert", planner=PlannerConfig(budget=1000, batch_size=4)),
+        PolicyConfig(policy="expert", planner=PlannerConfig(budget=300, batch_size=4)),
     )
     (worse, better), _ = evaluate(
         config(
             states_path,
             policies=policies,
-            episodes=5,
+            episodes=3,
             task=TaskConfig(task="unknot", states=states_path, observation="state", horizon=25),
         ),
         InProcess(),

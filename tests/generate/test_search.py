@@ -86,8 +86,8 @@ def test_rounds_are_the_same_bytes_on_two_workers(searched: Archive, tmp_path: P
 def test_a_saved_and_loaded_archive_goes_on_as_if_unbroken(
     searched: Archive, tmp_path: Path
 ) -> None:
-    archive = grown(1)
-    for _ in range(2):
+    archive = grown(2)
+    for _ in range(1):
         archive.save(tmp_path / "archive.h5")
         archive = Archive.load(tmp_path / "archive.h5")
         advance(archive, SEARCH, InProcess())

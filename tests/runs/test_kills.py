@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from knotgym.generate.episodes import collect as collecting
 from knotgym.runs import engine
 
 from ..cli.test_generate_command import bytes_of, held, said
@@ -306,23 +307,17 @@ def spoil(path: Path) -> None:
     path.write_bytes(data)
 
 
-def interrupted(command: tuple[object, ...], out: Path, sign: str, count: int) -> None:
-    """Kill a run once `count` files of this name are there."""
-    going = subprocess.Popen(typed(*command, "--workers", 1, "--quiet", "--out", out))
-    until = time.monotonic() + SECONDS
-    while (
-        len(list(out.parent.rglob(sign))) < count
-        and going.poll() is None
-        and time.monotonic() < until
-    ):
-        time.sleep(0.005)
-    assert going.poll() is None
-    going.kill()
-    going.wait()
+def stopped(*_: object) -> None:
+    """What stands for a run's last step: it is interrupted there."""
+    raise KeyboardInterrupt
 
 
-def test_spoilt_shards_of_a_collection_are_made_anew(unbroken: Unbroken, tmp_path: Path) -> None:
-    interrupted(COLLECT, tmp_path / "a", "episodes-*.json", 2)
+def test_spoilt_shards_of_a_collection_are_made_anew(
+    unbroken: Unbroken, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(collecting.EpisodeRecipe, "finish", stopped)
+        assert knotgym(*COLLECT, "--workers", 1, "--quiet", "--out", tmp_path / "a") == 130
     assert made(tmp_path / "a") == {}
     first, second = (
         next(tmp_path.rglob(f"episodes-00000{k}.{kind}")) for k, kind in ((0, "h5"), (1, "json"))
@@ -340,11 +335,8 @@ def test_spoilt_walks_and_shards_of_pictures_are_made_anew(
 ) -> None:
     from knotgym.generate.images import image_recipe as images
 
-    def killed(*_: object) -> None:
-        raise KeyboardInterrupt
-
     with monkeypatch.context() as patch:
-        patch.setattr(images, "finish", killed)
+        patch.setattr(images, "finish", stopped)
         assert knotgym(*IMAGES, "--workers", 1, "--quiet", "--out", tmp_path / "a") == 130
     spoil(next(tmp_path.rglob("*.npz")))
     spoil(next(tmp_path.rglob("*.parquet")))
