@@ -46,6 +46,7 @@ def plain_errors(module: ast.Module) -> list[ast.Raise]:
 def test_every_refusal_is_a_knotgym_error() -> None:
     assert [
         f"{path.relative_to(ROOT)}:{node.lineno}"
-        for path in FILES
-        for node in plain_errors(ast.parse(path.read_text(encoding="utf-8")))
+        for path, text in ((path, path.read_text(encoding="utf-8")) for path in FILES)
+        if "Error(" in text
+        for node in plain_errors(ast.parse(text))
     ] == []

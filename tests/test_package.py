@@ -147,14 +147,8 @@ def test_three_environments_are_registered() -> None:
     assert ids == {"knotgym/Unknot-v0", "knotgym/Tie-v0", "knotgym/Convert-v0"}
 
 
-@pytest.mark.parametrize(
-    "task",
-    [
-        pytest.param("Unknot", marks=pytest.mark.slow),
-        pytest.param("Tie", marks=pytest.mark.slow),
-        "Convert",
-    ],
-)
+@pytest.mark.slow  # one of them is made in a fresh process above
+@pytest.mark.parametrize("task", ["Unknot", "Tie", "Convert"])
 def test_a_task_is_made_alone_in_a_fresh_process(task: str, states_path: str) -> None:
     assert "knotgym.env" in modules_after(made_alone(task, states_path))
 

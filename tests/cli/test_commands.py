@@ -98,7 +98,10 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], str]]:
 @pytest.mark.parametrize(
     "command",
     [
-        pytest.param(name, marks=pytest.mark.slow) if name == "images" else name  # all tell alike
+        # all tell alike
+        pytest.param(name, marks=pytest.mark.slow)
+        if name in ("images", "verify", "merge")
+        else name
         for name in COMMANDS
     ],
 )

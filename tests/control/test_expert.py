@@ -185,7 +185,7 @@ def test_a_plan_that_is_solved_ends_in_the_goal_when_acted_out(states_path: str)
         TaskConfig(task="unknot", nx=1, states=states_path, split="test", observation="state")
     )
     episodes.begin(0, np.random.default_rng(3))
-    config = PlannerConfig(budget=2000, batch_size=4)
+    config = PlannerConfig(budget=600, batch_size=4)
     start = episodes.simulation.states([0])[0]
     goal = GaussCode(())
     planned = plan(

@@ -167,7 +167,7 @@ def test_a_code_lost_on_the_way_to_rest_is_a_fault(followed: Made) -> None:
 
 
 def test_the_same_task_gives_the_same_bytes_whatever_was_made_before(made: Made) -> None:
-    for task, candidate in made[::-1][:2]:
+    for task, candidate in made[-1:]:
         assert same(make_candidate(pickle.loads(pickle.dumps(task))), candidate)
 
 

@@ -99,6 +99,7 @@ def test_of_several_attempts_the_shortest_success_is_kept(states_path: str, tmp_
     acted = {
         "task": replace(config(states_path).task, horizon=10),
         "policy": PolicyConfig(policy="random"),
+        "episodes": 4,
     }
     once, thrice = (
         EpisodeReader(collect(config(states_path, **acted, attempts=number), tmp_path, QUIET))

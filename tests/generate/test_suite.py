@@ -84,6 +84,7 @@ def test_every_policy_has_its_set_and_the_card_tells_of_it(
     assert "## Protocol" in page and "| unknot-nx2 |" in page
 
 
+@pytest.mark.slow  # a set's own resuming is a collection's, tried in runs/test_kills
 def test_a_killed_run_goes_on_to_the_same_bytes(
     unbroken: Path,
     tmp_path: Path,

@@ -113,26 +113,19 @@ def remounted(folder: Path, options: str) -> None:
     subprocess.run(["mount", "-o", f"remount,{options}", str(folder)], check=True)
 
 
-def run(*words: object, **options: object) -> "subprocess.CompletedProcess[str]":
-    """A command in a process of its own."""
-    return subprocess.run(
-        typed(*words), capture_output=True, text=True, timeout=4 * SECONDS, **options
-    )  # type: ignore[call-overload]
-
-
 @pytest.mark.parametrize("command", RESUMABLE)
 def test_a_full_disk_is_one_line_and_room_makes_it_go_on(
-    command: tuple[object, ...], unbroken: Unbroken, tmp_path: Path
+    command: tuple[object, ...],
+    unbroken: Unbroken,
+    tmp_path: Path,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     disk = tmp_path / "disk"
     with mounted(disk, 0.25):
         out = disk / "a"
-        full = run(*command, "--workers", 1, "--quiet", "--out", out)
-        assert (
-            full.returncode == 1
-            and full.stderr.startswith("knotgym: No space left on device")
-            and full.stderr.count("\n") == 1
-        )
+        assert knotgym(*command, "--workers", 1, "--quiet", "--out", out) == 1
+        (line,) = said(capfd)
+        assert line.startswith("knotgym: No space left on device")
         assert [
             path
             for path in disk.rglob("*")
@@ -230,6 +223,7 @@ def test_a_worker_that_dies_is_one_line_and_the_rest_is_kept(
     assert made(tmp_path / "a") == unbroken(COLLECT)
 
 
+@pytest.mark.slow  # a run that is asked once is in cli/test_generate_command
 @pytest.mark.parametrize("command", RESUMABLE)
 def test_asked_to_stop_twice_it_says_so_once(command: tuple[object, ...], tmp_path: Path) -> None:
     words = typed(*command, "--workers", 2, "--quiet", "--out", tmp_path / "a")
