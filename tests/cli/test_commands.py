@@ -14,7 +14,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -202,6 +202,16 @@ def test_it_ticks_while_a_single_piece_of_work_goes_on() -> None:
         batch = Batch(lambda unit: ticked.wait(60), [0], lambda unit, result: None, "searching")
         list(batch.follow(InProcess()))
     assert ticked.is_set() and len(set(seen)) > 3  # each with another time
+
+
+def test_a_terminal_is_told_while_printed_words_go_elsewhere(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with monkeypatch.context() as patch, terminal(patch) as shown:
+        # as pyknotid's do, while it is imported
+        with Progress() as progress, redirect_stdout(io.StringIO()) as kept:
+            progress.say("told")
+        assert "told" in shown() and not kept.getvalue()
 
 
 def shown(even: bool, *done: int) -> str:
@@ -499,7 +509,7 @@ def test_verify_takes_all_that_a_run_made_and_says_what_it_checked(
     name: str,
     told: str,
 ) -> None:
-    counted: set[tuple[object, ...]] = set()
+    counted: set[tuple[Any, ...]] = set()
     monkeypatch.setattr(Progress, "stage", lambda _, *said: counted.add(said))
     assert knotgym("dataset", "verify", curated / name) == 0
     last = capfd.readouterr().out.splitlines()[-1]
@@ -507,7 +517,8 @@ def test_verify_takes_all_that_a_run_made_and_says_what_it_checked(
     if not name:
         assert "checksums" in last
         assert {("states", 7, 8), ("episodes", 1, 2)} <= counted
-        assert any(said[0] == "episodes acted out again" for said in counted)
+        acted = {said[1:] for said in counted if said[0] == "steps acted out again"}
+        assert any(0 < done < total for done, total in acted)
 
 
 @pytest.mark.parametrize(
@@ -530,9 +541,15 @@ def test_gallery_draws_whatever_it_is_given(
 
 
 def test_export_of_a_run_writes_a_file_for_each_dataset(
-    curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    curated: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
+    counted: set[tuple[Any, ...]] = set()
+    monkeypatch.setattr(Progress, "stage", lambda _, *said: counted.add(said))
     assert knotgym("dataset", "export", curated, "--out", tmp_path / "e") == 0
+    assert ("episodes", 1, 2) in counted
     assert "8 episodes in 4 files" in capfd.readouterr().out
     assert sorted(path.name for path in (tmp_path / "e").iterdir()) == [
         "tie-nx1-demonstrations-test-v0.h5",
