@@ -438,6 +438,13 @@ def test_the_citation_has_the_version_of_the_package() -> None:
     assert all((ROOT / name).is_file() for name in project["license-files"])
 
 
+def test_readme_has_the_two_lines_that_upload_what_a_run_made() -> None:
+    part = (ROOT / "README.md").read_text(encoding="utf-8").split("## Hand it on")[1]
+    first, second = re.findall(r"^    (.+)$", part.split("\n## ")[0], re.M)
+    assert re.fullmatch(r"knotgym dataset export \S+ --to huggingface --out upload", first)
+    assert re.fullmatch(r"hf upload USER/\S+ upload --repo-type dataset", second)
+
+
 def test_every_extra_is_named_by_readme() -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"][
         "optional-dependencies"

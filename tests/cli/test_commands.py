@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -31,7 +32,7 @@ from knotgym.generate.episodes.collect import distinct_id
 from knotgym.generate.episodes.evaluate import Result, show
 from knotgym.runs.engine import CHECKPOINT, Batch, run
 from knotgym.runs.executors import InProcess
-from knotgym.runs.progress import Progress, Status, duration, tell_if_long
+from knotgym.runs.progress import Progress, Status, compile_first, duration, tell_if_long
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.staging import staging_folder
 from knotgym.tasks import TaskConfig
@@ -204,6 +205,15 @@ def test_it_ticks_while_a_single_piece_of_work_goes_on() -> None:
     assert ticked.is_set() and len(set(seen)) > 3  # each with another time
 
 
+def test_a_first_run_says_that_it_compiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kernel = SimpleNamespace(stats=SimpleNamespace(cache_path=tmp_path))  # nothing compiled there
+    monkeypatch.setattr("knotgym.topology.crossing_kernel.scan", kernel)
+    stages: list[str] = []
+    monkeypatch.setattr(Progress, "stage", lambda _, name: stages.append(name))
+    compile_first(Progress(quiet=True))
+    assert stages == ["compiling, in the first run only", "starting"]
+
+
 def test_a_terminal_is_told_while_printed_words_go_elsewhere(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -259,9 +269,10 @@ def test_a_million_states_are_said_to_take_long(
     "words",
     [
         ("generate", "--nx", 0, "--count", 1),
+        ("collect", "--episodes", 1),
+        ("images", "--nx", 0, "--count", 2),
         ("evaluate", "--episodes", 1),
-        ("dataset", "merge", "{}/x"),
-        ("dataset", "export", "{}/x"),
+        *(("dataset", name, "{}/x") for name in ("merge", "export", "page", "replay")),
     ],
 )
 def test_a_place_that_cannot_be_written_is_refused_at_once(
@@ -567,7 +578,9 @@ def test_a_replay_says_that_it_is_the_same_bit_for_bit(
     assert re.search(r"a\.gif: bit for bit the same, \d+ steps", told)
 
 
-@pytest.mark.parametrize("command", ["show", "verify", "gallery", "export", "replay", "merge"])
+@pytest.mark.parametrize(
+    "command", ["show", "verify", "gallery", "export", "replay", "merge", "page"]
+)
 def test_a_path_that_is_not_there_is_no_such_file(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], command: str
 ) -> None:
