@@ -124,6 +124,12 @@ class Chromium:
                 clickCount=1,
             )  # fmt: skip
 
+    def swipe(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Draw a finger from one place to another, pixels."""
+        for kind, places in (("touchStart", [start]), ("touchMove", [end]), ("touchEnd", [])):
+            points = [{"x": x, "y": y} for x, y in places]
+            self.call("Input.dispatchTouchEvent", type=kind, touchPoints=points)
+
     def picture(self, path: Path) -> None:
         """Write what is seen as PNG."""
         shot = self.call("Page.captureScreenshot", format="png")

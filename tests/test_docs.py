@@ -33,6 +33,7 @@ from knotgym.control.learned_policies import load_model
 from knotgym.datasets import episode_reader, image_table, states
 from knotgym.generate.states import archive
 from knotgym.generate.states.archive import Archive
+from knotgym.quality_limits import UNITS
 from knotgym.tasks import TaskConfig
 
 ROOT = Path(__file__).parents[1]
@@ -310,6 +311,16 @@ def test_the_state_file_is_as_its_page_says(tmp_path: Path) -> None:
                 assert file[name].attrs["unit"] == unit
 
 
+def test_pages_name_as_many_measures_as_there_are() -> None:
+    numbers = "nought one two three four five six seven eight nine ten eleven twelve".split()
+    text = " ".join(page.read_text(encoding="utf-8") for page in PAGES)
+    said = re.findall(r"\b(?:the (\w+)\s+measures|measured in (\w+) ways)\b", text)
+    counts = [word for pair in said for word in pair if word in numbers]
+    assert len(counts) == 2 and {*counts} == {numbers[len(UNITS)]}
+    listed = names(tables(DOCS / "formats/states.md")["Datasets"])
+    assert {name.removeprefix("quality/") for name in listed if "quality/" in name} == {*UNITS}
+
+
 def test_the_episode_file_is_as_its_page_says(dataset: Path) -> None:
     said = tables(DOCS / "formats/episodes.md")
     with h5py.File(dataset / "main_data.hdf5") as file:
@@ -425,6 +436,13 @@ def test_the_citation_has_the_version_of_the_package() -> None:
     citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert f"\nversion: {project['version']}\n" in citation
     assert all((ROOT / name).is_file() for name in project["license-files"])
+
+
+def test_readme_has_the_two_lines_that_upload_what_a_run_made() -> None:
+    part = (ROOT / "README.md").read_text(encoding="utf-8").split("## Hand it on")[1]
+    first, second = re.findall(r"^    (.+)$", part.split("\n## ")[0], re.M)
+    assert re.fullmatch(r"knotgym dataset export \S+ --to huggingface --out upload", first)
+    assert re.fullmatch(r"hf upload USER/\S+ upload --repo-type dataset", second)
 
 
 def test_every_extra_is_named_by_readme() -> None:

@@ -2,7 +2,9 @@
 SyncVectorEnv is the measure.
 """
 
+import inspect
 import pickle
+import runpy
 from collections.abc import Callable
 from typing import Any
 
@@ -396,6 +398,15 @@ def test_the_autoreset_mode_stands_in_the_metadata(make: MakeVec, mode: str) -> 
     assert make(autoreset_mode=known(mode)).metadata["autoreset_mode"] == known(mode)
     assert make(autoreset_mode=mode).metadata["autoreset_mode"] == known(mode)
     assert KnotVectorEnv.metadata["autoreset_mode"] == known("NextStep")
+
+
+def test_gymnasium_1_0_which_has_no_such_class_is_enough(
+    states_path: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(gym.vector, "AutoresetMode", raising=False)
+    own = runpy.run_path(str(inspect.getsourcefile(KnotVectorEnv)))  # its lines, run once more
+    envs = own["KnotVectorEnv"]("tie", states=states_path, observation="state")
+    assert envs.metadata["autoreset_mode"] == "NextStep" and envs.reset(seed=0)[0].shape == (1, 600)
 
 
 def test_an_unknown_autoreset_mode_is_refused(make: MakeVec) -> None:

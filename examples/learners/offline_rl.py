@@ -4,10 +4,10 @@ decision transformer.
     knotgym suite --task tie,convert --nx 2,3 --states readable --out benchmark
     python examples/learners/offline_rl.py iql benchmark/knotgym/*/scripted-v0 --out iql
 
-Needs d3rlpy, in an environment of its own, for it pins Gymnasium: pip install d3rlpy, then knotgym
-with --no-deps. With --relabel all, as it is, every code that an episode passes is also a goal that
-it reached. Writes `model.d3`, `evaluation.json`, and `policy.pt`, which `knotgym evaluate
---policy` takes (none of the transformer, which remembers its episode).
+Needs d3rlpy, best in an environment of its own, for it pins Gymnasium 1.0.0: pip install d3rlpy.
+With --relabel all, as it is, every code that an episode passes is also a goal that it reached.
+Writes `model.d3`, `evaluation.json`, and `policy.pt`, which `knotgym evaluate --policy` takes (none
+of the transformer, which remembers its episode).
 """
 
 from __future__ import annotations
@@ -15,9 +15,13 @@ from __future__ import annotations
 import logging
 from typing import Any
 
-import d3rlpy
 import numpy as np
-import structlog
+
+try:
+    import d3rlpy
+    import structlog
+except ModuleNotFoundError as error:
+    raise SystemExit("offline_rl.py needs d3rlpy: pip install d3rlpy") from error
 from numpy.typing import NDArray
 from protocol import Training, measure, parser
 

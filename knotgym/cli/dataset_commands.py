@@ -132,9 +132,9 @@ def merge(
             require_writable(out)
         progress.stage("merging")
         if dataset_id:
-            progress.say(merge_to_minari(sources, dataset_id, out))
+            progress.say(merge_to_minari(sources, dataset_id, out, progress.stage))
         elif out is not None:
-            progress.say(put_together(sources, out))
+            progress.say(put_together(sources, out, progress.stage))
 
 
 @dataset_app.command()
@@ -207,4 +207,4 @@ def export(
 
         require_writable(out)
         progress.stage("exporting")
-        progress.say(f"{out}: {convert(path, out, to)}")
+        progress.say(f"{out}: {convert(path, out, to, progress.stage)}")

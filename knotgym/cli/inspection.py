@@ -17,7 +17,7 @@ from knotgym.atomic_files import atomic_write
 from knotgym.cli.places import Place, UnknownDataset, episodes_at, name_of, place, places
 from knotgym.cli.summaries import print_episodes, print_images, print_states, print_transcripts
 from knotgym.datasets import verification
-from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
 from knotgym.datasets.episode_writer import merge_episodes
 from knotgym.datasets.exports.forms import export as convert
 from knotgym.datasets.exports.huggingface_export import ToUpload, to_huggingface
@@ -133,32 +133,29 @@ def gallery(named: str, out: Path, columns: int) -> str:
             shown.append((picture, row["gauss_code_chiral"], row["split"]))
         what = "pictures"
     else:
-        ends = [end for one in places(named) for end in _ends(one.path)]
-        count, shown, what = len(ends), ends[:_SHOWN], "episodes, each at its end"
+        readers = [EpisodeReader(one.path) for one in places(named)]
+        shown = list(islice((end for reader in readers for end in _ends(reader)), _SHOWN))
+        count, what = sum(map(len, readers)), "episodes, each at its end"
     pictures = np.stack([picture for picture, _, _ in shown])
     captions = [(code or "loop", more) for _, code, more in shown]
     write_png(out, contact_sheet(pictures, captions, columns=min(columns, len(shown))))
     return f"{len(shown)} of {count} {what}" if len(shown) < count else f"{count} {what}"
 
 
-def _ends(path: Path) -> list[tuple[NDArray[np.uint8], str, str]]:
+def _ends(reader: EpisodeReader) -> Iterator[tuple[NDArray[np.uint8], str, str]]:
     """The last picture of each episode, its code, and who got there."""
-    reader = EpisodeReader(path)
-    out = []
     for row in range(len(reader)):
         points = reader.column(row, "points")[-1]
         reached = "reached" if reader.column(row, "is_success")[-1] else "not reached"
-        out.append((draw(points), label(points).chiral, f"episode {row}  {reached}"))
-    reader.close()
-    return out
+        yield draw(points), label(points).chiral, f"episode {row}  {reached}"
 
 
-def export(named: str, out: Path, form: str = "compact") -> str:
+def export(named: str, out: Path, form: str = "compact", count: Count = uncounted) -> str:
     """Write another form of what a path or an id names, the compact one as a file, or a folder with
-    one for each dataset; the fact to tell of it.
+    one for each dataset; the fact to tell of it. `count` is told before each episode.
     """
     if form == "huggingface":
-        return _upload(named, out)
+        return _upload(named, out, count)
     found = episodes_at(named)
     if form == "minari":
         to_minari([one.path for one in found], out)
@@ -168,26 +165,26 @@ def export(named: str, out: Path, form: str = "compact") -> str:
             raise UnknownDataset(
                 f"{named} has {len(found)} datasets; export them to {form} one by one"
             )
-        convert(found[0].path, out, form)
+        convert(found[0].path, out, form, count)
         return f"{len(EpisodeReader(found[0].path))} episodes for {form}"
     refuse_existing(out)
     refuse_minaris_folder(out)
     if len(found) == 1:
-        compact(found[0].path, out)
+        compact(found[0].path, out, count)
     else:
         with atomic_write(out) as folder:
             folder.mkdir()
             for one in found:
-                compact(one.path, folder / f"{name_of(one.path)}.h5")
+                compact(one.path, folder / f"{name_of(one.path)}.h5", count)
     readers = [EpisodeReader(path) for path in (sorted(out.iterdir()) if out.is_dir() else [out])]
     size = sum(reader.path.stat().st_size for reader in readers)
     where = f" in {len(readers)} files" if len(readers) > 1 else ""
     return f"{sum(map(len, readers))} episodes{where}, {size / 1e6:.1f} MB"
 
 
-def _upload(named: str, out: Path) -> str:
+def _upload(named: str, out: Path, count: Count) -> str:
     """Write a folder for Hugging Face of what a path or an id names; the fact to tell of it."""
-    to_huggingface(_sources(named), out)
+    to_huggingface(_sources(named), out, count)
     size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
     return f"{size / 1e6:.1f} MB to upload"
 
@@ -215,10 +212,12 @@ def refuse_minaris_folder(out: Path) -> None:
         )
 
 
-def merge_to_minari(sources: Sequence[str], dataset_id: str, root: Path | None) -> str:
+def merge_to_minari(
+    sources: Sequence[str], dataset_id: str, root: Path | None, count: Count = uncounted
+) -> str:
     """Make a Minari dataset of several; the fact to tell of it."""
     paths = [place(source, "episodes").path for source in sources]
-    made = merge_datasets(paths, dataset_id, root)
+    made = merge_datasets(paths, dataset_id, root, count)
     return f"{made}: {len(EpisodeReader(made))} episodes"
 
 
@@ -230,7 +229,7 @@ def page(named: str, out: Path) -> str:
     return " ".join([f"{data['says']}, {out.stat().st_size / 1e6:.1f} MB.", *data["notices"]])
 
 
-def merge(sources: Sequence[str], out: Path) -> str:
+def merge(sources: Sequence[str], out: Path, count: Count = uncounted) -> str:
     """Put datasets of one kind together, or the shards of one run; the fact to tell of it."""
     run_shards = [shard for source in sources if (shard := shard_folder_of(source))]
     if run_shards:
@@ -259,7 +258,8 @@ def merge(sources: Sequence[str], out: Path) -> str:
         merged = merge_states([read_states(states_file(path)) for _, path in found], distinct=True)
         write_states(out, merged)
         return f"{out}: {len(merged)} states"
-    merge_episodes([path for _, path in found], out, concatenate=True, distinct=True)
+    paths = [path for _, path in found]
+    merge_episodes(paths, out, concatenate=True, distinct=True, count=count)
     return f"{out}: {len(EpisodeReader(out))} episodes"
 
 

@@ -45,8 +45,8 @@ def print_states(path: str, file: Path, console: Console) -> None:
     existing = report.get("existing_codes", {})
     counts = narrow_table(
         ("nx", "states", "codes", "of", "chiral", "train", "test", "both", "c / a", "actions"),
-        title=f"{path}: {len(states)} states",
     )
+    _say(console, f"{path}: {len(states)} states")
     for nx, count in facts["nx"].items():
         counts.add_row(
             nx,
@@ -92,24 +92,28 @@ def print_images(path: str, console: Console) -> None:
         console,
         f"{path}: {facts['pictures']} pictures, {size / facts['pictures']:.0f} bytes each",
     )
-    for by in ("nx", "splits"):
-        counts = narrow_table((by, "pictures", "codes", "chiral", "of a code", "accepted", *GRADES))
-        for name, count in facts[by].items():
-            counts.add_row(
-                name,
-                str(count["pictures"]),
-                str(count["codes"]),
-                str(count["codes_with_chirality"]),
-                "/".join(map(str, count["of_a_code"])),
-                str(count["accepted"]),
-                *map(str, count["grade"].values()),
-            )
-        console.print(counts)
+    counts = narrow_table(("", "pictures", "codes", "chiral", "of a code", "accepted"), left=("",))
+    grades = narrow_table(("", *GRADES), left=("",))
+    own = {f"nx {nx}": count for nx, count in facts["nx"].items()}
+    for name, count in (own | facts["splits"]).items():
+        last_of_nx = name == [*own][-1]
+        counts.add_row(
+            name,
+            str(count["pictures"]),
+            str(count["codes"]),
+            str(count["codes_with_chirality"]),
+            "/".join(map(str, count["of_a_code"])),
+            str(count["accepted"]),
+            end_section=last_of_nx,
+        )
+        grades.add_row(name, *map(str, count["grade"].values()), end_section=last_of_nx)
+    console.print(counts)
     _say(
         console,
         "chiral: codes with chirality; of a code: fewest/most pictures; accepted: as good as"
         " curated states",
     )
+    console.print(grades)
     for name, (low, middle, high) in facts["quality"].items():
         _say(console, f"{name:24} 5 % {low:<9.3g} median {middle:<9.3g} 95 % {high:.3g}")
     _say(console, f"sizes {facts['sizes']}, colours {facts['colours']}")
@@ -169,10 +173,8 @@ def _print_growth(report: Mapping[str, Any], console: Console) -> None:
     rows = growth(report)
     if not rows:
         return
-    grown = narrow_table(
-        ("steps", *(f"nx {nx}" for nx in rows[-1]["known"])),
-        title="growth: codes known to the search / states accepted",
-    )
+    grown = narrow_table(("steps", *(f"nx {nx}" for nx in rows[-1]["known"])))
+    _say(console, "growth: codes known to the search / states accepted")
     for row in rows:
         grown.add_row(str(row["steps"]), *known_and_accepted(row))
     console.print(grown)

@@ -6,7 +6,7 @@ Points are compared bit for bit, as are rewards and observations; a code is aske
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -17,10 +17,12 @@ from knotgym.actions import steps_taken
 from knotgym.configuration import as_json, read_json
 from knotgym.datasets.episode_reader import (
     GOAL_INFO,
+    Count,
     EpisodeReader,
     InvalidEpisodeFile,
     counted_index,
     stored_index,
+    uncounted,
 )
 from knotgym.datasets.split_verification import duplicate_faults, split_faults
 from knotgym.datasets.trajectory import Episode
@@ -37,20 +39,17 @@ from knotgym.towing import TowBound
 
 _BATCH = 64  # episodes replayed side by side
 
-Count = Callable[[str, int, int], None]  # told what is looked at, how many were, and of how many
 
-
-def uncounted(what: str, done: int, total: int) -> None:
-    """A `Count` that nobody reads."""
-
-
-def replay(episodes: Sequence[Episode], task: TaskConfig, threads: int = 1) -> list[int | None]:
+def replay(
+    episodes: Sequence[Episode], task: TaskConfig, threads: int = 1, count: Count = uncounted
+) -> list[int | None]:
     """Act every episode out again from its start.
 
     Args:
         episodes: of one task; side by side in one simulation.
         task: whose rope it is.
         threads: of the simulation, 0 for every core.
+        count: told how many steps of all of them were acted out, after each side by side.
 
     Returns:
         For each episode the first state that comes out different in any bit, None where none does.
@@ -65,6 +64,8 @@ def replay(episodes: Sequence[Episode], task: TaskConfig, threads: int = 1) -> l
         going = np.flatnonzero(lengths >= step).tolist()
         if step:
             simulation.act(np.array([episodes[i].actions[step - 1] for i in going]), going)
+            acted = int(np.minimum(lengths, step).sum())
+            count("steps acted out again", acted, int(lengths.sum()))
         for i in going:
             same = np.array_equal(simulation.points[i], episodes[i].points[step])
             if different[i] is None and not same:
@@ -90,7 +91,7 @@ def verify_episodes(
         pyknotid: ask the independent labeller about each episode's last state, about 10 ms each.
         act_out: `replay` every episode without a fault.
         threads: of the simulation that does.
-        count: told after each episode.
+        count: told after each episode, and each step that is acted out.
 
     Returns:
         Faults, each naming the file, the episode and where it can the step; empty when all is well.
@@ -109,16 +110,8 @@ def verify_episodes(
         faults += [f"{where}: {fault.removeprefix(f'{where}: ')}" for fault in own]
         if not own:
             faultless.append(index)
-    for start in range(0, len(faultless) if act_out else 0, _BATCH):
-        count("episodes acted out again", start, len(faultless))
-        batch = faultless[start : start + _BATCH]
-        different = replay([reader.episode(index) for index in batch], reader.task, threads)
-        for index, step in zip(batch, different, strict=True):
-            if step is not None:
-                faults.append(
-                    f"{reader.path}, episode {reader.rows[index]}: step {step}: acted out again,"
-                    " the rope lies elsewhere"
-                )
+    if act_out:
+        faults += _replay_faults(reader, faultless, threads, count)
     reader.close()
     return faults
 
@@ -253,6 +246,28 @@ def _faults_of(
     except (InvalidEpisodeFile, OSError, KeyError, ValueError) as error:
         faults.append(one_line(error))
     return faults
+
+
+def _replay_faults(
+    reader: EpisodeReader, rows: Sequence[int], threads: int, count: Count
+) -> Iterator[str]:
+    """Episodes that end elsewhere when they are acted out again."""
+    before, steps = 0, int(reader.lengths[rows].sum())
+
+    def count_all(what: str, done: int, _: int) -> None:
+        count(what, before + done, steps)
+
+    for start in range(0, len(rows), _BATCH):
+        batch = rows[start : start + _BATCH]
+        episodes = [reader.episode(index) for index in batch]
+        different = replay(episodes, reader.task, threads, count_all)
+        before += sum(map(len, episodes))
+        for index, step in zip(batch, different, strict=True):
+            if step is not None:
+                yield (
+                    f"{reader.path}, episode {reader.rows[index]}: step {step}: acted out again,"
+                    " the rope lies elsewhere"
+                )
 
 
 def _goal_info_faults(reader: EpisodeReader, index: int, episode: Episode) -> list[str]:

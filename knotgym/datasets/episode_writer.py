@@ -32,9 +32,11 @@ from knotgym.datasets.episode_reader import (
     ONCE,
     POINTS,
     STORED,
+    Count,
     EpisodeReader,
     InvalidEpisodeFile,
     place,
+    uncounted,
 )
 from knotgym.datasets.trajectory import Episode
 from knotgym.hdf5_files import Column, stored_column
@@ -126,6 +128,7 @@ def merge_episodes(
     distinct: bool = False,
     task: TaskConfig | None = None,
     attributes: Mapping[str, str] | None = None,
+    count: Count = uncounted,
 ) -> None:
     """Put the episodes of several files into one, numbered from 0.
 
@@ -143,6 +146,7 @@ def merge_episodes(
         task: of the target, for episodes dealt out anew: `split` and `states` of the sources may
             then differ.
         attributes: of the target, beside its own.
+        count: told before each episode.
 
     Raises:
         InvalidEpisodeFile: the sources don't go together, two episodes have one number, or two that
@@ -171,6 +175,7 @@ def merge_episodes(
     }
     with atomic_write(target) as temporary, _created(temporary, written) as file:
         for number, (reader, i) in enumerate(order):
+            count("episodes", number, len(order))
             source, group = reader.group(i), file.create_group(f"episode_{number}")
             _copy(source, group, number, keep=store == first.stored)
             if store != first.stored:

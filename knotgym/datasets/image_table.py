@@ -97,7 +97,7 @@ class MissingArrow(KnotgymError, ImportError):
 
     def __init__(self) -> None:
         super().__init__(
-            "perception tables need pyarrow, which isn't installed; install it: pip install"
+            "Parquet files need pyarrow, which isn't installed; install it: pip install"
             " 'knotgym[huggingface]'"
         )
 

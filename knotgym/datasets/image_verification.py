@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.configuration import from_json
-from knotgym.datasets.episode_verification import Count, uncounted
+from knotgym.datasets.episode_reader import Count, uncounted
 from knotgym.datasets.image_rows import appearance_of, labels, measures
 from knotgym.datasets.image_table import (
     GRADES,

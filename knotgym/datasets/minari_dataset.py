@@ -27,7 +27,7 @@ import gymnasium
 import knotgym
 from knotgym.atomic_files import atomic_write, sha256
 from knotgym.configuration import as_json
-from knotgym.datasets.episode_reader import EpisodeReader, InvalidEpisodeFile
+from knotgym.datasets.episode_reader import Count, EpisodeReader, InvalidEpisodeFile, uncounted
 from knotgym.datasets.episode_writer import merge_episodes
 from knotgym.datasets.states import minari_root, ships
 from knotgym.hdf5_files import foreign_bytes_as
@@ -91,6 +91,7 @@ def publish(
     overwrite: bool = False,
     states: str | os.PathLike[str] | None = None,
     task: TaskConfig | None = None,
+    count: Count = uncounted,
 ) -> Path:
     """Merge episode files, compact ones too, into a Minari dataset; it appears whole or not at all.
 
@@ -104,7 +105,7 @@ def publish(
         overwrite: replace a dataset of this id.
         states: a state file to carry along; a task whose `states` is the dataset's id resets from
             it, wherever the dataset goes.
-        task: as `merge_episodes`.
+        task, count: as `merge_episodes`.
 
     Returns:
         The dataset's folder.
@@ -136,6 +137,7 @@ def publish(
             distinct=distinct,
             task=task,
             attributes={"metadata": json.dumps(asdict(metadata))},
+            count=count,
         )
         merged = EpisodeReader(temporary)
         entries = {
@@ -166,7 +168,10 @@ def _carry(states: str | os.PathLike[str], target: Path) -> None:
 
 
 def merge_datasets(
-    sources: Sequence[Any], dataset_id: str, out: str | os.PathLike[str] | None = None
+    sources: Sequence[Any],
+    dataset_id: str,
+    out: str | os.PathLike[str] | None = None,
+    count: Count = uncounted,
 ) -> Path:
     """Put datasets of one task and split together into another, nothing encoded again.
 
@@ -176,6 +181,7 @@ def merge_datasets(
         sources: datasets, or episode files, that share no episode.
         dataset_id: of the dataset to make.
         out: the root under which Minari would find it; None for Minari's own.
+        count: told before each episode.
 
     Returns:
         The dataset's folder.
@@ -218,7 +224,14 @@ def merge_datasets(
     for reader in readers:
         reader.close()
     return publish(
-        sources, metadata, out, concatenate=True, distinct=True, states=carried, task=task
+        sources,
+        metadata,
+        out,
+        concatenate=True,
+        distinct=True,
+        states=carried,
+        task=task,
+        count=count,
     )
 
 
@@ -231,10 +244,11 @@ def _states_digest(reader: EpisodeReader) -> str:
     return sha256(path)
 
 
-def compact(source: Any, target: str | os.PathLike[str]) -> None:
+def compact(source: Any, target: str | os.PathLike[str], count: Count = uncounted) -> None:
     """Write the compact form of a dataset: episodes and metadata without observations, one file.
 
-    `publish([target], metadata_of(target))` makes the dataset again.
+    `publish([target], metadata_of(target))` makes the dataset again. `count` is told before each
+    episode.
     """
     metadata = metadata_of(source)
     merge_episodes(
@@ -242,6 +256,7 @@ def compact(source: Any, target: str | os.PathLike[str]) -> None:
         target,
         store="none",
         attributes={} if metadata is None else {"metadata": json.dumps(asdict(metadata))},
+        count=count,
     )
 
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from knotgym.actions import drawn_actions
 from knotgym.configuration import from_json
-from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.datasets.episode_verification import Count, uncounted, verify_episodes
+from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
+from knotgym.datasets.episode_verification import verify_episodes
 from knotgym.datasets.manifest_check import listed_faults, read_manifest, report_faults
 from knotgym.datasets.near_duplicates import NEAR, distances, repeated
 from knotgym.datasets.splits import STATE_SPLITS
@@ -47,7 +47,7 @@ def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
     """Faults of the rows: schema, labels, measures, pictures, replay of the provenance, splits.
 
     Of a file that says the checksum of its columns also whether they are those. `count` is told
-    after each row.
+    after each row, and each step that is acted out.
     """
     rope = Rope()
     if states.attributes.get("rope") != rope.config.fingerprint:
@@ -62,8 +62,7 @@ def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
         return
     for first in range(0, len(states), AT_ONCE):
         rows = range(first, min(first + AT_ONCE, len(states)))
-        count("states", first, len(states))
-        ends = _replayed(states, rows, rope)
+        ends = _replayed(states, rows, rope, count)
         for row in rows:
             count("states", row, len(states))
             for fault in _row_faults(states, row, rope, ends.get(row)):
@@ -80,7 +79,7 @@ def folder_faults(folder: Path, count: Count = uncounted) -> Iterator[str]:
     """Faults of a folder that `knotgym generate` made.
 
     Manifest and checksums come first, then the rows, then the trajectories, then the splits.
-    `count` is told after each row and episode.
+    `count` is told after each row and episode, and each step that is acted out.
     """
     manifest, faults = read_manifest(folder)
     yield from faults
@@ -211,7 +210,7 @@ def actions_of(states: States, row: int) -> NDArray[np.float32]:
     return drawn_actions(seed, steps)
 
 
-def _replayed(states: States, rows: Sequence[int], rope: Rope) -> dict[int, Array]:
+def _replayed(states: States, rows: Sequence[int], rope: Rope, count: Count) -> dict[int, Array]:
     """Where the replay of rows ends, qpos (nq,); without those that can't be replayed, or whose
     simulation failed.
     """
@@ -227,8 +226,10 @@ def _replayed(states: States, rows: Sequence[int], rope: Rope) -> dict[int, Arra
     simulation = Simulation(len(left), rope, threads=0)
     simulation.lay(states.source["start_qpos"][left])
     whole = np.ones(len(left), dtype=bool)
-    for step in range(max(len(actions[row]) for row in left)):
-        ids = np.flatnonzero([whole[k] and step < len(actions[row]) for k, row in enumerate(left)])
+    lengths = np.array([len(actions[row]) for row in left])
+    for step in range(int(lengths.max())):
+        count("steps acted out again", int(np.minimum(lengths, step).sum()), int(lengths.sum()))
+        ids = np.flatnonzero(whole & (step < lengths))
         if len(ids):
             whole[ids] = simulation.act([actions[left[k]][step] for k in ids], ids)
     qpos = simulation.qpos()

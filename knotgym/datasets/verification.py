@@ -9,7 +9,8 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from knotgym.datasets.episode_verification import Count, uncounted, verify_episodes
+from knotgym.datasets.episode_reader import Count, uncounted
+from knotgym.datasets.episode_verification import verify_episodes
 from knotgym.datasets.image_table import is_images
 from knotgym.datasets.machine import others
 from knotgym.datasets.state_schema import FORMAT

@@ -13,15 +13,12 @@ from knotgym.errors import KnotgymError, MissingExtra
 from knotgym.loaders.rows import rows
 from knotgym.loaders.transitions import Transitions
 
-# d3rlpy 2.8.1 pins gymnasium 1.0.0, older than the environments need, so no extra can hold it; the
-# loaders run with any
+# d3rlpy 2.8.1 pins gymnasium 1.0.0, which all of this runs with; an extra would pin it for everyone
+# who asks for all extras
 _HOW = {
     "torch": "pip install 'knotgym[torch]'",
     "tensordict": "pip install 'knotgym[torchrl]'",
-    "d3rlpy": (
-        "in an environment of its own, for it pins gymnasium: pip install d3rlpy, then pip install"
-        " --no-deps knotgym"
-    ),
+    "d3rlpy": "pip install d3rlpy (it pins Gymnasium 1.0.0, with which all of this works)",
 }
 
 

@@ -72,6 +72,7 @@ def run(
         kept, done = KeptReplies(folder / _REPLIES), {}
         if resume:
             progress.say(f"{out}: {len(kept)} replies are there")
+        progress.stage("asking the model")
         try:
             for one in _asked(ask, count, chat, kept, side_by_side, stop):
                 done[one["number"]] = one

@@ -60,10 +60,12 @@ class Progress:
         self._first: tuple[float, Status] | None = None  # the first status, and when
         self._status: Status | None = None
         self._stage, self._count = "starting", ""
-        self.console = console or Console()
+        # the file itself: what goes on may send `sys.stdout` elsewhere for a while, as pyknotid's
+        # words are, and would send the ticks along
+        self.console = console or Console(file=sys.stdout)
         shown = self.console
         if not shown.is_terminal and console is None and sys.stderr.isatty():
-            shown = Console(stderr=True)  # the output goes into a pipe, the person looks on
+            shown = Console(file=sys.stderr)  # the output goes into a pipe, the person looks on
         live = shown.is_terminal and not quiet
         self._live = (
             Live(

@@ -14,9 +14,10 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -31,7 +32,7 @@ from knotgym.generate.episodes.collect import distinct_id
 from knotgym.generate.episodes.evaluate import Result, show
 from knotgym.runs.engine import CHECKPOINT, Batch, run
 from knotgym.runs.executors import InProcess
-from knotgym.runs.progress import Progress, Status, duration, tell_if_long
+from knotgym.runs.progress import Progress, Status, compile_first, duration, tell_if_long
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.staging import staging_folder
 from knotgym.tasks import TaskConfig
@@ -207,6 +208,25 @@ def test_it_ticks_while_a_single_piece_of_work_goes_on() -> None:
     assert ticked.is_set() and len(set(seen)) > 3  # each with another time
 
 
+def test_a_first_run_says_that_it_compiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kernel = SimpleNamespace(stats=SimpleNamespace(cache_path=tmp_path))  # nothing compiled there
+    monkeypatch.setattr("knotgym.topology.crossing_kernel.scan", kernel)
+    stages: list[str] = []
+    monkeypatch.setattr(Progress, "stage", lambda _, name: stages.append(name))
+    compile_first(Progress(quiet=True))
+    assert stages == ["compiling, in the first run only", "starting"]
+
+
+def test_a_terminal_is_told_while_printed_words_go_elsewhere(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with monkeypatch.context() as patch, terminal(patch) as shown:
+        # as pyknotid's do, while it is imported
+        with Progress() as progress, redirect_stdout(io.StringIO()) as kept:
+            progress.say("told")
+        assert "told" in shown() and not kept.getvalue()
+
+
 def shown(even: bool, *done: int) -> str:
     """What plain lines say of a run of ten things, looked at every 20 s."""
     written, now = io.StringIO(), iter(range(0, 10**6, 20))
@@ -252,9 +272,10 @@ def test_a_million_states_are_said_to_take_long(
     "words",
     [
         ("generate", "--nx", 0, "--count", 1),
+        ("collect", "--episodes", 1),
+        ("images", "--nx", 0, "--count", 2),
         ("evaluate", "--episodes", 1),
-        ("dataset", "merge", "{}/x"),
-        ("dataset", "export", "{}/x"),
+        *(("dataset", name, "{}/x") for name in ("merge", "export", "page", "replay")),
     ],
 )
 def test_a_place_that_cannot_be_written_is_refused_at_once(
@@ -502,7 +523,7 @@ def test_verify_takes_all_that_a_run_made_and_says_what_it_checked(
     name: str,
     told: str,
 ) -> None:
-    counted: set[tuple[object, ...]] = set()
+    counted: set[tuple[Any, ...]] = set()
     monkeypatch.setattr(Progress, "stage", lambda _, *said: counted.add(said))
     assert knotgym("dataset", "verify", curated / name) == 0
     last = capfd.readouterr().out.splitlines()[-1]
@@ -510,7 +531,8 @@ def test_verify_takes_all_that_a_run_made_and_says_what_it_checked(
     if not name:
         assert "checksums" in last
         assert {("states", 7, 8), ("episodes", 1, 2)} <= counted
-        assert any(said[0] == "episodes acted out again" for said in counted)
+        acted = {said[1:] for said in counted if said[0] == "steps acted out again"}
+        assert any(0 < done < total for done, total in acted)
 
 
 @pytest.mark.parametrize(
@@ -533,9 +555,15 @@ def test_gallery_draws_whatever_it_is_given(
 
 
 def test_export_of_a_run_writes_a_file_for_each_dataset(
-    curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    curated: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
+    counted: set[tuple[Any, ...]] = set()
+    monkeypatch.setattr(Progress, "stage", lambda _, *said: counted.add(said))
     assert knotgym("dataset", "export", curated, "--out", tmp_path / "e") == 0
+    assert ("episodes", 1, 2) in counted
     assert "8 episodes in 4 files" in capfd.readouterr().out
     assert sorted(path.name for path in (tmp_path / "e").iterdir()) == [
         "tie-nx1-demonstrations-test-v0.h5",
@@ -553,7 +581,9 @@ def test_a_replay_says_that_it_is_the_same_bit_for_bit(
     assert re.search(r"a\.gif: bit for bit the same, \d+ steps", told)
 
 
-@pytest.mark.parametrize("command", ["show", "verify", "gallery", "export", "replay", "merge"])
+@pytest.mark.parametrize(
+    "command", ["show", "verify", "gallery", "export", "replay", "merge", "page"]
+)
 def test_a_path_that_is_not_there_is_no_such_file(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], command: str
 ) -> None:

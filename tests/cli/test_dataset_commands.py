@@ -34,6 +34,7 @@ from knotgym.rendering.video import (
 )
 from knotgym.rope import Rope
 
+from ..conftest import curled
 from ..small_job import knotgym
 
 FRAMES = [np.full((40, 60, 3), level, dtype=np.uint8) for level in (0, 60, 120, 180, 240)]
@@ -110,6 +111,15 @@ def test_a_frame_shows_the_pull_and_says_the_plain_loop() -> None:
     at = 3 * project(loop[:1], center=loop.mean(axis=0))[0]
     assert moved[:, 1].max() < 384  # on the rope's half
     assert abs(moved[:, 0].max() - at[1]) < 8 and at[1] - moved[:, 0].min() > 60  # upwards, +y
+
+
+def test_a_frame_names_its_halves_and_has_both_codes_in_one_notation(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    said: list[str] = []
+    monkeypatch.setattr("cv2.putText", lambda frame, text, *_: said.append(text))
+    film_frame(Rope().loop(), Rope().from_curve(curled(1)), "step 0 of 1")
+    assert said == ["step 0 of 1", "now   the plain loop", "goal  1+,1-", "now", "goal"]
 
 
 @pytest.mark.parametrize("name", ["a.avi", "a", "a.gif.txt"])

@@ -6,6 +6,7 @@ import contextlib
 import fcntl
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -216,6 +217,14 @@ def test_the_card_tells_states_codes_and_seed(curated: Path) -> None:
         text.startswith("---\nlicense: cc-by-4.0\n") and "# Rope states with 0, 1 crossings" in text
     )
     assert "| 1 | 4 | 2 of 2 |" in text and "with seed 0" in text
+    assert not re.search(r"^\|.*(\{|\d\.\d{5})", text, re.M)  # nothing dumped into a cell
+    for part in (
+        "![every state with its code](gallery.png)",
+        "## Columns of states.h5",
+        "## To cite",
+        "```bibtex",
+    ):
+        assert part in text
 
 
 # What can be done with it.

@@ -73,7 +73,9 @@ def wanted(dataset: Path, observation: str, rows: list[int]) -> dict[str, Any]:
 
 
 def test_ogbench_files_hold_every_state_once(dataset: Path, tmp_path: Path) -> None:
-    export(dataset, tmp_path, "ogbench")
+    counted: list[tuple[str, int, int]] = []
+    export(dataset, tmp_path, "ogbench", lambda *said: counted.append(said))
+    assert counted[:4] == [("episodes of pixels", *at) for at in ((0, 3), (1, 3), (2, 3), (0, 1))]
     for look, observation in (("", "state"), ("visual-", "pixels")):
         name = f"{look}tie-nx2-noisy_expert-v0"
         for end, rows in (("-train", [0, 1, 2]), ("-val", [3]), ("", [0, 1, 2])):
@@ -87,7 +89,9 @@ def test_ogbench_files_hold_every_state_once(dataset: Path, tmp_path: Path) -> N
 
 def test_lerobot_rows_are_the_episodes_steps(dataset: Path, tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
-    export(dataset, tmp_path / "a", "lerobot")
+    counted: list[tuple[str, int, int]] = []
+    export(dataset, tmp_path / "a", "lerobot", lambda *said: counted.append(said))
+    assert counted == [("episodes", done, 4) for done in range(4)]
     info = json.loads((tmp_path / "a/meta/info.json").read_text())
     rows = parquet.read_table(tmp_path / "a/data/chunk-000/file-000.parquet").to_pylist()
     tasks = parquet.read_table(tmp_path / "a/meta/tasks.parquet").to_pydict()["task"]

@@ -60,6 +60,22 @@ def test_every_example_says_how_to_use_it(
     assert usage in script.read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize(
+    ("script", "library", "told"),
+    [
+        ("perception/read.py", "torch", "needs torch: pip install 'knotgym[torch,huggingface]'"),
+        ("learners/offline_rl.py", "d3rlpy", "needs d3rlpy: pip install d3rlpy"),
+    ],
+)
+def test_an_example_without_its_library_is_one_line(
+    script: str, library: str, told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, library, None)  # as if it weren't installed
+    with pytest.raises(SystemExit) as ended:
+        run_script(FOLDER / script, "--help")
+    assert ended.value.code == f"{Path(script).name} {told}"
+
+
 @with_arrow
 def test_a_code_is_read_off_a_picture_by_tracing_its_colours(
     rope: Rope, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -21,6 +21,7 @@ from knotgym.datasets import image_table as tables
 from knotgym.datasets.image_rows import Row, record
 from knotgym.datasets.image_table import (
     COLUMNS,
+    GRADES,
     InvalidImages,
     MissingArrow,
     decode,
@@ -390,6 +391,29 @@ def test_a_gallery_is_drawn_of_pictures(
 ) -> None:
     assert knotgym("dataset", "gallery", folder, "--out", tmp_path / "g.png") == 0
     assert "pictures" in capsys.readouterr().out and (tmp_path / "g.png").is_file()
+
+
+def test_a_summary_of_pictures_fits_eighty_columns_heads_whole(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert knotgym("dataset", "show", folder) == 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if str(folder) not in line]
+    assert all(len(line) <= 80 for line in lines)
+    heads = [line.split() for line in lines if "pictures " in line or "easy" in line]
+    assert heads[0] == ["pictures", "codes", "chiral", "of", "a", "code", "accepted"]
+    assert heads[1] == [*GRADES]
+    assert sum(line.startswith(" train ") for line in lines) == 2  # rows have their names
+
+
+@pytest.mark.parametrize("command", ["page", "export"])
+def test_a_folder_of_pictures_is_one_thing_to_every_command(
+    command: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = ("--out", tmp_path / "made.html")
+    more = ("--to", "huggingface") if command == "export" else ()
+    assert knotgym("dataset", command, folder, *more, *out) == 0
+    assert "made.html: " in capsys.readouterr().out and (tmp_path / "made.html").exists()
 
 
 def test_an_unknown_kind_or_split_is_refused(folder: Path) -> None:

@@ -6,9 +6,10 @@ import importlib
 import os
 from typing import Any
 
+from knotgym.datasets.episode_reader import Count, uncounted
 from knotgym.errors import KnotgymError
 
-# each takes a dataset and where to write
+# each takes a dataset, where to write, and what to tell of how far it is
 FORMS = {
     "compact": "knotgym.datasets.minari_dataset:compact",
     "lerobot": "knotgym.datasets.exports.lerobot_export:to_lerobot",
@@ -30,13 +31,16 @@ class NothingToExport(KnotgymError, ValueError):
     """A dataset lacks what a form is made of, or something is there already."""
 
 
-def export(source: Any, out: str | os.PathLike[str], form: str = "compact") -> None:
+def export(
+    source: Any, out: str | os.PathLike[str], form: str = "compact", count: Count = uncounted
+) -> None:
     """Write a dataset of episodes in another form.
 
     Args:
         source: what `EpisodeReader` takes.
         out: a file for "compact", a folder for the others.
         form: one of FORMS.
+        count: told before each episode.
 
     Raises:
         UnknownForm: there is no such form.
@@ -45,4 +49,4 @@ def export(source: Any, out: str | os.PathLike[str], form: str = "compact") -> N
     if form not in FORMS:
         raise UnknownForm(form)
     module, _, function = FORMS[form].partition(":")
-    getattr(importlib.import_module(module), function)(source, out)
+    getattr(importlib.import_module(module), function)(source, out, count)

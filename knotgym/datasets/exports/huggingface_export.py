@@ -25,7 +25,7 @@ import knotgym
 from knotgym.atomic_files import atomic_write
 from knotgym.datasets.cards.citation import BIBTEX, TO_CITE, citation_file
 from knotgym.datasets.cards.state_card import table
-from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
 from knotgym.datasets.exports.croissant import FileObject, croissant
 from knotgym.datasets.exports.forms import NothingToExport
 from knotgym.datasets.exports.parquet_tables import (
@@ -63,8 +63,8 @@ class ToUpload(NamedTuple):
     pictures: Path | None = None
 
 
-def to_huggingface(source: ToUpload, out: str | os.PathLike[str]) -> None:
-    """Write the folder, whole or not at all.
+def to_huggingface(source: ToUpload, out: str | os.PathLike[str], count: Count = uncounted) -> None:
+    """Write the folder, whole or not at all; `count` is told before each episode.
 
     Raises:
         NothingToExport: there is no row, or `out` is there.
@@ -75,7 +75,7 @@ def to_huggingface(source: ToUpload, out: str | os.PathLike[str]) -> None:
     arrow()
     with atomic_write(out) as folder:
         folder.mkdir()
-        files = [file for file in _written(source, folder) if file.rows]
+        files = [file for file in _written(source, folder, count) if file.rows]
         if not files:
             raise NothingToExport(f"{source.title} holds no rows, so there is nothing to export")
         told = ", ".join(f"{sum(f.rows for f in files if f.config == name)} {name}"
@@ -97,7 +97,7 @@ def to_huggingface(source: ToUpload, out: str | os.PathLike[str]) -> None:
         _write(folder / "README.md", "\n".join(_card(source.title, description, folder, files)))
 
 
-def _written(source: ToUpload, folder: Path) -> Iterator[FileObject]:
+def _written(source: ToUpload, folder: Path, count: Count) -> Iterator[FileObject]:
     """Write the tables, and the gallery; what they are."""
     if source.pictures is not None:
         columns = picture_columns()
@@ -117,12 +117,12 @@ def _written(source: ToUpload, folder: Path) -> Iterator[FileObject]:
             if len(part):
                 place = f"data/states/{split}-00000-of-00001.parquet"
                 columns = state_columns(part)
-                count = write_parquet(folder / place, columns, state_rows(part))
-                yield FileObject("states", split, place, count, columns)
-    yield from _steps(source.episodes, folder)
+                written = write_parquet(folder / place, columns, state_rows(part))
+                yield FileObject("states", split, place, written, columns)
+    yield from _steps(source.episodes, folder, count)
 
 
-def _steps(datasets: Sequence[Path], folder: Path) -> Iterator[FileObject]:
+def _steps(datasets: Sequence[Path], folder: Path, count: Count) -> Iterator[FileObject]:
     readers = [(EpisodeReader(path), dataset_name(path)) for path in datasets]
     if not readers:
         return
@@ -130,7 +130,7 @@ def _steps(datasets: Sequence[Path], folder: Path) -> Iterator[FileObject]:
     columns = step_columns(pictures, readers[0][0].column(0, "points").shape[1])
     for split in dict.fromkeys(reader.task.split for reader, _ in readers):
         own = [(reader, name) for reader, name in readers if reader.task.split == split]
-        rows = (row for reader, name in own for row in step_rows(reader, name, pictures))
+        rows = (row for reader, name in own for row in step_rows(reader, name, pictures, count))
         place = f"data/steps/{split}-00000-of-00001.parquet"
         yield FileObject(
             "steps", split, place, write_parquet(folder / place, columns, rows), columns

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.atomic_files import atomic_write
-from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
 from knotgym.datasets.exports.forms import NothingToExport
 from knotgym.datasets.image_table import arrow, encode
 
@@ -31,12 +31,13 @@ _PLACE = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _NAMES = {"pixels": "observation.image", "state": "observation.environment_state"}
 
 
-def to_lerobot(source: Any, out: str | os.PathLike[str]) -> None:
+def to_lerobot(source: Any, out: str | os.PathLike[str], count: Count = uncounted) -> None:
     """Write the dataset; it appears whole or not at all.
 
     Args:
         source: what `EpisodeReader` takes.
         out: the folder to make.
+        count: told before each episode.
 
     Raises:
         NothingToExport: no episode, `out` is there, or its observations have no place in the form.
@@ -54,7 +55,7 @@ def to_lerobot(source: Any, out: str | os.PathLike[str]) -> None:
         )
     looks = [name for name in _NAMES if task.observation in (name, "both")]
     with atomic_write(folder) as temporary:
-        _Writer(reader, looks, temporary).write()
+        _Writer(reader, looks, temporary).write(count)
     reader.close()
 
 
@@ -88,11 +89,12 @@ class _Writer:
             },
         }
 
-    def write(self) -> None:
+    def write(self, count: Count) -> None:
         """Write everything."""
         parquet, waiting, size = arrow("pyarrow.parquet"), [], 0
         schema = _schema(self.features)
         for k in range(len(self.reader)):
+            count("episodes", k, len(self.reader))
             table = arrow().table(self._columns(k), schema=schema)
             waiting.append(table)
             size += table.nbytes

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.atomic_files import atomic_write
-from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
 from knotgym.datasets.exports.forms import NothingToExport
 from knotgym.datasets.minari_dataset import metadata_of
 
@@ -34,12 +34,13 @@ _TENTH = 10  # every tenth episode is for validation
 _LOOKS = {"pixels": "visual-", "state": ""}
 
 
-def to_ogbench(source: Any, out: str | os.PathLike[str]) -> None:
+def to_ogbench(source: Any, out: str | os.PathLike[str], count: Count = uncounted) -> None:
     """Write the files; of a dataset of both pictures and vertices, those of either.
 
     Args:
         source: what `EpisodeReader` takes.
         out: the folder they go to; OGBench's own is ~/.ogbench/data.
+        count: told before each episode of a file.
 
     Raises:
         NothingToExport: fewer than two episodes, neither pictures nor vertices, or a file is there.
@@ -65,7 +66,7 @@ def to_ogbench(source: Any, out: str | os.PathLike[str]) -> None:
     for look, name in names.items():
         for end, episodes in parts.items():
             with atomic_write(folder / f"{name}{end}.npz") as temporary:
-                arrays: dict[str, Any] = _rows(reader, episodes, look)
+                arrays: dict[str, Any] = _rows(reader, episodes, look, count)
                 with temporary.open("wb") as file:
                     np.savez_compressed(file, **arrays)
         with atomic_write(folder / f"{name}.npz") as temporary:
@@ -76,14 +77,17 @@ def to_ogbench(source: Any, out: str | os.PathLike[str]) -> None:
     reader.close()
 
 
-def _rows(reader: EpisodeReader, episodes: list[int], look: str) -> dict[str, NDArray[Any]]:
+def _rows(
+    reader: EpisodeReader, episodes: list[int], look: str, count: Count
+) -> dict[str, NDArray[Any]]:
     """The arrays of some episodes, one after another."""
     ends = np.cumsum([int(reader.lengths[k]) + 1 for k in episodes])
     observations: NDArray[Any] | None = None
     actions = np.zeros((ends[-1], 6), dtype=np.float32)
     terminals = np.zeros(ends[-1], dtype=bool)
     terminals[ends - 1] = True
-    for k, end in zip(episodes, ends, strict=True):
+    for done, (k, end) in enumerate(zip(episodes, ends, strict=True)):
+        count(f"episodes of {look}", done, len(episodes))
         start = end - int(reader.lengths[k]) - 1
         rope = _rope_alone(reader.observations(k, observation=look), reader.task.layout)
         if observations is None:

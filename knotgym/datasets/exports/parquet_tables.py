@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
 from knotgym.datasets.image_table import COLUMNS as PICTURE_COLUMNS
 from knotgym.datasets.image_table import arrow, arrow_type, encode, feature
 from knotgym.datasets.state_schema import COLUMNS as STATE_COLUMNS
@@ -93,9 +93,14 @@ def step_columns(pictures: bool, beads: int) -> list[TableColumn]:
     ]
 
 
-def step_rows(reader: EpisodeReader, dataset: str, pictures: bool) -> Iterator[dict[str, Any]]:
-    """Row by row, as `step_columns` says, an episode in memory at a time."""
+def step_rows(
+    reader: EpisodeReader, dataset: str, pictures: bool, count: Count = uncounted
+) -> Iterator[dict[str, Any]]:
+    """Row by row, as `step_columns` says, an episode in memory at a time; `count` is told before
+    each.
+    """
     for index in range(len(reader)):
+        count(f"episodes of {dataset}", index, len(reader))
         episode = reader.episode(index)
         seen = reader.observations(index, observation="pixels") if pictures else None
         goal = episode.goal_points.ravel().tolist()
