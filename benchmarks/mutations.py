@@ -19,6 +19,7 @@ import json
 import multiprocessing
 import tempfile
 import time
+import warnings
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -51,7 +52,9 @@ def judged(kind: str, path: Path, right: dict[str, str]) -> str:
         return f"traceback: {type(error).__name__}: {error}"
 
 
-def _judge(kind: str, right: dict[str, str], pipe: Any) -> None:
+def _judge(kind: str, right: dict[str, str], pipe: Any, other: Any) -> None:
+    other.close()  # so that this process ends with the one that asks it
+    warnings.simplefilter("error", RuntimeWarning)  # more than one line
     for path in iter(pipe.recv, None):
         pipe.send((judged(kind, path, right), time.process_time()))
 
@@ -80,7 +83,7 @@ class Readers:
     def _begin(self) -> None:
         forked = multiprocessing.get_context("fork")
         self._pipe, pipe = forked.Pipe()
-        self._child = forked.Process(target=_judge, args=(*self._given, pipe))
+        self._child = forked.Process(target=_judge, args=(*self._given, pipe, self._pipe))
         self._child.start()
         pipe.close()
         self._left, self._taken = READ_BY_ONE, 0.0

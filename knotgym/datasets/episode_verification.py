@@ -25,6 +25,7 @@ from knotgym.datasets.episode_reader import (
 from knotgym.datasets.split_verification import duplicate_faults, split_faults
 from knotgym.datasets.trajectory import Episode
 from knotgym.errors import one_line
+from knotgym.hdf5_files import foreign_bytes_as
 from knotgym.rendering.observations import observe, picture_config
 from knotgym.reward import consecutive
 from knotgym.rope import Rope
@@ -100,7 +101,11 @@ def verify_episodes(
     except InvalidEpisodeFile as error:
         return [str(error)]
     rope = Rope(reader.task.rope)
-    faults = [*_file_faults(reader, rope), *split_faults(reader), *duplicate_faults(reader)]
+    try:
+        with foreign_bytes_as(InvalidEpisodeFile, f"{reader.path} isn't a whole episode file"):
+            faults = [*_file_faults(reader, rope), *split_faults(reader), *duplicate_faults(reader)]
+    except InvalidEpisodeFile as error:
+        return [str(error)]
     faultless: list[int] = []
     for index, row in enumerate(reader.rows):
         count("episodes", index, len(reader))
