@@ -98,12 +98,15 @@ def told_trainings(path: Path) -> Told:
 
 
 def told_replies(path: Path) -> Told:
-    """Digest of the replies that a prompted run asks no more for."""
+    """Digests of the replies that a prompted run asks no more for; what is lost it asks again."""
     from knotgym.prompting.kept_replies import KeptReplies
 
     kept = KeptReplies(path)
     kept.close()
-    return [], {str(at): digest(repr(reply)) for at, reply in kept._kept.items()}
+    given = {str(at): digest(repr(reply)) for at, reply in kept._kept.items()}
+    whole = _asked("replies", given)
+    again = [f"{at} is asked again" for at in whole if at not in given]
+    return again, {**whole, **given}
 
 
 def told_caches(path: Path) -> Told:
@@ -117,8 +120,11 @@ def told_caches(path: Path) -> Told:
     shutil.rmtree(place.parent, ignore_errors=True)
     place.mkdir(parents=True)
     for name in ("frames.bin", "goals.npy", "made.json"):
-        if (path.parent / name).exists() or (path.parent / name).is_symlink():
-            (path.parent / name).rename(place / name)
+        one = path.parent / name
+        if one.is_file() and not one.is_symlink():
+            (place / name).write_bytes(one.read_bytes())
+        elif one.exists() or one.is_symlink():
+            one.rename(place / name)
     frames = CachedFrames(reader, None, FrameCache(place.parent))
     return [], {
         "frames": digest(frames.frames.tobytes()),

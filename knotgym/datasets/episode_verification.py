@@ -17,10 +17,12 @@ from knotgym.actions import steps_taken
 from knotgym.configuration import as_json, read_json
 from knotgym.datasets.episode_reader import (
     GOAL_INFO,
+    TOLD_DIGEST,
     EpisodeReader,
     InvalidEpisodeFile,
     counted_index,
     stored_index,
+    told_digest,
 )
 from knotgym.datasets.split_verification import duplicate_faults, split_faults
 from knotgym.datasets.trajectory import Episode
@@ -218,6 +220,9 @@ def _file_faults(reader: EpisodeReader, rope: Rope) -> list[str]:
         )
     if "index" in reader.file.attrs and stored_index(reader.file) != counted_index(reader.file):
         faults.append(f"{reader.path}: its index isn't that of its episodes")
+    told = reader.file.attrs
+    if TOLD_DIGEST in told and told[TOLD_DIGEST] != told_digest(told):
+        faults.append(f"{reader.path}: its attributes aren't those it was written with")
     if sorted(reader.rows) != list(range(len(reader.file))):
         faults.append(
             f"{reader.path}: episodes aren't numbered from 0 to {len(reader.file) - 1}, as Minari"

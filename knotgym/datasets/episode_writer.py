@@ -32,9 +32,11 @@ from knotgym.datasets.episode_reader import (
     ONCE,
     POINTS,
     STORED,
+    TOLD_DIGEST,
     EpisodeReader,
     InvalidEpisodeFile,
     place,
+    told_digest,
 )
 from knotgym.datasets.trajectory import Episode
 from knotgym.hdf5_files import Column, stored_column
@@ -259,6 +261,7 @@ def _write_index(file: h5py.File, index: list[tuple[int, int]]) -> None:
 def _created(path: Path, attributes: dict[str, Any]) -> Iterator[h5py.File]:
     with new_hdf5(path, libver=("v110", "v110")) as file:
         file.attrs.update(attributes)
+        file.attrs[TOLD_DIGEST] = told_digest(file.attrs)
         yield file
 
 

@@ -38,6 +38,8 @@ class KeptReplies:
             InvalidReplies: it isn't what a run has kept.
         """
         self._lock, self._kept = threading.Lock(), {}
+        if path.is_symlink():
+            raise InvalidReplies(f"{path} is a link to another place, should be a file")
         if path.exists():
             require_regular(path, "file of replies", InvalidReplies)
         try:
