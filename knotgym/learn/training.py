@@ -20,8 +20,9 @@ from safetensors.torch import load, save
 from torch import Tensor
 
 import knotgym
-from knotgym.atomic_files import atomic_write
+from knotgym.atomic_files import atomic_write, require_writable
 from knotgym.configuration import as_json, check_numbers, read_json
+from knotgym.datasets.episode_reader import episode_file
 from knotgym.errors import KnotgymError, one_line
 from knotgym.hdf5_files import require_regular
 from knotgym.learn.checkpoint import Learned, save_policy
@@ -85,12 +86,16 @@ def train(
 
     Raises:
         InvalidTraining: the folder holds another training, or none to resume.
+        Unwritable: nothing can be written there.
         InvalidTrainingData, InvalidEpisodeFile, MissingFile: the data won't do.
     """
     if progress is None:
         with Progress(quiet) as progress:
             return train(datasets, out, config, resume=resume, progress=progress)
     began = time.perf_counter()
+    require_writable(out)
+    for dataset in datasets:
+        episode_file(dataset)
     progress.stage("reading the episodes")
     data = read_training_data(datasets)
     request = {"config": as_json(config), "data_sha256": data.digest}
