@@ -170,6 +170,19 @@ def table(report: dict[str, Any]) -> str:
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
+def summary(report: dict[str, Any]) -> str:
+    """The outcomes of every kind, as docs/formats/index.md has them."""
+    outcomes = ("refused", "found", "unchanged", "harmful", *(BAD[3:] + BAD[:3]))
+    lines = [("kind", "copies", "bytes", *outcomes, "CPU s"), ("---", *["---:"] * 11)]
+    for kind, one in report.items():
+        counts: Counter[str] = sum((Counter(row) for row in one["classes"].values()), Counter())
+        sizes = (str(one["count"]), str(one["bytes"]))
+        seconds = f"{one['cpu_seconds']:.0f}"
+        named = kind.replace("_", " ")
+        lines.append((named, *sizes, *(str(counts[name]) for name in outcomes), seconds))
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -200,7 +213,7 @@ def main() -> None:
 
         save(run(kind, source, given.count, given.seed, done, save))
         print(*report[kind]["bad"], sep="\n", flush=True)
-    print(table(report))
+    print(table(report), summary(report), sep="\n\n")
 
 
 if __name__ == "__main__":
