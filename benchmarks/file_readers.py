@@ -82,7 +82,13 @@ def told_manifests(path: Path) -> Told:
         print_states(str(path.parent), states, Console(file=shown))
         if not shown.getvalue().replace("\n", "").isprintable():
             raise AssertionError("control characters reach the terminal")
-    return faults, {"files": digest(json.dumps(manifest.get("files"), sort_keys=True))}
+    # of the card and the gallery, which no reader reads, nobody misses the checksum
+    read = {name: own for name, own in manifest.get("files", {}).items() if _is_read(name)}
+    return faults, {"files": digest(json.dumps(read, sort_keys=True))}
+
+
+def _is_read(name: str) -> bool:
+    return Path(name).suffix not in (".md", ".png")
 
 
 def told_policies(path: Path) -> Told:

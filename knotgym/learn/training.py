@@ -22,7 +22,7 @@ from torch import Tensor
 import knotgym
 from knotgym.atomic_files import atomic_write, require_writable
 from knotgym.configuration import as_json, check_numbers, read_json
-from knotgym.datasets.episode_reader import episode_file
+from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.errors import KnotgymError, one_line
 from knotgym.hdf5_files import require_regular
 from knotgym.learn.checkpoint import Learned, save_policy
@@ -95,7 +95,7 @@ def train(
     began = time.perf_counter()
     require_writable(out)
     for dataset in datasets:
-        episode_file(dataset)
+        EpisodeReader(dataset).close()
     progress.stage("reading the episodes")
     data = read_training_data(datasets)
     request = {"config": as_json(config), "data_sha256": data.digest}
