@@ -45,8 +45,8 @@ def test_a_learner_comes_back_as_it_was_kept(learner: Path) -> None:
 
 
 def test_another_format_version_is_refused(learner: Path, tmp_path: Path) -> None:
-    for version in (99, 2.0, "\x1b[2J"):
-        said = refusal(changed(learner, tmp_path / str(version)[:1], format_version=version))
+    for k, version in enumerate((99, 2.0, "\x1b[2J")):
+        said = refusal(changed(learner, tmp_path / str(k), format_version=version))
         assert f"format version {version!r}" in said and said.isprintable()
 
 
