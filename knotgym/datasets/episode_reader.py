@@ -144,7 +144,11 @@ class EpisodeReader:
     @property
     def has_labels(self) -> bool:
         """An expert was asked at every state of every episode."""
-        return all(place("expert_action") in self.group(index) for index in range(len(self)))
+        for index in range(len(self)):
+            with self._naming(index):
+                if place("expert_action") not in self.group(index):
+                    return False
+        return True
 
     def __iter__(self) -> Iterator[Episode]:
         return (self.episode(index) for index in range(len(self)))

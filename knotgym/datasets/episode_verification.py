@@ -260,7 +260,8 @@ def _faults_of(
             faults.append(
                 f"step {len(episode)}: pyknotid reads {second!r}, the file says {stored!r}"
             )
-    except (InvalidEpisodeFile, OSError, KeyError, ValueError) as error:
+    # a RuntimeError is h5py's, where the library finds a checksum of its own wrong
+    except (InvalidEpisodeFile, OSError, KeyError, ValueError, RuntimeError) as error:
         faults.append(one_line(error))
     return faults
 
