@@ -1,72 +1,21 @@
 """Damage done to files of each kind, by class: mutations.py runs it.
 
-Pictures are a Parquet shard; manifests, policies and transcripts are a JSON file with what lies
-beside it in its folder.
+What files of a kind are, file_readers.py says.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from damaged_hdf5 import HDF5, Damage, Random
+from damaged_json import holder, not_json, pick, places, value_changed, value_missing
 
 from knotgym.atomic_files import sha256
-
-ODD: tuple[Any, ...] = (
-    None,
-    True,
-    -1,
-    1.5,
-    2**70,
-    float("nan"),
-    "",
-    "\x1b[2J",
-    "../../x",
-    "/dev/zero",
-    [],
-    {},
-    [[1]],
-    {"a": {"b": None}},
-)
-
-
-def _pick(rng: Random, choices: Any) -> Any:
-    return choices[int(rng.integers(len(choices)))]
-
-
-def _places(value: Any, at: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    """Every place in a JSON value but the whole, as keys to go by."""
-    inner = value.items() if isinstance(value, dict) else enumerate(value)
-    found = []
-    for name, one in inner:
-        found.append((*at, name))
-        if isinstance(one, dict | list):
-            found += _places(one, (*at, name))
-    return found
-
-
-def _holder(value: Any, place: tuple[Any, ...]) -> Any:
-    for name in place[:-1]:
-        value = value[name]
-    return value
-
-
-def _changed(path: Path, rng: Random, change: Callable[[Any, Any], None]) -> None:
-    """Change a place in a JSON file, or in a line of a file of such lines."""
-    lines = path.read_text(encoding="utf-8").splitlines() if path.suffix == ".jsonl" else [""]
-    line = int(rng.integers(len(lines)))
-    value = json.loads(lines[line] or path.read_text(encoding="utf-8"))
-    # shallow places, where readers look, as often as all the deep ones
-    places = _places(value)
-    depth = _pick(rng, sorted({len(place) for place in places}))
-    place = _pick(rng, [one for one in places if len(one) == depth])
-    change(_holder(value, place), place[-1])
-    lines[line] = json.dumps(value)
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def bytes_changed(path: Path, rng: Random) -> None:
@@ -88,27 +37,6 @@ def cut_short(path: Path, rng: Random) -> None:
     """Its end missing."""
     raw = path.read_bytes()
     path.write_bytes(raw[: int(rng.integers(len(raw)))])
-
-
-def value_changed(path: Path, rng: Random) -> None:
-    """One value of another type, out of range, or leading elsewhere."""
-    odd = _pick(rng, ODD)
-
-    def change(holder: Any, name: Any) -> None:
-        holder[name] = odd
-
-    _changed(path, rng, change)
-
-
-def value_missing(path: Path, rng: Random) -> None:
-    """One value gone."""
-    _changed(path, rng, lambda holder, name: holder.__delitem__(name))
-
-
-def not_json(path: Path, rng: Random) -> None:
-    """Something else in its place: nested too deeply, another kind of value, no text, nothing."""
-    other = (b"[" * 200_000, b"[1]", b'"a"', b"null", b"\xff\xfe", b"", b"9" * 10_000, b"{}")
-    path.write_bytes(_pick(rng, other))
 
 
 def no_file(path: Path, rng: Random) -> None:
@@ -138,7 +66,7 @@ def column_type(path: Path, rng: Random) -> None:
             pa.array([{"a": 1}] * len(table)),
             pa.array([b"\xff"] * len(table)),
         )
-        return table.set_column(k, table.column_names[k], _pick(rng, other))
+        return table.set_column(k, table.column_names[k], pick(rng, other))
 
     _table_changed(path, change)
 
@@ -166,8 +94,8 @@ def cell_changed(path: Path, rng: Random) -> None:
 
     def change(table: Any) -> Any:
         rows = table.to_pylist()
-        row = _pick(rng, rows)
-        places = [p for p in _places(row) if p[0] != "points" or len(p) == 1 or p[1] < 3]
+        row = pick(rng, rows)
+        found = [p for p in places(row) if p[0] != "points" or len(p) == 1 or p[1] < 3]
         odd = {
             float: (float("nan"), 1e30, -7.0, None),
             int: (-1, 99, 2**31 - 1, None),
@@ -175,10 +103,10 @@ def cell_changed(path: Path, rng: Random) -> None:
             bytes: (b"", b"\x89PNG\r\n\x1a\n" + b"\xff" * 40, None),
             bool: (None,),
         }
-        choices = [p for p in places if type(_holder(row, p)[p[-1]]) in odd]
-        at = _pick(rng, choices)
-        now = _holder(row, at)[at[-1]]
-        _holder(row, at)[at[-1]] = _pick(rng, odd[type(now)]) if now is not True else False
+        choices = [p for p in found if type(holder(row, p)[p[-1]]) in odd]
+        at = pick(rng, choices)
+        now = holder(row, at)[at[-1]]
+        holder(row, at)[at[-1]] = pick(rng, odd[type(now)]) if now is not True else False
         try:
             return pa.Table.from_pylist(rows, schema=table.schema)
         except (pa.ArrowException, OverflowError):
@@ -190,9 +118,7 @@ def cell_changed(path: Path, rng: Random) -> None:
 def metadata_changed(path: Path, rng: Random) -> None:
     """What a table says of itself, another."""
     other = (b"", b"[]", b"{", b'{"format": 1}', b"null", b'{"format": "knotgym-images"}')
-    _table_changed(
-        path, lambda table: table.replace_schema_metadata({"knotgym": _pick(rng, other)})
-    )
+    _table_changed(path, lambda table: table.replace_schema_metadata({"knotgym": pick(rng, other)}))
 
 
 def _table_changed(path: Path, change: Callable[[Any], Any]) -> None:
@@ -209,12 +135,12 @@ def forged(path: Path, rng: Random) -> None:
 
     weights = path.with_name("weights.safetensors")
     tensors = load_file(weights)
-    name = _pick(rng, sorted(tensors))
+    name = pick(rng, sorted(tensors))
     now = tensors[name]
     spoilt = now.clone()
-    spoilt.view(-1)[0] = _pick(rng, (float("nan"), float("inf")))
+    spoilt.view(-1)[0] = pick(rng, (float("nan"), float("inf")))
     other = (spoilt, now[..., :0], now.to(torch.int8), now.reshape(-1, 1), now.to(torch.bool), None)
-    tensors[name] = _pick(rng, other)
+    tensors[name] = pick(rng, other)
     if tensors[name] is None:
         del tensors[name]
     save_file({key: own.contiguous() for key, own in tensors.items()}, weights)
@@ -224,10 +150,38 @@ def forged(path: Path, rng: Random) -> None:
 
 def weights_changed(path: Path, rng: Random) -> None:
     """Bits of the weights flipped, their end missing, or no file there."""
-    _pick(rng, (bytes_changed, cut_short, no_file))(path.with_name("weights.safetensors"), rng)
+    pick(rng, (bytes_changed, cut_short, no_file))(path.with_name("weights.safetensors"), rng)
 
 
+def beside_changed(path: Path, rng: Random) -> None:
+    """What lies beside or below a checkpoint changed: bits flipped, its end missing, no file."""
+    others = [one for one in sorted(path.parent.rglob("*")) if one.is_file() and one != path]
+    others = [one for one in others if one.stat().st_size]
+    pick(rng, (bytes_changed, cut_short, no_file))(pick(rng, others), rng)
+
+
+def request_changed(path: Path, rng: Random) -> None:
+    """What a run was asked for, another."""
+    request = next(iter(sorted(path.parent.glob("request.json")) + [path]))
+    pick(rng, (value_changed, value_missing, not_json, no_file))(request, rng)
+
+
+def goals_changed(path: Path, rng: Random) -> None:
+    """Which picture is the goal of which episode, another."""
+    pick(rng, (bytes_changed, cut_short, no_file))(path.with_name("goals.npy"), rng)
+
+
+def text_changed(path: Path, rng: Random) -> None:
+    """A word or character of a text another."""
+    text = path.read_text(encoding="utf-8")
+    at = int(rng.integers(len(text)))
+    odd = pick(rng, ("nan", "1e999", "-", "x", "\x1b[2J", "", "\n\n", ",", "9" * 400))
+    path.write_text(text[:at] + odd + text[at + 1 :], encoding="utf-8")
+
+
+_BYTES = (bytes_changed, cut_short, not_json, no_file)
 _JSON = (bytes_changed, cut_short, value_changed, value_missing, not_json, no_file)
+_STAGED = (*_JSON, beside_changed, request_changed)
 DAMAGES: dict[str, tuple[Damage, ...]] = {
     "states": HDF5,
     "episodes": HDF5,
@@ -246,18 +200,39 @@ DAMAGES: dict[str, tuple[Damage, ...]] = {
     "transcripts": _JSON,
     "walks": HDF5,
     "archives": HDF5,
+    "transitions": HDF5,
+    "settings": _JSON,
+    "scores": _JSON,
+    "curves": (*_BYTES, text_changed),
+    "models": _BYTES,
+    "searches": _STAGED,
+    "drawings": _STAGED,
+    "random_walks": _STAGED,
+    "episode_files": (*_JSON, beside_changed),
+    "walk_files": _BYTES,
+    "trainings": (*_BYTES, beside_changed),
+    "replies": _JSON,
+    "caches": (*_JSON, goals_changed),
 }
-_WITH = {"manifests": "*", "policies": "*", "walks": "manifest.json", "archives": "manifest.json"}
+# of files that are read with others, which
+_WITH = {
+    **dict.fromkeys(("manifests", "policies", "searches", "drawings", "random_walks"), "**/*"),
+    **dict.fromkeys(("walks", "archives"), "manifest.json"),
+    **dict.fromkeys(("episode_files", "trainings", "caches"), "*"),
+}
 
 
 def copied(kind: str, source: Path, folder: Path) -> Path:
     """A copy to do damage to, with those of the files beside it that its readers look at."""
+    for one in folder.iterdir():
+        if one.is_dir() and not one.is_symlink():
+            shutil.rmtree(one)
+        else:
+            one.unlink()
     beside = source.parent.glob(_WITH[kind]) if kind in _WITH else []
     for one in sorted({source, *beside}):
-        target = folder / one.name
-        if target.is_dir() and not target.is_symlink():
-            target.rmdir()
-        target.unlink(missing_ok=True)
-        if one.is_file():
+        if one.is_file() and one.name != "lock":
+            target = folder / one.relative_to(source.parent)
+            target.parent.mkdir(parents=True, exist_ok=True)
             target.write_bytes(one.read_bytes())
     return folder / source.name

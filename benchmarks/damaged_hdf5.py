@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
 import h5py
 import numpy as np
+from damaged_json import change_one
 
 TYPES = ("c16", "f4", "i1", "u8", "?", "S3", "V5", "i4,f8", "O", "ref", "enum")
 Random = np.random.Generator
@@ -113,4 +115,15 @@ def values(path: Path, rng: Random) -> None:
             data[at] = new[int(rng.integers(3))]
 
 
-HDF5: tuple[Damage, ...] = (bits, head, cut, types, sizes, links, attributes, values)
+def inner(path: Path, rng: Random) -> None:
+    """A value inside an attribute that is JSON, as a task or a configuration, another."""
+    with h5py.File(path, "a") as file:
+        told = {name: text for name, text in file.attrs.items() if str(text)[:1] == "{"}
+        if told:
+            name = sorted(told)[int(rng.integers(len(told)))]
+            value = json.loads(told[name])
+            change_one(value, rng)
+            file.attrs[name] = json.dumps(value)
+
+
+HDF5: tuple[Damage, ...] = (bits, head, cut, types, sizes, links, attributes, values, inner)

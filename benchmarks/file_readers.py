@@ -2,27 +2,24 @@
 
 mutations.py asks it of damaged copies. Pictures are a Parquet shard; manifests, policies and
 transcripts are a JSON file with what lies beside it in its folder; walks and
-archives are HDF5 files beside the manifest that tells their checksum.
+archives are HDF5 files beside the manifest that tells their checksum; transitions, settings, scores
+and curves are a file alone, and so are models, of TorchScript. Checkpoints are in
+checkpoint_readers.py.
 """
 
 from __future__ import annotations
 
-import hashlib
 import io
 import json
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from checkpoint_readers import CHECKPOINTS
 from rich.console import Console
+from told import Told, digest
 
-Told = tuple[list[str], dict[str, str]]
 _FAULTS: dict[str, list[str]] = {}
-
-
-def digest(what: str | bytes) -> str:
-    """SHA-256, hexadecimal."""
-    return hashlib.sha256(what if isinstance(what, bytes) else what.encode()).hexdigest()
 
 
 def told_states(path: Path) -> Told:
@@ -42,10 +39,13 @@ def told_states(path: Path) -> Told:
 def told_episodes(path: Path) -> Told:
     """Faults of an episode file, and digests of its episodes and observations."""
     from knotgym.datasets.episode_reader import EpisodeReader
-    from knotgym.datasets.episode_verification import verify_episodes
+    from knotgym.datasets.episode_verification import show_episodes, verify_episodes
 
     faults = verify_episodes(path, frames=None, pyknotid=False, act_out=True)
     reader, given = EpisodeReader(path), {}
+    show_episodes(path)
+    labelled = reader.has_labels
+    given["told"] = digest(repr((labelled, reader.metadata(), reader.task, reader.versions)))
     for index in range(len(reader)):
         given[f"episode {index}"] = reader.episode(index).digest()
         seen = reader.observations(index) if reader.stored != "none" else {}
@@ -82,7 +82,13 @@ def told_manifests(path: Path) -> Told:
         print_states(str(path.parent), states, Console(file=shown))
         if not shown.getvalue().replace("\n", "").isprintable():
             raise AssertionError("control characters reach the terminal")
-    return faults, {"files": digest(json.dumps(manifest.get("files"), sort_keys=True))}
+    # of the card and the gallery, which no reader reads, nobody misses the checksum
+    read = {name: own for name, own in manifest.get("files", {}).items() if _is_read(name)}
+    return faults, {"files": digest(json.dumps(read, sort_keys=True))}
+
+
+def _is_read(name: str) -> bool:
+    return Path(name).suffix not in (".md", ".png")
 
 
 def told_policies(path: Path) -> Told:
@@ -135,6 +141,51 @@ def told_archives(path: Path) -> Told:
     return _listed(path), {**given, "counts": digest(repr(counts))}
 
 
+def told_transitions(path: Path) -> Told:
+    """Digest of a file of transitions alone."""
+    from knotgym.control.transition_counts import TransitionCounts
+
+    return [], {"counts": digest(repr(vars(TransitionCounts.load(path))))}
+
+
+def told_settings(path: Path) -> Told:
+    """What --settings makes of a file that a user wrote; there is no checksum of it."""
+    from knotgym.cli.options import with_settings
+    from knotgym.generate.states.generate_config import GenerateConfig
+
+    with_settings(GenerateConfig(), path)
+    return [], {}
+
+
+def told_scores(path: Path) -> Told:
+    """What is told of evaluations; their numbers have no checksum."""
+    from knotgym.generate.episodes.suite_scores import read_scores, score_tables
+
+    shown = "".join(score_tables(read_scores([path])))
+    if not shown.isprintable():
+        raise AssertionError("control characters reach the terminal")
+    return [], {}
+
+
+def told_curves(path: Path) -> Told:
+    """The type of the knot of a curve that a user made; there is no checksum of it."""
+    from knotgym.generate.states.curves import knot_of
+
+    knot_of(path)
+    return [], {}
+
+
+def told_models(path: Path) -> Told:
+    """Whether a model can be used; there is no checksum of it."""
+    import torch
+
+    from knotgym.control.learned_policies import load_model
+
+    torch.set_num_threads(1)  # others don't live through a fork
+    load_model(path)(np.zeros((2, 600), np.float32))
+    return [], {}
+
+
 def _listed(path: Path) -> list[str]:
     """Faults of what the manifest beside a file lists, of which only that file is there."""
     from knotgym.datasets.manifest_check import listed_faults, read_manifest
@@ -153,4 +204,10 @@ TOLD: dict[str, Callable[[Path], Told]] = {
     "transcripts": told_transcripts,
     "walks": told_walks,
     "archives": told_archives,
+    "transitions": told_transitions,
+    "settings": told_settings,
+    "scores": told_scores,
+    "curves": told_curves,
+    "models": told_models,
+    **CHECKPOINTS,
 }

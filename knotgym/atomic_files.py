@@ -129,7 +129,13 @@ class _Sink:
 
 
 def sha256(path: str | os.PathLike[str]) -> str:
-    """Hexadecimal SHA-256 of a file's bytes."""
+    """Hexadecimal SHA-256 of a file's bytes.
+
+    Raises:
+        OSError: there is none, or it is no regular file: a pipe or a device may never end.
+    """
+    if not Path(path).is_file() and Path(path).exists():
+        raise OSError(f"{path} is no regular file")
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

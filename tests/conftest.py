@@ -130,12 +130,17 @@ def curated(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def killed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the same run was killed after its first cycle; none of its workers lives on (they would
-    hold its output open). Only ever read.
+def killed_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Where the same run was killed after its first cycle, and what it and all that it had started
+    said on standard error; none of its workers lives on (they would hold its output open).
     """
     out = tmp_path_factory.mktemp("killed") / "nx0-1"
     run = begun(out, "--workers", 2, saved=True)
     os.kill(run.pid, signal.SIGKILL)
-    run.communicate(timeout=SECONDS)
-    return out
+    return out, run.communicate(timeout=SECONDS)[1]
+
+
+@pytest.fixture(scope="session")
+def killed(killed_run: tuple[Path, str]) -> Path:
+    """Where it was killed. Only ever read."""
+    return killed_run[0]

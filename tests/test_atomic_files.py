@@ -107,3 +107,10 @@ def test_sha256_is_of_the_bytes(tmp_path: Path) -> None:
     assert (
         sha256(tmp_path / "a") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
     )
+
+
+def test_what_is_no_file_has_no_checksum(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", tmp_path, Path("/dev/zero")):
+        with pytest.raises(OSError, match="is no regular file"):
+            sha256(path)

@@ -49,8 +49,10 @@ def gallery(
     Of all states; of pictures, or of the ends of episodes, the first 64.
     """
     with Progress(quiet, lines=False) as progress:
+        from knotgym.atomic_files import require_writable
         from knotgym.cli.inspection import gallery as draw
 
+        require_writable(out)
         progress.say(f"{out}: {draw(path, out, columns)}")
 
 

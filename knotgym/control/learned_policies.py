@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from knotgym.control.policy import Choice, InvalidPolicy, Policy, UnplannedPolicy, checked
 from knotgym.episode_batch import EpisodeBatch
+from knotgym.errors import one_line
 
 Model = Callable[[Any], Any]
 
@@ -61,7 +62,8 @@ def load_model(path: Path, algorithm: str = "") -> Model:
     except Exception as error:  # each library has its own for a file it can't read
         raise InvalidPolicy(
             f"{path} holds no {path.suffix} model that can be read:"
-            f" {' '.join(str(error).split())[:200]}"
+            f" {one_line(error)[:200]}; reading one may run its code, so take only those you trust,"
+            " or a learner's folder, which holds safetensors"
         ) from error
 
 

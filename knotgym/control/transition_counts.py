@@ -12,6 +12,7 @@ first visit, the last one back to the base bead.
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections import Counter
 from collections.abc import Iterator
@@ -27,7 +28,7 @@ from numpy.typing import NDArray
 from knotgym.atomic_files import atomic_write
 from knotgym.control.macro_actions import KINDS, MacroAction
 from knotgym.errors import KnotgymError
-from knotgym.hdf5_files import Column, opened_hdf5, read_column
+from knotgym.hdf5_files import Column, opened_hdf5, read_attribute, read_column
 from knotgym.topology.crossings import Crossings
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import canonical_form, images, shifted_base
@@ -35,6 +36,7 @@ from knotgym.topology.symmetry import canonical_form, images, shifted_base
 FORMAT = "knotgym-transitions"
 FORMAT_VERSION = 2  # version 1, which is read too, calls templates grips
 
+_DIGEST = "content_sha256"  # an attribute of a file of transitions alone
 _COLUMNS = (
     Column("codes", "uint8", (None,)),
     Column("tried", "int32", ("codes",), least=0),
@@ -165,15 +167,19 @@ class TransitionCounts:
 
     @classmethod
     def read(cls, group: h5py.Group) -> TransitionCounts:
-        """Read what `write` wrote."""
-        stem = "template" if "template_of" in group else "grip"  # version 1
-        sizes: dict[str, int] = {}
-        read = {
-            column.name: read_column(
-                group, column, sizes, column.name.replace("template", stem)
-            ).tolist()
-            for column in _COLUMNS
-        }
+        """Read what `write` wrote.
+
+        Raises:
+            InvalidTransitions: it says which values were written, and these aren't.
+        """
+        columns = _read_columns(group)
+        if _DIGEST in group.attrs:
+            if read_attribute(group, Column(_DIGEST, "text", ())) != _digest(columns):
+                raise InvalidTransitions(
+                    f"{group.file.filename}: its counts are not those written into it (SHA-256"
+                    " differs)"
+                )
+        read = {name: values.tolist() for name, values in columns.items()}
         text = bytes(read["codes"]).decode()
         codes = [GaussCode.parse(line) for line in text.split("\n")] if read["tried"] else []
         counts = zip(codes, read["tried"], strict=True)
@@ -184,8 +190,8 @@ class TransitionCounts:
             key: [] for key in keys
         }
         by_row = [templates[key] for key in keys]
-        columns = (read[f"template_{name}"] for name in ("of", "kind", "side", "places"))
-        for row, kind, side, (bead, target) in zip(*columns, strict=True):
+        told = (read[f"template_{name}"] for name in ("of", "kind", "side", "places"))
+        for row, kind, side, (bead, target) in zip(*told, strict=True):
             by_row[row].append(MacroTemplate(KINDS[kind], side, bead, target))
         seen = Counter(dict(zip(keys, read["seen"], strict=True)))
         return cls(tried, seen, templates)
@@ -195,6 +201,7 @@ class TransitionCounts:
         with atomic_write(path) as temporary, h5py.File(temporary, "w") as file:
             file.attrs["format"], file.attrs["format_version"] = FORMAT, FORMAT_VERSION
             self.write(file)
+            file.attrs[_DIGEST] = _digest(_read_columns(file))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> TransitionCounts:
@@ -302,6 +309,26 @@ def _elements(code: GaussCode, wanted: GaussCode) -> tuple[_Element, ...]:
     return tuple(
         element for shown, element in zip(images(code), ELEMENTS, strict=True) if shown == wanted
     )
+
+
+def _read_columns(group: h5py.Group) -> dict[str, NDArray[Any]]:
+    """What `TransitionCounts.write` wrote, by the names of version 2."""
+    stem = "template" if "template_of" in group else "grip"  # version 1
+    sizes: dict[str, int] = {}
+    return {
+        column.name: read_column(group, column, sizes, column.name.replace("template", stem))
+        for column in _COLUMNS
+    }
+
+
+def _digest(columns: dict[str, NDArray[Any]]) -> str:
+    """SHA-256 of all columns with their names and shapes, hexadecimal."""
+    whole = hashlib.sha256()
+    for name, values in columns.items():
+        little = values.astype(values.dtype.newbyteorder("<"), copy=False)
+        whole.update(f"{name} {little.dtype.str} {values.shape}".encode())
+        whole.update(np.ascontiguousarray(little).tobytes())
+    return whole.hexdigest()
 
 
 def _order(code: GaussCode) -> tuple[tuple[int, ...], str]:

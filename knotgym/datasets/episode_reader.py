@@ -18,9 +18,10 @@ to format version 3 the three stood in a group `rope`, which readers of Minari f
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -51,6 +52,8 @@ FORMAT = "knotgym-episodes"
 FORMAT_VERSION = 4
 READ_VERSIONS = (1, 2, 3, FORMAT_VERSION)
 STORED = (*OBSERVATIONS, "none")
+TOLD_DIGEST = "attributes_sha256"  # an attribute too, see `told_digest`
+_TOLD = ("task", "rope", "stored", "versions", "metadata")
 
 ONCE = ("start_qpos", "goal_points")  # arrays of a whole episode: attributes
 POINTS = "infos/points"
@@ -146,7 +149,11 @@ class EpisodeReader:
     @property
     def has_labels(self) -> bool:
         """An expert was asked at every state of every episode."""
-        return all(place("expert_action") in self.group(index) for index in range(len(self)))
+        for index in range(len(self)):
+            with self._naming(index):
+                if place("expert_action") not in self.group(index):
+                    return False
+        return True
 
     def __iter__(self) -> Iterator[Episode]:
         return (self.episode(index) for index in range(len(self)))
@@ -387,6 +394,12 @@ def counted_index(file: h5py.File) -> dict[int, int]:
     rows = sorted(int(name.removeprefix("episode_")) for name in file)
     steps = Column("total_steps", "integer", (), least=0)
     return {row: int(read_attribute(_group(file, row), steps)) for row in rows}
+
+
+def told_digest(attributes: Mapping[str, Any]) -> str:
+    """SHA-256 of what a file says of all its episodes, hexadecimal: JSON of names and texts."""
+    told = [[name, str(attributes[name])] for name in _TOLD if name in attributes]
+    return hashlib.sha256(json.dumps(told).encode()).hexdigest()
 
 
 def place(name: str) -> str:

@@ -17,16 +17,19 @@ from knotgym.actions import steps_taken
 from knotgym.configuration import as_json, read_json
 from knotgym.datasets.episode_reader import (
     GOAL_INFO,
+    TOLD_DIGEST,
     Count,
     EpisodeReader,
     InvalidEpisodeFile,
     counted_index,
     stored_index,
+    told_digest,
     uncounted,
 )
 from knotgym.datasets.split_verification import duplicate_faults, split_faults
 from knotgym.datasets.trajectory import Episode
 from knotgym.errors import one_line
+from knotgym.hdf5_files import foreign_bytes_as
 from knotgym.rendering.observations import observe, picture_config
 from knotgym.reward import consecutive
 from knotgym.rope import Rope
@@ -101,7 +104,11 @@ def verify_episodes(
     except InvalidEpisodeFile as error:
         return [str(error)]
     rope = Rope(reader.task.rope)
-    faults = [*_file_faults(reader, rope), *split_faults(reader), *duplicate_faults(reader)]
+    try:
+        with foreign_bytes_as(InvalidEpisodeFile, f"{reader.path} isn't a whole episode file"):
+            faults = [*_file_faults(reader, rope), *split_faults(reader), *duplicate_faults(reader)]
+    except InvalidEpisodeFile as error:
+        return [str(error)]
     faultless: list[int] = []
     for index, row in enumerate(reader.rows):
         count("episodes", index, len(reader))
@@ -206,6 +213,9 @@ def _file_faults(reader: EpisodeReader, rope: Rope) -> list[str]:
         )
     if "index" in reader.file.attrs and stored_index(reader.file) != counted_index(reader.file):
         faults.append(f"{reader.path}: its index isn't that of its episodes")
+    told = reader.file.attrs
+    if TOLD_DIGEST in told and told[TOLD_DIGEST] != told_digest(told):
+        faults.append(f"{reader.path}: its attributes aren't those it was written with")
     if sorted(reader.rows) != list(range(len(reader.file))):
         faults.append(
             f"{reader.path}: episodes aren't numbered from 0 to {len(reader.file) - 1}, as Minari"
@@ -243,7 +253,8 @@ def _faults_of(
             faults.append(
                 f"step {len(episode)}: pyknotid reads {second!r}, the file says {stored!r}"
             )
-    except (InvalidEpisodeFile, OSError, KeyError, ValueError) as error:
+    # a RuntimeError is h5py's, where the library finds a checksum of its own wrong
+    except (InvalidEpisodeFile, OSError, KeyError, ValueError, RuntimeError) as error:
         faults.append(one_line(error))
     return faults
 

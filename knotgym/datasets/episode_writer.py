@@ -32,10 +32,12 @@ from knotgym.datasets.episode_reader import (
     ONCE,
     POINTS,
     STORED,
+    TOLD_DIGEST,
     Count,
     EpisodeReader,
     InvalidEpisodeFile,
     place,
+    told_digest,
     uncounted,
 )
 from knotgym.datasets.trajectory import Episode
@@ -264,6 +266,7 @@ def _write_index(file: h5py.File, index: list[tuple[int, int]]) -> None:
 def _created(path: Path, attributes: dict[str, Any]) -> Iterator[h5py.File]:
     with new_hdf5(path, libver=("v110", "v110")) as file:
         file.attrs.update(attributes)
+        file.attrs[TOLD_DIGEST] = told_digest(file.attrs)
         yield file
 
 

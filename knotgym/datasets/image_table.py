@@ -286,7 +286,7 @@ def stored_digest(shard: Path) -> str:
 def points_of(table: Any) -> NDArray[np.float64]:
     """Configurations float64 (n, beads, 3), metres, of a table's column `points`."""
     flat = table["points"].combine_chunks().flatten().to_numpy(zero_copy_only=False)
-    return np.asarray(flat, dtype=np.float64).reshape(len(table), -1, 3)
+    return np.asarray(flat, dtype=np.float64).reshape(len(table), -1 if len(table) else 0, 3)
 
 
 def _read(path: Path, columns: list[str] | None) -> Any:

@@ -92,9 +92,11 @@ def image_faults(path: str | Path, each: Map = map, count: Count = uncounted) ->
         readable &= not any("Parquet shard" in fault or "format" in fault for fault in faults)
     if not readable:
         return
-    yield from _split_faults(
-        read_table(path, columns=["gauss_code", "nx", "split", "points", "source"])
-    )
+    table = read_table(path, columns=["gauss_code", "nx", "split", "points", "source"])
+    if not len(table):
+        yield f"{folder.name} has no rows"
+        return
+    yield from _split_faults(table)
     if folder.is_dir():
         batches, faults = _walk_batches(folder)
         yield from faults
@@ -211,7 +213,8 @@ def _split_faults(table: Any) -> Iterator[str]:
 def _near_across_splits(points: Array, split: NDArray[np.str_]) -> Iterator[tuple[int, int]]:
     """Pairs of rows of different splits that are near-duplicates."""
     centred = points - points.mean(axis=1, keepdims=True)
-    size = np.sqrt((centred**2).sum(axis=(1, 2)) / points.shape[1])
+    with np.errstate(over="ignore"):  # of a row that isn't finite or is huge, as its faults say
+        size = np.sqrt((centred**2).sum(axis=(1, 2)) / points.shape[1])
     order = np.argsort(size, kind="stable")
     for place, row in enumerate(order):  # only configurations of like size can be near
         alike = order[place + 1 : np.searchsorted(size[order], size[row] + NEAR, side="right")]

@@ -61,6 +61,8 @@ def report_faults(manifest: Mapping[str, Any]) -> list[str]:
         for name, shape in _REPORT.items()
         if name in report and not _fits(report[name], shape)
     ]
+    if "rejected" in report and "attempts" not in report:
+        faults.append("manifest.json: report.rejected counts without report.attempts")
     grown = [] if faults else report.get("growth", [])
     if any(not row["known"].keys() == row["accepted"].keys() for row in grown):
         faults.append("manifest.json: report.growth counts different nx in a row")
@@ -68,10 +70,11 @@ def report_faults(manifest: Mapping[str, Any]) -> list[str]:
 
 
 def listed_faults(folder: Path, manifest: Mapping[str, Any]) -> Iterator[str]:
-    """Files that the manifest lists and that are missing or of another checksum; and HDF5 files
-    that it doesn't list.
+    """Files that the manifest lists and that are missing or of another checksum; and HDF5 and JSON
+    files that it doesn't list.
     """
-    there = (path for path in sorted(folder.rglob("*.h*5")) if path.is_file())
+    found = sorted([*folder.rglob("*.h*5"), *folder.rglob("*.json")])
+    there = (one for one in found if one.is_file() and one != folder / "manifest.json")
     for name in (path.relative_to(folder).as_posix() for path in there) if manifest else ():
         if name not in manifest.get("files", {}):
             yield f"{name} is not in the manifest"

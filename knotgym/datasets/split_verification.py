@@ -43,7 +43,7 @@ def split_faults(reader: EpisodeReader) -> list[str]:
         for index, row in enumerate(reader.rows):
             try:
                 split, own = checked.judge(index)
-            except (OSError, KeyError, ValueError):
+            except (OSError, KeyError, ValueError, RuntimeError):
                 continue  # an episode that can't be read is named by whoever reads all of it
             if split is not None:
                 found.setdefault(split, set()).add(row)
@@ -68,7 +68,7 @@ def duplicate_faults(reader: EpisodeReader) -> list[str]:
             told = b"".join(reader.column(index, name).tobytes() for name in names)
             seed = None if reader.task.reset_noise else reader.labels(index).get("seed")
             key = hashlib.sha256(told).digest(), seed
-        except (OSError, KeyError, ValueError):
+        except (OSError, KeyError, ValueError, RuntimeError):
             continue
         earlier = first.setdefault(key, row)
         if earlier != row:

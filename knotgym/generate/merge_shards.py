@@ -38,13 +38,14 @@ from knotgym.datasets.splits import IMAGE_SPLITS, STATE_SPLITS, split
 from knotgym.datasets.state_schema import DRAWING
 from knotgym.datasets.states import (
     States,
+    leads_out,
     merge_states,
     merged_order,
     read_states,
     write_states,
 )
 from knotgym.datasets.walks_file import joined_walks, read_walks, write_walks
-from knotgym.errors import KnotgymError
+from knotgym.errors import KnotgymError, one_line
 from knotgym.generate.episodes.collect import REPORT, CollectConfig, Tally, write_whole
 from knotgym.generate.states import state_folder
 from knotgym.generate.states.archive import Archive
@@ -113,10 +114,24 @@ def merge_shards(folders: Sequence[ShardFolder], out: Path) -> Path:
         InvalidMerge: some are missing, are there twice, are spoilt, or belong to different runs.
         Occupied: there is something in the way.
     """
-    ordered = sorted(folders, key=lambda folder: folder.shard.number)
+    try:
+        return _merged(sorted(folders, key=lambda folder: folder.shard.number), out)
+    except KnotgymError:
+        raise
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise InvalidMerge(
+            f"the reports of the shards say what none of ours says: {one_line(error)}"
+        ) from error
+
+
+def _merged(ordered: Sequence[ShardFolder], out: Path) -> Path:
     _require_whole_run(ordered)
-    first = ordered[0]
-    folder = out / first.request["config"]["dataset_id"] if first.kind == "episodes" else out
+    first, folder = ordered[0], out
+    if first.kind == "episodes":
+        named = str(first.request["config"]["dataset_id"])
+        if leads_out(named):
+            raise InvalidMerge(f"{first.folder} says that its id is {named!r}, which leads out")
+        folder = out / named
     if folder.exists():
         raise Occupied(f"{folder} is there already; choose another --out, or remove it")
     with staging(folder, resume=False) as partial:

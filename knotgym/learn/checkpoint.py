@@ -142,9 +142,10 @@ def read_card(folder: Path) -> dict[str, Any]:
         ) from error
     if not isinstance(card, dict) or card.get("format") != FORMAT:
         raise InvalidCheckpoint(f"{folder / CARD} is no {FORMAT}; knotgym train makes one")
-    if card.get("format_version") != FORMAT_VERSION:
+    version = card.get("format_version")
+    if type(version) is not int or version != FORMAT_VERSION:
         raise InvalidCheckpoint(
-            f"{folder / CARD} has format version {card.get('format_version')}; this version of"
-            f" knotgym reads {FORMAT_VERSION}: train again"
+            f"{folder / CARD} has format version {version!r}; this version of knotgym reads"
+            f" {FORMAT_VERSION}: train again"
         )
     return card

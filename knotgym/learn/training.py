@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 import time
 from collections.abc import Sequence
@@ -19,9 +20,11 @@ from safetensors.torch import load, save
 from torch import Tensor
 
 import knotgym
-from knotgym.atomic_files import atomic_write
+from knotgym.atomic_files import atomic_write, require_writable
 from knotgym.configuration import as_json, check_numbers, read_json
-from knotgym.errors import KnotgymError
+from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.errors import KnotgymError, one_line
+from knotgym.hdf5_files import require_regular
 from knotgym.learn.checkpoint import Learned, save_policy
 from knotgym.learn.fitting import STAGES, Stretches, fitted
 from knotgym.learn.reader_training import ReaderTraining
@@ -31,6 +34,7 @@ from knotgym.runs.progress import Progress, Status
 from knotgym.streams import Stream, generator
 
 UNDER_WAY, REQUEST = "training.safetensors", "training.json"
+_SEAL = "seal"  # among the arrays kept: the digest of the others
 _AT_ONCE = 50  # steps that a row of the curve is the mean of
 
 
@@ -82,12 +86,16 @@ def train(
 
     Raises:
         InvalidTraining: the folder holds another training, or none to resume.
+        Unwritable: nothing can be written there.
         InvalidTrainingData, InvalidEpisodeFile, MissingFile: the data won't do.
     """
     if progress is None:
         with Progress(quiet) as progress:
             return train(datasets, out, config, resume=resume, progress=progress)
     began = time.perf_counter()
+    require_writable(out)
+    for dataset in datasets:
+        EpisodeReader(dataset).close()
     progress.stage("reading the episodes")
     data = read_training_data(datasets)
     request = {"config": as_json(config), "data_sha256": data.digest}
@@ -154,12 +162,18 @@ def _begin(out: Path, request: dict[str, Any], resume: bool) -> dict[str, Tensor
             f"the training in {out} was begun with other {' and '.join(differing)}; go on with"
             " the same, or begin in another folder"
         )
-    if not (out / UNDER_WAY).is_file():
+    if not (out / UNDER_WAY).exists():
         return {}
+    require_regular(out / UNDER_WAY, "training", InvalidTraining)
     try:
         kept: dict[str, Tensor] = load((out / UNDER_WAY).read_bytes())
-    except SafetensorError as error:
-        raise InvalidTraining(f"{out / UNDER_WAY} can't be read: {error}") from error
+        seal = bytes(kept.pop(_SEAL, torch.zeros(0)).to(torch.uint8).tolist())
+        if seal != _digest(kept):
+            raise InvalidTraining(f"{out / UNDER_WAY} isn't what was kept: its checksum differs")
+    except (SafetensorError, RuntimeError, TypeError, ValueError) as error:
+        if isinstance(error, InvalidTraining):
+            raise
+        raise InvalidTraining(f"{out / UNDER_WAY} can't be read: {one_line(error)}") from error
     if kept.get("rope", torch.zeros(0)).shape != FIRST_GUESS.shape or "fit" not in kept:
         raise InvalidTraining(f"{out / UNDER_WAY} can't be read: it holds no rope's model")
     return kept
@@ -173,8 +187,19 @@ def _restore(out: Path, training: ReaderTraining, kept: dict[str, Tensor]) -> No
 
 
 def _keep(out: Path, kept: dict[str, Tensor]) -> None:
+    kept = {name: own.contiguous() for name, own in kept.items()}
+    seal = torch.tensor(list(_digest(kept)), dtype=torch.uint8)
     with atomic_write(out / UNDER_WAY) as part:
-        part.write_bytes(save({name: own.contiguous() for name, own in kept.items()}))
+        part.write_bytes(save({**kept, _SEAL: seal}))
+
+
+def _digest(kept: dict[str, Tensor]) -> bytes:
+    """SHA-256 of all arrays with their names, types and shapes."""
+    whole = hashlib.sha256()
+    for name, own in sorted(kept.items()):
+        whole.update(json.dumps([name, str(own.dtype), [*own.shape]]).encode())
+        whole.update(own.detach().numpy().tobytes())
+    return whole.digest()
 
 
 def _fit_rope(data: TrainingData, config: TrainConfig, progress: Progress) -> dict[str, Tensor]:

@@ -3,7 +3,8 @@
     {folder}/{key}/frames.bin   uint8 (frames, views * size, size, 3 or 4): the picture of the rope
                                 in every state of every episode, then the goals, each once
     {folder}/{key}/goals.npy    int64 (episodes,): which frame is an episode's goal
-    {folder}/{key}/made.json    that shape, and what the key is the checksum of
+    {folder}/{key}/made.json    that shape, the checksum of the goals, and what the key is the
+                                checksum of
 
 A state is seen by the transition that leads to it and by the one that leads on, its goal by a whole
 episode, and compressed they would be unpacked each time. The key tells the dataset's checksum, how
@@ -172,7 +173,8 @@ class CachedFrames:
                 for goal in distinct:
                     file.write(goal)
             np.save(folder / "goals.npy", goals)
-            made = {**told, "shape": [states + len(distinct), *half]}
+            goals_sum = sha256(folder / "goals.npy")
+            made = {**told, "shape": [states + len(distinct), *half], "goals_sha256": goals_sum}
             (folder / "made.json").write_text(json.dumps(made, indent=1), encoding="utf-8")
 
 
@@ -192,6 +194,8 @@ def _shape(place: Path) -> tuple[int, ...]:
 def _goals(place: Path, episodes: int) -> NDArray[np.int64]:
     """Which frame is the goal of each episode; none that there isn't, nor more than are stored."""
     require_regular(place / "goals.npy", "goals", NoCache)
+    if read_json(place / "made.json")["goals_sha256"] != sha256(place / "goals.npy"):
+        raise NoCache(f"{place} has other goals than were written there")
     found = np.array(np.load(place / "goals.npy", mmap_mode="r", allow_pickle=False))
     if found.dtype != np.int64 or found.shape != (episodes,):
         raise NoCache(f"{place} has goals {found.dtype} {found.shape}, should be ({episodes},)")

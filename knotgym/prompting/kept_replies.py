@@ -1,7 +1,8 @@
 """Replies kept as they come, so that no question of an interrupted run is asked twice.
 
-A line each: which episode or picture, its how-manieth question, the digest of what was asked, and
-the reply. A run gone on with plays its episodes again and takes from here what it asked before.
+A line each: which episode or picture, its how-manieth question, the digest of what was asked, the
+reply, and the digest of all that, by which a changed line is known. A run gone on with plays its
+episodes again and takes from here what it asked before.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import Any
 
 from knotgym.atomic_files import atomic_write
 from knotgym.errors import KnotgymError
+from knotgym.hdf5_files import require_regular
 from knotgym.prompting.chat import Chat, Reply
 
 Asking = Callable[[list[dict[str, Any]]], Reply]
@@ -30,16 +32,29 @@ class KeptReplies:
     """The replies of a run, in a file of its staging folder; for several threads at once."""
 
     def __init__(self, path: Path) -> None:
-        """Take up what is there; a line that a kill cut goes."""
+        """Take up what is there; a line that a kill cut goes.
+
+        Raises:
+            InvalidReplies: it isn't what a run has kept.
+        """
         self._lock, self._kept = threading.Lock(), {}
-        text = path.read_text(encoding="utf-8") if path.is_file() else ""
-        whole = text[: text.rfind("\n") + 1]
-        for line in whole.splitlines():
-            try:
-                number, turn, digest, reply = json.loads(line)
+        if path.is_symlink():
+            raise InvalidReplies(f"{path} is a link to another place, should be a file")
+        if path.exists():
+            require_regular(path, "file of replies", InvalidReplies)
+        try:
+            text = path.read_text(encoding="utf-8") if path.exists() else ""
+            whole = text[: text.rfind("\n") + 1]
+            for line in whole.splitlines():
+                *said, seal = json.loads(line)
+                number, turn, digest, reply = said
+                if seal != _digest(said):
+                    raise InvalidReplies(f"{path} has a line that was changed")
                 self._kept[number, turn] = (digest, Reply(*reply))
-            except (ValueError, TypeError, RecursionError) as error:
-                raise InvalidReplies(f"{path} has a line that keeps no reply") from error
+        except InvalidReplies:
+            raise
+        except (ValueError, TypeError, RecursionError) as error:
+            raise InvalidReplies(f"{path} has a line that keeps no reply") from error
         if whole != text:
             with atomic_write(path) as temporary:
                 temporary.write_text(whole, encoding="utf-8")
@@ -54,8 +69,7 @@ class KeptReplies:
 
         def ask(messages: list[dict[str, Any]]) -> Reply:
             turn = next(turns)
-            asked = json.dumps(messages, sort_keys=True).encode()
-            digest = hashlib.sha256(asked).hexdigest()
+            digest = _digest(messages)
             with self._lock:
                 kept = self._kept.get((number, turn))
             if kept is not None and kept[0] == digest:
@@ -75,7 +89,12 @@ class KeptReplies:
         with self._lock:
             if self._file.closed:  # the run was stopped
                 return
-            self._file.write(json.dumps([number, turn, digest, [*reply]]) + "\n")
+            said = [number, turn, digest, [*reply]]
+            self._file.write(json.dumps([*said, _digest(said)]) + "\n")
             self._file.flush()
             os.fsync(self._file.fileno())
             self._kept[number, turn] = (digest, reply)
+
+
+def _digest(said: list[Any]) -> str:
+    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()

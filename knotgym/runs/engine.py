@@ -121,8 +121,8 @@ def run(recipe: Recipe, out: Path, options: RunOptions, progress: Progress | Non
     if staging_folder(out).exists():
         with lock_folder(staging_folder(out)):  # nobody is at it
             left = request_of(staging_folder(out))
-            if left is not None and options.resume:
-                require_same(left, request, recipe.flexible, staging_folder(out))
+            if options.resume:
+                require_resumable(staging_folder(out), left, request, recipe.flexible)
             elif left is not None:
                 progress.say(
                     f"{staging_folder(out)}: what an interrupted run left goes; --resume would have"
@@ -186,6 +186,26 @@ def request_of(folder: Path) -> dict[str, Any] | None:
         except (OSError, ValueError, KeyError, TypeError):
             continue
     return None
+
+
+def require_resumable(
+    folder: Path, left: dict[str, Any] | None, asked: dict[str, Any], flexible: tuple[str, ...]
+) -> None:
+    """Refuse to go on from a staging folder that isn't of this request, or doesn't say of which.
+
+    Raises:
+        InvalidRun: it is such.
+    """
+    if left is not None:
+        require_same(left, asked, flexible, folder)
+        return
+    # a run that was killed at once has left no more than its lock, and parts of files
+    names = (path.name for path in folder.iterdir())
+    if any(name != "lock" and not name.startswith(".part-") for name in names):
+        raise InvalidRun(
+            f"{folder} can't be resumed, its {REQUEST} is missing or damaged; start without"
+            " --resume"
+        )
 
 
 def require_same(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
@@ -20,6 +21,8 @@ from typing import Any
 from knotgym.runs.pools import AHEAD, InvalidEngine, Pool, Promise, ordered
 
 ENGINES = ("local", "dask")
+# when a run is killed, Python's tracker clears up what it left, of which nobody needs to hear
+_UNTOLD = "ignore:resource_tracker:UserWarning"
 
 
 class InProcess:
@@ -135,7 +138,11 @@ def _context() -> multiprocessing.context.BaseContext:
         return multiprocessing.get_context("spawn")
     with uninterrupted():
         # else the server starts it, which unblocks the signals here
-        resource_tracker.ensure_running()
+        sys.warnoptions.append(_UNTOLD)  # are handed to what is started
+        try:
+            resource_tracker.ensure_running()
+        finally:
+            sys.warnoptions.remove(_UNTOLD)
         blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             forkserver.ensure_running()

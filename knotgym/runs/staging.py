@@ -7,9 +7,11 @@ from __future__ import annotations
 import fcntl
 import os
 import shutil
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 from knotgym.errors import KnotgymError
 
@@ -52,7 +54,7 @@ def lock_folder(partial: Path) -> Iterator[None]:
     """
     new = not partial.exists()
     partial.mkdir(parents=True, exist_ok=True)
-    with open(partial / "lock", "w") as lock:
+    with _opened(partial / "lock") as lock:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:
@@ -70,3 +72,22 @@ def lock_folder(partial: Path) -> Iterator[None]:
             # and taken the folder away
             raise Occupied(f"another run has just finished {partial.name[1:-8]}")
         yield
+
+
+def _opened(path: Path) -> IO[bytes]:
+    """A file to lock, made if it isn't there; what others may have put in its place isn't touched.
+
+    Raises:
+        Occupied: it is a link or no file.
+    """
+    wanted = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
+    try:
+        lock = os.open(path, wanted, 0o666)
+    except OSError as error:
+        if path.is_symlink() or path.is_dir():
+            raise Occupied(f"{path} should be a file; remove it") from error
+        raise
+    if not stat.S_ISREG(os.fstat(lock).st_mode):
+        os.close(lock)
+        raise Occupied(f"{path} should be a file; remove it")
+    return open(lock, "rb")

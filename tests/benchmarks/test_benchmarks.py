@@ -21,11 +21,14 @@ from ..scripts import ROOT, run_script
 
 FOLDER = ROOT / "benchmarks"
 MODULES = {
+    "checkpoint_readers",
     "damaged_files",
     "damaged_hdf5",
+    "damaged_json",
     "file_readers",
     "pulled",
     "rope_states",
+    "told",
 }  # what the scripts share
 SCRIPTS = sorted(path for path in FOLDER.glob("*.py") if path.stem not in MODULES)
 EXTRAS = ("torch", "torch.utils", "torch.utils.data", "warp", "mujoco_warp")

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from knotgym.datasets.states import read_states, shipped, write_states
 
@@ -21,3 +22,14 @@ def test_no_damaged_file_ends_in_a_traceback_or_a_crash(tmp_path: Path) -> None:
     report = json.loads(out.read_text(encoding="utf-8"))["states"]
     assert sum(sum(row.values()) for row in report["classes"].values()) == COPIES
     assert not [line for line in report["bad"] if ": wrong" not in line]
+
+
+def test_no_damaged_checkpoint_is_gone_on_with(
+    killed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    saved, out = killed.with_name(f".{killed.name}.partial") / "run.json", tmp_path / "report.json"
+    words = ("--count", 16, "--searches", saved, "--out", out)
+    run_script(ROOT / "benchmarks" / "mutations.py", *words)
+    report = json.loads(out.read_text(encoding="utf-8"))["searches"]
+    assert report["bad"] == []
+    assert "| searches | 16 |" in capsys.readouterr().out

@@ -2,6 +2,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 from hypothesis import given
@@ -271,3 +272,11 @@ def test_with_its_budget_gone_the_expert_goes_on_without_looking_ahead(states_pa
 def test_settings_no_planner_can_have_are_refused(settings: dict[str, Any]) -> None:
     with pytest.raises(InvalidPlanner):
         PlannerConfig(**settings)
+
+
+def test_changed_counts_are_refused(tmp_path: Path) -> None:
+    kinks().save(tmp_path / "transitions.h5")
+    with h5py.File(tmp_path / "transitions.h5", "a") as file:
+        file["seen"][0] = 7
+    with pytest.raises(InvalidTransitions, match="are not those written into it"):
+        TransitionCounts.load(tmp_path / "transitions.h5")

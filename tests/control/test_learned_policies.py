@@ -174,6 +174,6 @@ def test_a_file_that_is_no_model_is_refused_in_one_line(
 ) -> None:
     pytest.importorskip(library)
     (tmp_path / name).write_bytes(b"not a model")
-    with pytest.raises(InvalidPolicy, match="holds no") as refused:
+    with pytest.raises(InvalidPolicy, match="holds no .* may run its code") as refused:
         make_policy(PolicyConfig(policy=str(tmp_path / name)))
     assert "\n" not in str(refused.value)

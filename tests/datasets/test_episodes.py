@@ -23,6 +23,7 @@ import pytest
 from typer.testing import CliRunner
 
 import knotgym
+from knotgym.datasets import episode_verification
 from knotgym.datasets.episode_reader import EpisodeReader, InvalidEpisodeFile
 from knotgym.datasets.episode_verification import replay, show_episodes, verify_episodes
 from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
@@ -686,3 +687,15 @@ def test_verification_names_wrong_counts(tmp_path: Path, root: Path) -> None:
     beside = folder / "data" / "metadata.json"
     beside.write_text(json.dumps({**json.loads(beside.read_text()), "total_steps": 3}))
     assert [fault for fault in verify_episodes(folder) if "total_steps is 3" in fault]
+
+
+def test_a_header_that_h5py_stumbles_over_is_a_fault(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # what h5py raises where a checksum of the library's own is wrong
+    def stumble(*_: Any) -> None:
+        raise RuntimeError("Can't determine if attribute exists (incorrect metadata checksum)")
+
+    monkeypatch.setattr(episode_verification, "counted_index", stumble)
+    (fault,) = verify_episodes(root / ID)
+    assert fault.endswith("attribute exists (incorrect metadata checksum)")

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import io
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import replay
 from knotgym.datasets.episode_writer import EpisodeWriter
 from knotgym.datasets.exports.forms import NothingToExport, UnknownForm, export
+from knotgym.datasets.exports.minari_export import to_minari
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
 from knotgym.datasets.states import read_states, shipped, write_states
 from knotgym.datasets.trajectory import Episode
@@ -241,3 +243,14 @@ def test_lerobot_reads_every_row(dataset: Path, tmp_path: Path) -> None:
         "knotgym/tie-nx2", root=tmp_path / "a", delta_timestamps={"action": [0.0, 0.2]}
     )
     assert np.array_equal(windowed[0]["action"].numpy(), reader.episode(0).actions[:2])
+
+
+def test_an_id_that_leads_out_is_refused(dataset: Path, tmp_path: Path) -> None:
+    copy = shutil.copytree(dataset, tmp_path / "copy")
+    told = json.loads((copy / "data" / "metadata.json").read_text())
+    for name, said in (("knotgym/../../x-v0", "leads out"), (None, "no Minari dataset")):
+        changed = {**told, "dataset_id": name} if name else {"dataset_id": "knotgym/x-v0"}
+        (copy / "data" / "metadata.json").write_text(json.dumps(changed))
+        with pytest.raises(NothingToExport, match=said):
+            to_minari([copy], tmp_path / "out" / "root")
+    assert not (tmp_path / "out").exists()

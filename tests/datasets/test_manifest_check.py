@@ -98,6 +98,19 @@ def test_an_empty_word_for_a_list_of_files_is_a_fault(
 
 def test_a_data_file_that_is_not_listed_is_a_fault(tmp_path: Path) -> None:
     manifest, _ = read_manifest(written(tmp_path, files={}))
-    (tmp_path / "states.h5").write_bytes(b"")
+    (tmp_path / "minari").mkdir()
+    for name in ("states.h5", "minari/metadata.json"):
+        (tmp_path / name).write_bytes(b"")
     (tmp_path / "notes.txt").write_text("mine")
-    assert list(listed_faults(tmp_path, manifest)) == ["states.h5 is not in the manifest"]
+    assert list(listed_faults(tmp_path, manifest)) == [
+        "minari/metadata.json is not in the manifest",
+        "states.h5 is not in the manifest",
+    ]
+
+
+def test_a_report_that_counts_rejections_counts_attempts_too(tmp_path: Path) -> None:
+    lacking = {name: own for name, own in SOUND["report"].items() if name != "attempts"}
+    manifest, _ = read_manifest(written(tmp_path, report=lacking))
+    assert report_faults(manifest) == [
+        "manifest.json: report.rejected counts without report.attempts"
+    ]

@@ -79,3 +79,13 @@ def test_a_learner_s_training_stands_beside_its_scores_and_weights_are_not_mixed
     assert re.search(r"\| random \|.*\| 766 \|$", page, re.M)
     with pytest.raises(InvalidScores, match="other weights"):
         read_scores(files)
+
+
+@pytest.mark.parametrize("name, value", [("policy", []), ("split", "\x1b[2J"), ("nx", "2")])
+def test_what_no_evaluation_says_is_refused(name: str, value: Any, tmp_path: Path) -> None:
+    path = told(tmp_path / "a", seed=0, successes=1, episodes=2)
+    said = json.loads(path.read_text())
+    said["results"][0][name] = value
+    path.write_text(json.dumps(said))
+    with pytest.raises(InvalidScores, match=f"evaluate --out`: {name} is"):
+        read_scores([path])

@@ -45,7 +45,9 @@ def test_a_learner_comes_back_as_it_was_kept(learner: Path) -> None:
 
 
 def test_another_format_version_is_refused(learner: Path, tmp_path: Path) -> None:
-    assert "format version 99" in refusal(changed(learner, tmp_path, format_version=99))
+    for k, version in enumerate((99, 2.0, "\x1b[2J")):
+        said = refusal(changed(learner, tmp_path / str(k), format_version=version))
+        assert f"format version {version!r}" in said and said.isprintable()
 
 
 def test_another_format_is_refused(learner: Path, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -138,3 +139,24 @@ def test_a_set_of_another_rope_is_refused(
     with h5py.File(path, "a") as file:
         file.attrs["rope"] = "another"
     assert "made with rope another" in refused(capsys, "--data", copy, "--out", tmp_path / "new")
+
+
+def test_changed_arrays_are_not_gone_on_with(tmp_path: Path) -> None:
+    import torch
+
+    from knotgym.learn import training
+    from knotgym.learn.rope_model import FIRST_GUESS
+
+    path = tmp_path / training.UNDER_WAY
+    (tmp_path / training.REQUEST).write_text("{}")
+    training._keep(tmp_path, {"rope": torch.from_numpy(FIRST_GUESS), "fit": torch.ones(2)})
+    assert training._begin(tmp_path, {}, resume=True).keys() == {"rope", "fit"}
+    raw = bytearray(path.read_bytes())
+    raw[-50] ^= 1
+    path.write_bytes(raw)
+    with pytest.raises(training.InvalidTraining, match="its checksum differs"):
+        training._begin(tmp_path, {}, resume=True)
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises(training.InvalidTraining, match="isn't a regular file"):
+        training._begin(tmp_path, {}, resume=True)

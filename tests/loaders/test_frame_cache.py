@@ -196,6 +196,7 @@ def test_spoilt_pictures_are_made_anew_and_gone_ones_are_told_of(
         ("made.json", json.dumps({"shape": [-size for size in shape]}).encode()),
         ("goals.npy", b"\x93NUMPY"),
         ("goals.npy", npy(goals + shape[0])),
+        ("goals.npy", npy(goals[::-1])),
         ("goals.npy", npy(goals.astype(np.float64))),
     ):
         (place / name).write_bytes(content)

@@ -4,6 +4,7 @@ import errno
 import fcntl
 import itertools
 import json
+import os
 import shutil
 import time
 from collections.abc import Iterator
@@ -16,7 +17,7 @@ from knotgym.atomic_files import atomic_write
 from knotgym.runs import engine
 from knotgym.runs.engine import CHECKPOINT, Batch
 from knotgym.runs.progress import Progress, Status
-from knotgym.runs.run_options import RunOptions
+from knotgym.runs.run_options import InvalidRun, RunOptions
 from knotgym.runs.staging import Occupied, staging_folder
 
 COUNT = 4
@@ -141,3 +142,44 @@ def test_a_folder_removed_under_a_run_ends_it_and_the_next_makes_the_same(
         made(out)
     assert list(tmp_path.iterdir()) == []
     assert made(out, RESUMED) == "[0, 1, 4, 9]"
+
+
+@pytest.mark.parametrize("harm", ["another", "damaged", "missing", "a pipe"])
+def test_what_does_not_say_what_it_is_of_is_not_gone_on_with(
+    harm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    broken(tmp_path / "a", monkeypatch)
+    request = staging_folder(tmp_path / "a") / engine.REQUEST
+    text = request.read_text()
+    request.unlink()
+    if harm == "a pipe":
+        os.mkfifo(request)
+    elif harm != "missing":
+        request.write_text(text.replace("squares", "cubes") if harm == "another" else text[:-9])
+    with pytest.raises(InvalidRun, match="start without --resume"):
+        made(tmp_path / "a", RESUMED)
+    assert made(tmp_path / "a") == "[0, 1, 4, 9]"
+
+
+def test_a_run_that_was_killed_at_once_leaves_nothing_in_the_way(tmp_path: Path) -> None:
+    (staging_folder(tmp_path / "a") / ".part-request.json-x").mkdir(parents=True)
+    (staging_folder(tmp_path / "a") / "lock").touch()
+    assert made(tmp_path / "a", RESUMED) == "[0, 1, 4, 9]"
+
+
+@pytest.mark.parametrize("kind", ["a link", "a pipe", "a folder"])
+def test_a_lock_that_is_no_file_is_one_line_and_nothing_is_touched(
+    kind: str, tmp_path: Path
+) -> None:
+    (tmp_path / "other").write_text("mine")
+    lock = staging_folder(tmp_path / "a") / "lock"
+    lock.parent.mkdir()
+    if kind == "a link":
+        lock.symlink_to(tmp_path / "other")
+    elif kind == "a pipe":
+        os.mkfifo(lock)
+    else:
+        lock.mkdir()
+    with pytest.raises(Occupied, match="lock should be a file; remove it"):
+        made(tmp_path / "a")
+    assert (tmp_path / "other").read_text() == "mine"

@@ -339,3 +339,21 @@ def test_the_scripts_for_slurm_make_and_merge_a_run(tmp_path: Path) -> None:
         ["bash", SLURM / "merge.sh", dataset, tmp_path / "root"], check=True, env=environment
     )
     assert (dataset / "data" / "main_data.hdf5").is_file()
+
+
+@pytest.mark.parametrize("harm", ["id", "report"])
+def test_reports_of_strangers_lead_nowhere(
+    harm: str, played: list[Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    copies = [shutil.copytree(one, tmp_path / "in" / str(k)) for k, one in enumerate(played)]
+    for copy in copies:
+        report = json.loads((copy / "collection.json").read_text())
+        if harm == "id":
+            report["config"]["dataset_id"] = "../../x-v0"
+        else:
+            report["tally"] = {"played": "many"}
+        (copy / "collection.json").write_text(json.dumps(report))
+    assert knotgym("dataset", "merge", *copies, "--out", tmp_path / "merged" / "a") == 2
+    (line,) = said(capfd)
+    assert "leads out" in line if harm == "id" else "say what none of ours says" in line
+    assert not (tmp_path / "merged").exists() or not any((tmp_path / "merged").rglob("*.h*5"))

@@ -25,6 +25,7 @@ from knotgym.datasets.cards.state_card import table
 from knotgym.datasets.episode_reader import EpisodeReader, episode_file
 from knotgym.datasets.exports.forms import NothingToExport
 from knotgym.datasets.gallery import contact_sheet, write_png
+from knotgym.datasets.states import leads_out
 from knotgym.rendering.picture import draw
 
 _SHOWN = 64  # episodes in the gallery
@@ -54,7 +55,7 @@ def to_minari(datasets: Sequence[Path], out: str | os.PathLike[str]) -> None:
         data = episode_file(dataset).parent
         try:
             said = read_json(data / "metadata.json")
-            name = str(said["dataset_id"])
+            name, _ = str(said["dataset_id"]), (said["total_episodes"], said["total_steps"])
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise NothingToExport(
                 f"{dataset} is no Minari dataset; knotgym dataset merge --id makes one of it"
@@ -62,6 +63,8 @@ def to_minari(datasets: Sequence[Path], out: str | os.PathLike[str]) -> None:
         if name in sources:
             raise NothingToExport(f"two datasets have the id {name}: {sources[name]} and {data}")
         entries[name], sources[name] = said, data
+    if out_of := [name for name in sources if leads_out(name)]:
+        raise NothingToExport(f"the id {out_of[0]!r} of {sources[out_of[0]]} leads out of a folder")
     words = {name.partition("/")[0] for name in sources}
     if len(words) != 1 or any("/" not in name for name in sources):
         raise NothingToExport(

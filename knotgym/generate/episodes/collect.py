@@ -16,8 +16,8 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from knotgym.atomic_files import atomic_write, sha256
-from knotgym.configuration import as_json, differences, read_json
+from knotgym.atomic_files import sha256
+from knotgym.configuration import as_json, differences
 from knotgym.control.expert import Expert
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import Rollout, rollout
@@ -30,6 +30,7 @@ from knotgym.rope import RopeConfig
 from knotgym.runs.engine import Batch, run
 from knotgym.runs.progress import Progress, Status, tell_if_long
 from knotgym.runs.run_options import RunOptions
+from knotgym.runs.sealed_json import read_sealed, write_sealed
 from knotgym.tasks import TaskConfig
 
 REPORT = "collection.json"
@@ -351,10 +352,8 @@ def play(file: _EpisodeFile) -> Tally:
         planning_seconds=sum(played.effort.seconds for played in rollouts),
         simulation_failures=sum(bool(played.episode.simulation_failed[-1]) for played in rollouts),
     )
-    with atomic_write(file.path.with_suffix(".json")) as temporary:
-        temporary.write_text(
-            json.dumps({"sha256": sha256(file.path), "tally": asdict(tally)}), encoding="utf-8"
-        )
+    told = {"sha256": sha256(file.path), "tally": asdict(tally)}
+    write_sealed(file.path.with_suffix(".json"), told)
     return tally
 
 
@@ -379,7 +378,7 @@ def _best_of_attempts(config: CollectConfig, numbers: range) -> list[Rollout]:
 def _finished(path: Path) -> Tally | None:
     """The tally of a shard that is there and unspoilt."""
     try:
-        said = read_json(path.with_suffix(".json"))
+        said = read_sealed(path.with_suffix(".json"))
         return Tally(**said["tally"]) if said["sha256"] == sha256(path) else None
     except (OSError, ValueError, KeyError, TypeError):
         return None

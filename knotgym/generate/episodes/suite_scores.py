@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -109,8 +110,14 @@ def _rows(told: Mapping[str, Any]) -> Iterable[dict[str, Any]]:
             "version": told["version"],
         }
         _cell(row)  # numbers where numbers belong
+        for name, kind in {**dict.fromkeys(_KEY, str), "nx": int}.items():
+            if type(row[name]) is not kind or not str(row[name]).isprintable():
+                raise TypeError(f"{name} is {row[name]!r}")
         learned = told.get("learners", {}).get(one["policy"], {})
-        yield {**row, "training": dict(told.get("training", learned))}
+        training = dict(told.get("training", learned))
+        if not isinstance(training.get("seconds"), Real | None):
+            raise TypeError(f"seconds is {training['seconds']!r}")
+        yield {**row, "training": training}
 
 
 def _same(row: Mapping[str, Any]) -> dict[str, Any]:

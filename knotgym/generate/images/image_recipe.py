@@ -9,17 +9,14 @@ a run that was killed goes on from the files there are.
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.atomic_files import atomic_write
 from knotgym.configuration import as_json
 from knotgym.datasets.image_folder import finish
 from knotgym.datasets.image_rows import Row, TableFile, write_table_file
@@ -33,7 +30,8 @@ from knotgym.generate.images.images_config import (
 )
 from knotgym.generate.images.seed_states import SeedStates, seed_states
 from knotgym.generate.images.selection import Chooser, ChosenFrame
-from knotgym.generate.images.walks import WALKS, Frames, Unit, Walk, make_walks
+from knotgym.generate.images.unit_files import UnitFile, load_frames, walked
+from knotgym.generate.images.walks import WALKS, Frames, Unit, Walk
 from knotgym.runs.engine import Batch, run
 from knotgym.runs.progress import Progress, Status, tell_if_long
 from knotgym.runs.run_options import NotEnough, RunOptions
@@ -146,12 +144,12 @@ class ImageRecipe:
             chosen = len(self.chooser.chosen)
 
             def absorb(
-                unit: _UnitFile, path: Path, quota_of: dict[int, tuple[str, int]] = quota_of
+                unit: UnitFile, path: Path, quota_of: dict[int, tuple[str, int]] = quota_of
             ) -> None:
-                self._consider(_load(path), quota_of, gave)
+                self._consider(load_frames(path), quota_of, gave)
 
             units = self._units(walks, quota_of, folder)
-            yield Batch(_walked, units, absorb, "walking and choosing")
+            yield Batch(walked, units, absorb, "walking and choosing")
             idle = 0 if len(self.chooser.chosen) > chosen else idle + 1
             wave += 1
             if idle == self.config.idle:
@@ -166,8 +164,8 @@ class ImageRecipe:
 
     def _units(
         self, walks: list[Walk], quota_of: dict[int, tuple[str, int]], folder: Path
-    ) -> list[_UnitFile]:
-        units: list[_UnitFile] = []
+    ) -> list[UnitFile]:
+        units: list[UnitFile] = []
         for steps, group in _by_steps(self.config, walks, quota_of):
             for begin in range(0, len(group), WALKS):
                 some = tuple(group[begin : begin + WALKS])
@@ -181,7 +179,7 @@ class ImageRecipe:
                     self.config.walk,
                 )
                 path = folder / f"{len(self.walked) + len(units):06d}.npz"
-                units.append(_UnitFile(path, unit))
+                units.append(UnitFile(path, unit))
         return units
 
     def _consider(
@@ -374,32 +372,6 @@ def _wave(
             quota_of[number] = key
         gave[key] = gave[key]._replace(walks=gave[key].walks + count)
     return walks, quota_of
-
-
-class _UnitFile(NamedTuple):
-    path: Path
-    unit: Unit
-
-
-def _walked(work: _UnitFile) -> Path:
-    """Make a unit's walks and keep them in a file, unless it is there, unspoilt."""
-    try:
-        _load(work.path)  # the file has checksums
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
-        frames = make_walks(work.unit)
-        with atomic_write(work.path) as temporary, open(temporary, "wb") as file:
-            np.savez(file, **{**vars(frames), "dropped": np.array(json.dumps(frames.dropped))})
-    return work.path
-
-
-def _load(path: Path) -> Frames:
-    with np.load(path) as file:
-        return Frames(
-            **{
-                **{name: file[name] for name in file.files},
-                "dropped": json.loads(str(file["dropped"])),
-            }
-        )
 
 
 def _visits(code: GaussCode) -> tuple[int, ...]:

@@ -21,7 +21,7 @@ import numpy as np
 
 import knotgym
 from knotgym.atomic_files import atomic_write, sha256
-from knotgym.configuration import as_json, read_json
+from knotgym.configuration import as_json
 from knotgym.datasets.splits import split
 from knotgym.datasets.state_schema import DRAWING
 from knotgym.datasets.states import States, write_states
@@ -43,6 +43,7 @@ from knotgym.rope import RopeConfig
 from knotgym.runs.engine import CHECKPOINT, Batch, run
 from knotgym.runs.progress import Progress, Status
 from knotgym.runs.run_options import NotEnough, RunOptions
+from knotgym.runs.sealed_json import read_sealed, write_sealed
 from knotgym.runs.shards import Shard
 from knotgym.streams import Stream, generator
 from knotgym.topology.gauss import GaussCode
@@ -130,14 +131,13 @@ class DrawnStatesRecipe:
             "rejected": {str(nx): dict(reasons) for nx, reasons in self.rejected.items()},
             "waves": self.waves,
         }
-        with atomic_write(folder / _RUN) as temporary:
-            temporary.write_text(json.dumps(counters), encoding="utf-8")
+        write_sealed(folder / _RUN, counters)
 
     def load(self, folder: Path) -> bool:
         if not (folder / _RUN).is_file():
             return False
         try:
-            said = read_json(folder / _RUN)
+            said = read_sealed(folder / _RUN)
             for wave in said["waves"]:
                 if sha256(folder / wave["name"]) != wave["sha256"]:
                     raise ValueError(f"SHA-256 of {wave['name']} differs")

@@ -21,7 +21,7 @@ import numpy as np
 
 import knotgym
 from knotgym.atomic_files import atomic_write, sha256
-from knotgym.configuration import as_json, read_json
+from knotgym.configuration import as_json
 from knotgym.datasets.splits import STATE_SPLITS
 from knotgym.datasets.state_schema import RANDOM_WALK
 from knotgym.datasets.states import States, write_states
@@ -43,6 +43,7 @@ from knotgym.rope import Rope
 from knotgym.runs.engine import CHECKPOINT, Batch, run
 from knotgym.runs.progress import Progress, Status
 from knotgym.runs.run_options import InvalidRun, NotEnough, RunOptions
+from knotgym.runs.sealed_json import read_sealed, write_sealed
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import codes_of, knot_type
 
@@ -125,14 +126,13 @@ class RandomWalkRecipe:
             "rejected": {str(nx): dict(reasons) for nx, reasons in self.rejected.items()},
             "sha256": sha256(folder / _ACCEPTED),
         }
-        with atomic_write(folder / _RUN) as temporary:
-            temporary.write_text(json.dumps(counters), encoding="utf-8")
+        write_sealed(folder / _RUN, counters)
 
     def load(self, folder: Path) -> bool:
         if not (folder / _RUN).is_file():
             return False
         try:
-            said = read_json(folder / _RUN)
+            said = read_sealed(folder / _RUN)
             if sha256(folder / _ACCEPTED) != said["sha256"]:
                 raise ValueError(f"SHA-256 of {_ACCEPTED} differs")
             with np.load(folder / _ACCEPTED, allow_pickle=False) as file:

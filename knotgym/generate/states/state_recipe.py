@@ -20,7 +20,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from knotgym.atomic_files import atomic_write, sha256
-from knotgym.configuration import as_json, read_json
+from knotgym.configuration import as_json
 from knotgym.errors import KnotgymError, MissingFile
 from knotgym.generate.states import state_folder
 from knotgym.generate.states.archive import Archive
@@ -31,6 +31,7 @@ from knotgym.quality import Quality
 from knotgym.runs.engine import Batch, run
 from knotgym.runs.progress import Progress, Status, tell_if_long
 from knotgym.runs.run_options import RunOptions
+from knotgym.runs.sealed_json import read_sealed, write_sealed
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import codes_of
 
@@ -136,8 +137,7 @@ class StateRecipe:
             "accepted": {name: sha256(folder / "accepted" / name) for name in accepted},
             "sha256": sha256(archive),
         }
-        with atomic_write(folder / _RUN) as temporary:
-            temporary.write_text(json.dumps(counters), encoding="utf-8")
+        write_sealed(folder / _RUN, counters)
         for old in folder.glob("archive-*.h5"):
             if old != archive:
                 old.unlink()
@@ -146,7 +146,7 @@ class StateRecipe:
         if not (folder / _RUN).is_file():
             return False
         try:
-            said = read_json(folder / _RUN)
+            said = read_sealed(folder / _RUN)
             for name, digest in {
                 said["archive"]: said["sha256"],
                 **{f"accepted/{name}": digest for name, digest in said["accepted"].items()},

@@ -1,0 +1,84 @@
+"""Units of walks as files of the staging folder, which a run that was killed goes on from."""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from pathlib import Path
+from typing import NamedTuple
+from zipfile import BadZipFile
+
+import numpy as np
+
+from knotgym.atomic_files import atomic_write
+from knotgym.errors import KnotgymError
+from knotgym.generate.images.walks import Frames, Unit, make_walks
+from knotgym.hdf5_files import require_regular
+
+_DTYPES = {
+    "points": "<f8",
+    "walk": "<i8",
+    "steps": "<i8",
+    "rounds": "<i8",
+    "ease": "<f8",
+    "numbers": "<i8",
+    "bases": "<i8",
+    "beads": "<i2",
+    "forces": "<f4",
+}
+# what NumPy and zipfile say to what isn't a whole archive of theirs
+_FOREIGN = (
+    OSError,
+    ValueError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    EOFError,
+    MemoryError,
+    RuntimeError,  # of zipfile; NotImplementedError is one
+    BadZipFile,
+    struct.error,
+    zlib.error,
+)
+
+
+class SpoiltUnit(KnotgymError, ValueError):
+    """A file that holds no unit of walks."""
+
+
+class UnitFile(NamedTuple):
+    """A unit of walks, and the file that it is kept in."""
+
+    path: Path
+    unit: Unit
+
+
+def walked(work: UnitFile) -> Path:
+    """Make a unit's walks and keep them in a file, unless it is there, unspoilt."""
+    try:
+        load_frames(work.path)  # the file has checksums
+    except (SpoiltUnit, OSError):
+        frames = make_walks(work.unit)
+        with atomic_write(work.path) as temporary, open(temporary, "wb") as file:
+            np.savez(file, **{**vars(frames), "dropped": np.array(json.dumps(frames.dropped))})
+    return work.path
+
+
+def load_frames(path: Path) -> Frames:
+    """What `walked` kept.
+
+    Raises:
+        SpoiltUnit: the file isn't whole, or isn't one of ours.
+        OSError: it can't be read.
+    """
+    require_regular(path, "walks", SpoiltUnit)
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in _DTYPES}
+            dropped = json.loads(str(file["dropped"]))
+        if {name: own.dtype.str for name, own in arrays.items()} != _DTYPES:
+            raise SpoiltUnit("its columns are of other types")
+        return Frames(**arrays, dropped={str(name): int(n) for name, n in dropped.items()})
+    except _FOREIGN as error:
+        raise SpoiltUnit(f"{path} holds no walks of a run: {error}") from error
