@@ -112,11 +112,11 @@ def _rows(told: Mapping[str, Any]) -> Iterable[dict[str, Any]]:
         _cell(row)  # numbers where numbers belong
         for name, kind in {**dict.fromkeys(_KEY, str), "nx": int}.items():
             if type(row[name]) is not kind or not str(row[name]).isprintable():
-                raise TypeError(f"{name} is {row[name]!r}")
+                raise InvalidScores(f"{name} is {row[name]!r}")
         learned = told.get("learners", {}).get(one["policy"], {})
         training = dict(told.get("training", learned))
         if not isinstance(training.get("seconds"), Real | None):
-            raise TypeError(f"seconds is {training['seconds']!r}")
+            raise InvalidScores(f"seconds is {training['seconds']!r}")
         yield {**row, "training": training}
 
 
