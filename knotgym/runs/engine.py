@@ -9,6 +9,7 @@ asked for the very same; what differs is refused by name.
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -28,7 +29,7 @@ from knotgym.runs.executors import executor
 from knotgym.runs.pools import Pool
 from knotgym.runs.progress import Progress, Status, compile_first
 from knotgym.runs.run_options import InvalidRun, RunOptions
-from knotgym.runs.staging import Occupied, lock_folder, staging, staging_folder
+from knotgym.runs.staging import Occupied, is_held, lock_folder, staging, staging_folder
 
 REQUEST = "request.json"
 LISTED = ("config", "source", "shard", "versions", "rope")  # of a request, and of a manifest
@@ -99,7 +100,7 @@ def run(recipe: Recipe, out: Path, options: RunOptions, progress: Progress | Non
     """Follow a recipe until the new folder `out` is there, and return it.
 
     Raises:
-        Occupied: there is something in the way, or another run is at it.
+        Occupied: there is something in the way, another run is at it, or it was removed meanwhile.
         Unwritable: nothing can be written there.
         InvalidRun: what is resumed was asked for differently.
         KnotgymError: the recipe refuses, or what was allowed is spent.
@@ -136,6 +137,7 @@ def run(recipe: Recipe, out: Path, options: RunOptions, progress: Progress | Non
     with staging(out, options.resume) as folder:
         with atomic_write(folder / REQUEST) as temporary:
             temporary.write_text(json.dumps(request, indent=1, sort_keys=True), encoding="utf-8")
+        lock = os.stat(folder / "lock")
         with executor(options.workers, options.scheduler) as pool:
             for batch in recipe.batches(folder):
                 progress.stage(batch.name, 0, len(batch.units))
@@ -143,6 +145,9 @@ def run(recipe: Recipe, out: Path, options: RunOptions, progress: Progress | Non
                 for done, _ in enumerate(batch.follow(pool), 1):
                     progress.stage(batch.name, done, len(batch.units))
                     progress.show(recipe.status)
+                # else it would be made anew by what is written there, and no other run kept out
+                if not is_held(folder, lock):
+                    raise Occupied(f"{folder} was removed under the run; begin it anew")
                 if batch is CHECKPOINT:
                     recipe.save(folder)
             progress.show(recipe.status, last=True)

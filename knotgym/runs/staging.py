@@ -66,12 +66,18 @@ def lock_folder(partial: Path) -> Iterator[None]:
                 f"{partial.name[1:-8]} can't be kept from other runs, for its disk has no locks"
                 f" ({error.strerror}): choose an --out on another"
             ) from error
-        if not (partial / "lock").is_file() or not os.path.samestat(
-            os.stat(partial / "lock"), os.fstat(lock.fileno())
-        ):
+        if not is_held(partial, os.fstat(lock.fileno())):
             # and taken the folder away
             raise Occupied(f"another run has just finished {partial.name[1:-8]}")
         yield
+
+
+def is_held(partial: Path, lock: os.stat_result) -> bool:
+    """Whether the folder's lock is still the one that was taken: not so once it was removed."""
+    try:
+        return os.path.samestat(os.stat(partial / "lock"), lock)
+    except OSError:
+        return False
 
 
 def _opened(path: Path) -> IO[bytes]:
