@@ -136,6 +136,8 @@ def gallery(named: str, out: Path, columns: int) -> str:
         readers = [EpisodeReader(one.path) for one in places(named)]
         shown = list(islice((end for reader in readers for end in _ends(reader)), _SHOWN))
         count, what = sum(map(len, readers)), "episodes, each at its end"
+        for reader in readers:
+            reader.close()
     pictures = np.stack([picture for picture, _, _ in shown])
     captions = [(code or "loop", more) for _, code, more in shown]
     write_png(out, contact_sheet(pictures, captions, columns=min(columns, len(shown))))

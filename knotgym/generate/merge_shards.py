@@ -47,8 +47,11 @@ from knotgym.datasets.states import (
 from knotgym.datasets.walks_file import joined_walks, read_walks, write_walks
 from knotgym.errors import KnotgymError, one_line
 from knotgym.generate.episodes.collect import REPORT, CollectConfig, Tally, write_whole
+from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.generate.states import state_folder
 from knotgym.generate.states.archive import Archive
+from knotgym.generate.states.drawn_states import DrawnStatesConfig
+from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.search import SearchSettings
 from knotgym.runs.engine import LISTED
 from knotgym.runs.shards import Shard
@@ -61,6 +64,7 @@ _KINDS = {
     "knotgym-collection": "episodes",
     "knotgym-images-manifest": "images",
 }
+_NEAR = "near_duplicates_between_shards"  # in the report of the whole
 
 
 class InvalidMerge(KnotgymError, ValueError):
@@ -111,21 +115,13 @@ def merge_shards(folders: Sequence[ShardFolder], out: Path) -> Path:
         The folder made.
 
     Raises:
-        InvalidMerge: some are missing, are there twice, are spoilt, or belong to different runs.
+        InvalidMerge: some are missing, are there twice, are spoilt, belong to different runs, or
+            report what no run does.
         Occupied: there is something in the way.
     """
-    try:
-        return _merged(sorted(folders, key=lambda folder: folder.shard.number), out)
-    except KnotgymError:
-        raise
-    except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise InvalidMerge(
-            f"the reports of the shards say what none of ours says: {one_line(error)}"
-        ) from error
-
-
-def _merged(ordered: Sequence[ShardFolder], out: Path) -> Path:
+    ordered = sorted(folders, key=lambda folder: folder.shard.number)
     _require_whole_run(ordered)
+    report = _reported(ordered)
     first, folder = ordered[0], out
     if first.kind == "episodes":
         named = str(first.request["config"]["dataset_id"])
@@ -136,7 +132,7 @@ def _merged(ordered: Sequence[ShardFolder], out: Path) -> Path:
         raise Occupied(f"{folder} is there already; choose another --out, or remove it")
     with staging(folder, resume=False) as partial:
         merge = {"states": _states, "episodes": _episodes, "images": _images}[first.kind]
-        merge(ordered, partial / "whole").rename(folder)
+        merge(ordered, report, partial / "whole").rename(folder)
         shutil.rmtree(partial)
     return folder
 
@@ -164,7 +160,10 @@ def _require_whole_run(ordered: Sequence[ShardFolder]) -> None:
     if len(numbers) > first.shard.of:
         raise InvalidMerge(f"a shard is named twice: {', '.join(map(str, numbers))}")
     for folder in ordered:
-        for name, digest in folder.manifest["files"].items():
+        files = folder.manifest.get("files")
+        if not isinstance(files, dict):
+            raise InvalidMerge(f"{folder.folder} doesn't say which files it has")
+        for name, digest in files.items():
             path = folder.folder / name
             if not path.is_file() or sha256(path) != digest:
                 raise InvalidMerge(
@@ -173,12 +172,37 @@ def _require_whole_run(ordered: Sequence[ShardFolder]) -> None:
                 )
 
 
+def _reported(ordered: Sequence[ShardFolder]) -> dict[str, Any]:
+    """What the shards report, added up.
+
+    Raises:
+        InvalidMerge: their configuration or reports aren't such as a run of this kind writes.
+    """
+    first = ordered[0]
+    try:
+        from_json(_config_of(first), first.request["config"])
+        if first.kind == "episodes":
+            return asdict(sum((Tally(**shard.manifest["tally"]) for shard in ordered), Tally()))
+        reports = [shard.manifest["report"] for shard in ordered]
+        return _report_of_states(reports) if first.kind == "states" else _report_of_images(reports)
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise InvalidMerge(
+            f"{first.folder} and the others say what no shard of ours says: {one_line(error)}"
+        ) from error
+
+
+def _config_of(shard: ShardFolder) -> type[Any]:
+    if shard.kind == "states":
+        return DrawnStatesConfig if shard.request["source"] == DRAWING else GenerateConfig
+    return CollectConfig if shard.kind == "episodes" else ImagesConfig
+
+
 def _whole_request(ordered: Sequence[ShardFolder]) -> dict[str, Any]:
     """The request of the whole run that the folders are shards of."""
     return {**ordered[0].request, "shard": asdict(Shard())}
 
 
-def _states(ordered: Sequence[ShardFolder], folder: Path) -> Path:
+def _states(ordered: Sequence[ShardFolder], report: dict[str, Any], folder: Path) -> Path:
     request = _whole_request(ordered)
     config = request["config"]
     parts = [read_states(shard.folder / "states.h5") for shard in ordered]
@@ -188,8 +212,7 @@ def _states(ordered: Sequence[ShardFolder], folder: Path) -> Path:
     from_shard = from_shard[merged_order(parts)][kept]
     chosen = every.taken(kept)
     folder.mkdir(parents=True)
-    reports = [shard.manifest["report"] for shard in ordered]
-    report = _report_of_states(reports, len(every) - len(kept))
+    report = {**report, _NEAR: len(every) - len(kept)}
     if request["source"] == DRAWING:
         merged = _split_anew(chosen, config)
         write_states(folder / "states.h5", merged)
@@ -272,7 +295,7 @@ def _joined_archive(archives: Sequence[Archive], search: SearchSettings) -> Arch
     return joined
 
 
-def _report_of_states(reports: Sequence[dict[str, Any]], near: int) -> dict[str, Any]:
+def _report_of_states(reports: Sequence[dict[str, Any]]) -> dict[str, Any]:
     rejected: dict[str, Counter[str]] = {}
     for report in reports:
         for nx, reasons in report["rejected"].items():
@@ -288,20 +311,18 @@ def _report_of_states(reports: Sequence[dict[str, Any]], near: int) -> dict[str,
         "actions": sum(report["actions"] for report in reports),
         "rejected": {nx: dict(sorted(reasons.items())) for nx, reasons in rejected.items()},
         "growth": [],  # that of each shard is its own
-        "near_duplicates_between_shards": near,
     }
 
 
-def _episodes(ordered: Sequence[ShardFolder], folder: Path) -> Path:
+def _episodes(ordered: Sequence[ShardFolder], report: dict[str, Any], folder: Path) -> Path:
     request = _whole_request(ordered)
-    config = from_json(CollectConfig, request["config"])
-    tally = sum((Tally(**shard.manifest["tally"]) for shard in ordered), Tally())
+    config, tally = from_json(CollectConfig, request["config"]), Tally(**report)
     files = [shard.folder / "main_data.hdf5" for shard in ordered]
     machines = _machines(ordered)
     return write_whole(config, files, tally, folder, request, concatenate=True, machines=machines)
 
 
-def _images(ordered: Sequence[ShardFolder], folder: Path) -> Path:
+def _images(ordered: Sequence[ShardFolder], report: dict[str, Any], folder: Path) -> Path:
     request = _whole_request(ordered)
     config = request["config"]
     kept = _kept_rows([path for shard in ordered for path in shards(shard.folder)])
@@ -317,8 +338,7 @@ def _images(ordered: Sequence[ShardFolder], folder: Path) -> Path:
             write_table(written[-1], table)
     walks = [read_walks(shard.folder / "walks.h5") for shard in ordered]
     write_walks(folder / "walks.h5", joined_walks(walks))
-    near = sum(int((~rows).sum()) for rows in kept.values())
-    report = _report_of_images([shard.manifest["report"] for shard in ordered], near)
+    report = {**report, _NEAR: sum(int((~rows).sum()) for rows in kept.values())}
     image_folder.write_card_and_manifest(folder, written, request, report, _machines(ordered))
     return folder
 
@@ -331,7 +351,7 @@ def _kept_rows(tables: Sequence[Path]) -> dict[Path, NDArray[np.bool_]]:
     return dict(zip(tables, kept, strict=True))
 
 
-def _report_of_images(reports: Sequence[dict[str, Any]], near: int) -> dict[str, Any]:
+def _report_of_images(reports: Sequence[dict[str, Any]]) -> dict[str, Any]:
     def summed(name: str) -> dict[str, int]:
         counts = sum((Counter(report[name]) for report in reports), Counter[str]())
         return dict(sorted(counts.items()))
@@ -341,7 +361,6 @@ def _report_of_images(reports: Sequence[dict[str, Any]], near: int) -> dict[str,
         "frames": sum(report["frames"] for report in reports),
         "dropped": summed("dropped"),
         "refused": summed("refused"),
-        "near_duplicates_between_shards": near,
     }
 
 

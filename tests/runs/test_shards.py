@@ -355,5 +355,5 @@ def test_reports_of_strangers_lead_nowhere(
         (copy / "collection.json").write_text(json.dumps(report))
     assert knotgym("dataset", "merge", *copies, "--out", tmp_path / "merged" / "a") == 2
     (line,) = said(capfd)
-    assert "leads out" in line if harm == "id" else "say what none of ours says" in line
+    assert "leads out" in line if harm == "id" else "say what no shard of ours says" in line
     assert not (tmp_path / "merged").exists() or not any((tmp_path / "merged").rglob("*.h*5"))
