@@ -106,11 +106,6 @@ def test_the_published_environment_steps_beside_ours(tmp_path: Path) -> None:
     assert sides.keys() == {"published", "ours, 24 steps", "ours, 20 steps"}
 
 
-def test_a_random_policy_leaves_the_rope_an_unknot(tmp_path: Path) -> None:
-    counts = figures("random_policy", tmp_path, "--steps", 8, "--ropes", 4, "--horizon", 2)
-    assert counts["steps"] == 8 and counts["nan"] == counts["changed_knot_type"] == 0
-
-
 def test_hard_play_is_looked_at_and_goes_on_after_what_is_done(tmp_path: Path) -> None:
     words = ("--ropes", 2, "--length", 1, "--every", 1, "--actions")
     played = [figures("long_play", tmp_path, *words, count) for count in (6, 10)]
