@@ -144,18 +144,20 @@ def _without(base: tuple[str, ...], option: str) -> tuple[str, ...]:
 @pytest.fixture
 def room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, str]:
     """What lines name: things that are there, and that aren't."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
-    os.mkfifo(tmp_path / "fifo")
-    (tmp_path / "empty").mkdir()
+    here = tmp_path / "here"  # else `..` would be what other tests have left
+    here.mkdir()
+    monkeypatch.chdir(here)
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(here / "minari"))
+    os.mkfifo(here / "fifo")
+    (here / "empty").mkdir()
     for name in ("text", "text.pt"):
-        (tmp_path / name).write_text("neither JSON nor a table\n", encoding="utf-8")
+        (here / name).write_text("neither JSON nor a table\n", encoding="utf-8")
 
     def act(*_: Any) -> None:
         raise AssertionError("a mistaken command began to work")
 
     monkeypatch.setattr(Simulation, "act", act)
-    there = {name: str(tmp_path / name) for name in ("fifo", "empty", "text", "new", "absent")}
+    there = {name: str(here / name) for name in ("fifo", "empty", "text", "new", "absent")}
     return {**there, "states": str(shipped("hard-unknots")), "long": "a" * 300}
 
 
