@@ -6,7 +6,9 @@ it. What each of these counts is not told but learned, see `fitting`. Strands pu
 
 Each substep solves, implicitly, for the velocities of the vertices and the spins of the beads.
 Their order runs round the loop from both sides at once, so that the matrix is banded. Four ropes
-are moved at once, one a lane (`lanes`): each moves as it would by itself, to the bit.
+are moved at once, one a lane (`lanes`): each moves as it would by itself, to the bit. Nothing here is
+compiled with `fastmath`: it gains nothing, and then code just compiled and code from Numba's cache
+round otherwise.
 """
 
 from __future__ import annotations
@@ -50,7 +52,7 @@ _PLACE = _order()  # vertex -> its place in the matrix
 _VERTEX = np.argsort(_PLACE)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True)
 def stepped(
     points: Array,
     velocities: Array,
@@ -89,7 +91,7 @@ def stepped(
                     velocities[first + lane, i, c] = speed[i, c, lane]
 
 
-@njit(nogil=True, fastmath=True)
+@njit(nogil=True)
 def _substep(
     own: Array,
     speed: Array,
@@ -128,7 +130,7 @@ def _substep(
     _set_chords(own)
 
 
-@njit(nogil=True, fastmath=True)
+@njit(nogil=True)
 def _set_tangents(own: Array, tangent: Array) -> None:
     """Unit vectors along the beads."""
     for i in range(BEADS):
@@ -142,12 +144,12 @@ def _set_tangents(own: Array, tangent: Array) -> None:
         put(tangent, (i, 2), shrink * z)
 
 
-@njit(nogil=True, fastmath=True)
+@njit(nogil=True)
 def _add(array: Array, place: tuple[int, ...], value: Any) -> None:
     put(array, place, load(array, place) + value)
 
 
-@njit(nogil=True, fastmath=True)
+@njit(nogil=True)
 def _couple(tangent: Array, numbers: Array, h: float, coupling: Array) -> None:
     """What couples the unknowns at any speed: mass, spin, chords and joints.
 
@@ -173,7 +175,7 @@ def _couple(tangent: Array, numbers: Array, h: float, coupling: Array) -> None:
             _couple_joint((i - 1) % BEADS, i, j, tangent, numbers[5 + i], coupling)
 
 
-@njit(nogil=True, fastmath=True)
+@njit(nogil=True)
 def _couple_joint(h: int, i: int, j: int, tangent: Array, bending: float, coupling: Array) -> None:
     """Bending and twisting between bead h and bead i, of vertices h, i and j.
 
@@ -219,7 +221,7 @@ def _couple_joint(h: int, i: int, j: int, tangent: Array, bending: float, coupli
     _add(coupling, (i, 0, 3, 3), bending)
 
 
-@njit(nogil=True, fastmath=True)
+@njit(nogil=True)
 def _resist(tangent: Array, speed: Array, numbers: Array, drag: Array, push: Array) -> None:
     """The medium's resistance, made linear about a speed.
 
@@ -254,7 +256,7 @@ def _resist(tangent: Array, speed: Array, numbers: Array, drag: Array, push: Arr
                 put(drag, (i, a, b), 0.5 * (sideways * (unit - line) + forward * line))
 
 
-@njit(nogil=True, fastmath=True)
+@njit(nogil=True)
 def _fill(coupling: Array, drag: Array, band: Array) -> None:
     """Put the matrix into its band: (i, k) is at band[i, k - i + _WIDTH], for k up to i."""
     for place in range(BEADS):
@@ -277,7 +279,7 @@ def _fill(coupling: Array, drag: Array, band: Array) -> None:
                 _add_drag((i - 1) % BEADS, place, other, drag, band)
 
 
-@njit(nogil=True, fastmath=True)
+@njit(nogil=True)
 def _add_drag(bead: int, place: int, other: int, drag: Array, band: Array) -> None:
     """Add a bead's drag to one of its vertices' blocks in the band."""
     row, shift = _BLOCK * place, _BLOCK * (other - place) + _WIDTH
@@ -286,7 +288,7 @@ def _add_drag(bead: int, place: int, other: int, drag: Array, band: Array) -> No
             _add(band, (row + a, shift + b - a), load(drag, (bead, a, b)))
 
 
-@njit(nogil=True, fastmath=True)
+@njit(nogil=True)
 def _solve(band: Array, right: Array) -> None:
     """Solve in place, by Cholesky's factors; the matrix is symmetric and positive.
 
@@ -385,7 +387,7 @@ def _solve(band: Array, right: Array) -> None:
             _add(right, (k,), -solved * load(band, (i, k - i + _WIDTH)))
 
 
-@njit(nogil=True, fastmath=True)
+@njit(nogil=True)
 def _push_apart(own: Array, apart: float) -> None:
     """Move strands that come nearer than `apart` away from each other."""
     for i in range(BEADS):
@@ -399,7 +401,7 @@ def _push_apart(own: Array, apart: float) -> None:
                 _move_both(own, i, j, x, y, z, max(0.5 * (apart - far) / far, 0.0))
 
 
-@njit(nogil=True, fastmath=True)
+@njit(nogil=True)
 def _set_chords(own: Array) -> None:
     """Move vertices a little until chords are CHORD long."""
     for _ in range(_SWEEPS):
@@ -413,7 +415,7 @@ def _set_chords(own: Array) -> None:
                 _move_both(own, i, j, x, y, z, 0.5 * (CHORD / far - 1))
 
 
-@njit(nogil=True, fastmath=True)
+@njit(nogil=True)
 def _move_both(own: Array, i: int, j: int, x: Any, y: Any, z: Any, share: Any) -> None:
     """Move two vertices away from each other by a share of what is between them, each."""
     _add(own, (i, 0), -share * x)

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -144,3 +149,31 @@ def test_a_rope_moves_as_it_does_alone_whatever_the_others_do() -> None:
         one = slice(rope, rope + 1)
         alone = Dynamics(FIRST_GUESS).step(points[one], speeds[one], beads[one], forces[one])
         assert all(np.array_equal(a[0], b[rope]) for a, b in zip(alone, together, strict=True))
+
+
+def test_a_fresh_compilation_moves_ropes_as_a_cached_one_does(tmp_path: Path) -> None:
+    """To the bit: what is learnt and measured must not depend on whether a clone was used before.
+    With `fastmath`, Numba's two ways to the same machine code round otherwise.
+    """
+    code = (
+        "import hashlib, numpy as np\n"
+        "from knotgym.learn.rope_model import FIRST_GUESS, Dynamics\n"
+        "from knotgym.simulation import Simulation\n"
+        "points, rng = Simulation(4).points.copy(), np.random.default_rng(0)\n"
+        "speeds = np.zeros_like(points)\n"
+        "for _ in range(4):\n"
+        "    beads, forces = rng.integers(0, 100, 4), rng.uniform(-1, 1, (4, 3))\n"
+        "    points, speeds = Dynamics(FIRST_GUESS).step(points, speeds, beads, forces)\n"
+        "print(hashlib.sha256(points.tobytes() + speeds.tobytes()).hexdigest())\n"
+    )
+    told = [
+        subprocess.run(
+            [sys.executable, "-c", code],
+            env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for _ in range(2)
+    ]
+    assert told[0] == told[1] and any(tmp_path.rglob("*.nbc"))
