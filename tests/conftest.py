@@ -101,7 +101,7 @@ def tangled(rope: Rope) -> NDArray[np.float64]:
     """Generalized positions of ropes in mid-motion: float64 (40, nq)."""
     simulation, rng = Simulation(8, rope, threads=0), np.random.default_rng(1)
     seen = []
-    for _ in range(30):
+    for _ in range(12):
         simulation.act(rng.uniform(-1, 1, (8, 6)))
         seen.append(simulation.qpos())
     return np.concatenate(seen[-5:])

@@ -137,14 +137,14 @@ def test_steps_and_autoresets_are_those_of_single_environments(
     settings: dict[str, Any] = {
         "nx": 1,
         "observation": observation,
-        "horizon": 3,
+        "horizon": 2,
         "autoreset_mode": mode,
         "image_size": 32,
     }
     envs, singles = make(task, **settings), synced(task, **settings)
     assert same(envs.reset(seed=7), singles.reset(seed=7))
     ended = 0
-    for each in actions(3, 9):
+    for each in actions(3, 6):
         ours, theirs = envs.step(each), singles.step(each)
         assert same(ours, theirs)
         ended += int((ours[2] | ours[3]).sum())

@@ -7,6 +7,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -650,6 +651,14 @@ def set_last(name: str, value: Any) -> Callable[[h5py.Group], None]:
     return change
 
 
+@pytest.fixture(scope="module")
+def two(
+    tmp_path_factory: pytest.TempPathFactory, task: TaskConfig, episodes: list[Episode]
+) -> Path:
+    """A file of two episodes; harm is done to copies."""
+    return write(tmp_path_factory.mktemp("two") / "a.h5", task, dict(enumerate(episodes[:2])))
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -671,10 +680,8 @@ def set_last(name: str, value: Any) -> Callable[[h5py.Group], None]:
         (lambda group: group.pop("actions"), "actions"),
     ],
 )
-def test_verification_names_the_fault(
-    tmp_path: Path, task: TaskConfig, episodes: list[Episode], change: Any, said: str
-) -> None:
-    path = write(tmp_path / "a.h5", task, dict(enumerate(episodes[:2])))
+def test_verification_names_the_fault(two: Path, tmp_path: Path, change: Any, said: str) -> None:
+    path = Path(shutil.copy(two, tmp_path / "a.h5"))
     with h5py.File(path, "r+") as file:
         change(file["episode_1"])
     faults = verify_episodes(path)

@@ -64,7 +64,7 @@ def test_labels_are_an_expert_s_and_change_nothing_that_is_played(
     states_path: str, tmp_path: Path
 ) -> None:
     policy = PolicyConfig(policy="random", planner=PlannerConfig(budget=48))
-    task = replace(config(states_path).task, horizon=3)
+    task = replace(config(states_path).task, horizon=2)
     plain = config(states_path, task=task, policy=policy, episodes=2)
     labelled = config(states_path, task=task, policy=policy, episodes=2, labels="expert")
     assert labelled.dataset_id == "knotgym/unknot-nx1/random-labelled-v0"

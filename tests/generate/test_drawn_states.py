@@ -19,13 +19,13 @@ from knotgym.topology.knots import knot_type, shows
 
 from ..small_job import knotgym
 
-WANTED = ("--source", "drawing", "--nx", "0-2", "--every-code", 1, "--workers", 1, "--quiet")
+WANTED = ("--source", "drawing", "--nx", "0-1", "--every-code", 1, "--workers", 1, "--quiet")
 
 
 @pytest.fixture(scope="module")
 def drawn_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a state of each of the 11 codes to nx 2; only ever read."""
-    folder = tmp_path_factory.mktemp("drawn") / "nx0-2"
+    """A folder with a state of each of the three codes to nx 1; only ever read."""
+    folder = tmp_path_factory.mktemp("drawn") / "nx0-1"
     settings = folder.parent / "settings.json"  # the last to be named counts
     settings.write_text("{}")
     assert knotgym("generate", *WANTED, "--settings", settings, "--out", folder) == 0
@@ -34,7 +34,7 @@ def drawn_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_every_code_is_drawn_and_the_folder_has_no_fault(drawn_folder: Path) -> None:
     states = read_states(drawn_folder / "states.h5", images=False)
-    assert len(states) == len(set(states.gauss_code)) == 11
+    assert len(states) == len(set(states.gauss_code)) == 3
     assert set(states.source["policy"]) == {"drawing"} and set(states.knot) == {"0_1"}
     assert (states.quality["noise_survival"] >= 0.95).all()
     assert list(folder_faults(drawn_folder)) == []
@@ -53,9 +53,9 @@ def test_drawn_states_merge_with_searched_ones_and_are_counted(
 ) -> None:
     searched = read_states(shipped())
     merged = merge_states([searched, read_states(drawn_folder / "states.h5")], distinct=True)
-    assert sorted(set(merged.source["drawing"]))[0] == "" and len(merged) == len(searched) + 11
+    assert sorted(set(merged.source["drawing"]))[0] == "" and len(merged) == len(searched) + 3
     assert knotgym("dataset", "show", drawn_folder) == 0
-    assert "sources: drawing 11" in capsys.readouterr().out
+    assert "sources: drawing 3" in capsys.readouterr().out
 
 
 def test_a_run_saved_half_way_goes_on_to_the_same_states(tmp_path: Path) -> None:

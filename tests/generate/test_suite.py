@@ -70,7 +70,7 @@ def test_no_episode_begins_as_one_of_an_evaluation_on_the_train_split() -> None:
 def test_every_policy_has_its_set_and_the_card_tells_of_it(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    assert knotgym(*WORDS, "--episodes", 1, "--out", tmp_path) == 0
+    assert knotgym(*WORDS, "--episodes", 1, "--budget", 60, "--out", tmp_path) == 0
     told = capfd.readouterr().out
     assert told.startswith("4 sets; 4 episodes to play, about ") and "with 1 workers" in told
     sets = card(tmp_path)["sets"]

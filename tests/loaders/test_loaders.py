@@ -42,8 +42,8 @@ no_torchrl = pytest.mark.skipif(
     importlib.util.find_spec("torchrl") is None, reason="torchrl isn't installed"
 )
 
-# (steps, terminated) of 50 episodes; 1 step is the shortest there is, 70 more than a chunk holds
-EPISODES = [((7 * k * k + 3 * k) % 23 + 1, k % 3 != 0) for k in range(49)] + [(70, False)]
+# (steps, terminated) of 25 episodes; 1 step is the shortest there is, 70 more than a chunk holds
+EPISODES = [((7 * k * k + 3 * k) % 23 + 1, k % 3 != 0) for k in range(24)] + [(70, False)]
 TASK = TaskConfig(task="tie", observation="state", horizon=100)
 SMALL = PictureConfig(size=16)
 VIEWS = PictureConfig(size=16, views=("top", "left", "front"), depth=True)
@@ -92,7 +92,7 @@ def coded(k: int) -> Episode:
     )
 
 
-ALL = [coded(k) for k in range(50)]
+ALL = [coded(k) for k in range(len(EPISODES))]
 N = sum(length for length, _ in EPISODES)
 OWNERS = np.concatenate([np.full(length, k) for k, (length, _) in enumerate(EPISODES)])
 STEPS = np.concatenate([np.arange(length) for length, _ in EPISODES])
@@ -100,13 +100,13 @@ STEPS = np.concatenate([np.arange(length) for length, _ in EPISODES])
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The 50 episodes, from writer through shards and merging, as state observations and compact;
+    """The episodes, from writer through shards and merging, as state observations and compact;
     nine of them as small pictures, as symbols, and as pictures of three views with depth.
     """
     room = tmp_path_factory.mktemp("coded")
     for k in range(3):
         with EpisodeWriter(room / f"shard{k}.h5", TASK) as writer:
-            for number in range(k, 50, 3):
+            for number in range(k, len(ALL), 3):
                 writer.add(ALL[number], number)
     shards = [room / f"shard{k}.h5" for k in range(3)]
     merge_episodes(shards, room / "state.h5")

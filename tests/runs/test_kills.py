@@ -45,7 +45,7 @@ COLLECT = (
     "--policy",
     "random",
     "--horizon",
-    6,
+    3,
     "--episodes",
     16,
     "--id",

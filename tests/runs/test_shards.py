@@ -94,7 +94,7 @@ COLLECT = (
     "--observation",
     "state",
     "--horizon",
-    4,
+    2,
     "--episodes",
     7,
     "--id",

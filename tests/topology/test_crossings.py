@@ -219,7 +219,7 @@ def runs_along_itself(points: np.ndarray) -> bool:
     return False
 
 
-@settings(max_examples=200, suppress_health_check=[HealthCheck.filter_too_much])
+@settings(max_examples=100, suppress_health_check=[HealthCheck.filter_too_much])
 @given(
     st.sampled_from([4, 30, 1000])
     .flatmap(grid_curves)

@@ -34,7 +34,10 @@ def test_planar_codes_and_chiralities_are_the_listed_ones(nx: int) -> None:
     }
 
 
-@pytest.mark.parametrize(("nx", "codes", "chiral"), [(5, 3616, 57472), (6, 37888, 857344)])
+@pytest.mark.parametrize(
+    ("nx", "codes", "chiral"),
+    [(5, 3616, 57472), pytest.param(6, 37888, 857344, marks=pytest.mark.slow)],
+)
 def test_longer_planar_codes_are_as_many_as_they_should(nx: int, codes: int, chiral: int) -> None:
     found = list(planar_codes(nx))
     assert (len(set(found)), sum(2 ** (max(parts(code)) + 1) for code in found)) == (codes, chiral)

@@ -153,6 +153,7 @@ def test_types_of_short_codes_are_the_listed_ones(nx: int) -> None:
     }
 
 
+@pytest.mark.slow  # the lists to nx 4 are compared above
 def test_codes_of_five_crossings_show_3034_unknots() -> None:
     unknots = [code for code in planar_codes(5) if is_unknot(code)]
     assert (len(unknots), sum(len(chiralities(code)) for code in unknots)) == (3034, 53828)
