@@ -321,3 +321,14 @@ def test_ppo_collects_rollouts_of_pictures_on_each(tmp_path: Path) -> None:
     words = ("--envs", 2, "--rollout", 32, "--repeats", 1, "--image-size", 36)
     found = figures("ppo_rollouts", tmp_path, *words, "--start", "forkserver")
     assert {*found["clock"]} == {*found["CPU"]} >= {"sb3_vec_env", "SubprocVecEnv"}
+
+
+def test_drawings_of_random_codes_and_of_knots_are_counted(tmp_path: Path) -> None:
+    page = tmp_path / "page.png"
+    few = ("crossings", "--nx", 3, "--codes", 2, "--drawings", 2, "--page", page)
+    rows = figures("drawn", tmp_path, *few)["rows"]
+    assert len(rows) == 2 and all(row["at_256"] >= row["at_128"] for row in rows.values())
+    assert page.exists() == any(row["at_256"] for row in rows.values())
+    (tmp_path / "drawn.json").unlink()
+    knots = figures("drawn", tmp_path, "knots", "--knots", "3_1", "--drawings", 2)["rows"]
+    assert knots["3_1"]["laid"]
