@@ -81,7 +81,8 @@ def crossings_row(code: GaussCode, number: int, drawings: int, seed: int) -> dic
 
 def unknot_codes(nx: int, count: int, seed: int) -> Iterator[GaussCode]:
     """Different codes without chirality, each of those of an unknot equally likely."""
-    rng, given = np.random.default_rng([seed, nx]), set()
+    rng = np.random.default_rng([seed, nx])
+    given: set[GaussCode] = set()
     while len(given) < count:
         code = uniform_code(nx, rng)
         if is_unknot(code) and code not in given:

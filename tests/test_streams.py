@@ -64,6 +64,7 @@ def used(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, ...]]:
     return seen
 
 
+@pytest.mark.slow  # that keys are different is proved above
 def test_no_two_keys_of_a_run_are_equal_but_those_that_are_asked_for_again(
     used: list[tuple[int, ...]], tmp_path: Path
 ) -> None:

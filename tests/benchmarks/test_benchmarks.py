@@ -325,10 +325,10 @@ def test_ppo_collects_rollouts_of_pictures_on_each(tmp_path: Path) -> None:
 
 def test_drawings_of_random_codes_and_of_knots_are_counted(tmp_path: Path) -> None:
     page = tmp_path / "page.png"
-    few = ("crossings", "--nx", 3, "--codes", 2, "--drawings", 2, "--page", page)
+    few = ("crossings", "--nx", 2, "--codes", 2, "--drawings", 1, "--page", page)
     rows = figures("drawn", tmp_path, *few)["rows"]
     assert len(rows) == 2 and all(row["at_256"] >= row["at_128"] for row in rows.values())
     assert page.exists() == any(row["at_256"] for row in rows.values())
     (tmp_path / "drawn.json").unlink()
-    knots = figures("drawn", tmp_path, "knots", "--knots", "3_1", "--drawings", 2)["rows"]
+    knots = figures("drawn", tmp_path, "knots", "--knots", "3_1", "--drawings", 3)["rows"]
     assert knots["3_1"]["laid"]

@@ -24,6 +24,7 @@ def test_no_damaged_file_ends_in_a_traceback_or_a_crash(tmp_path: Path) -> None:
     assert not [line for line in report["bad"] if ": wrong" not in line]
 
 
+@pytest.mark.slow  # tests/runs/test_kills.py spoils checkpoints in the ways that there are
 def test_no_damaged_checkpoint_is_gone_on_with(
     killed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

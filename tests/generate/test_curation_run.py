@@ -47,9 +47,9 @@ def done(job: CurationRun) -> CurationRun:
 
 
 @pytest.fixture(scope="module")
-def finished() -> CurationRun:
+def finished(searched: Archive) -> CurationRun:
     """Two states with one crossing."""
-    return done(CurationRun.begin(config(nx=(1,), count=2)))
+    return done(CurationRun.begin(config(nx=(1,), count=2), archive=deepcopy(searched)))
 
 
 @pytest.fixture(scope="module")
@@ -295,6 +295,7 @@ def test_a_job_stops_after_its_cycles_with_what_there_is() -> None:
     )
 
 
+@pytest.mark.slow  # attempts end alike, above
 def test_cycles_that_accept_nothing_end_with_a_line_that_says_so() -> None:
     hopeless = config(
         nx=(0,),

@@ -59,7 +59,7 @@ def test_drawn_states_merge_with_searched_ones_and_are_counted(
 
 
 def test_a_run_saved_half_way_goes_on_to_the_same_states(tmp_path: Path) -> None:
-    config = DrawnStatesConfig(nx=(1,), every_code=2, wave=2)
+    config = DrawnStatesConfig(nx=(1,), every_code=1, wave=1)
     whole, first, resumed = (DrawnStatesRecipe(config, Shard()) for _ in range(3))
 
     def follow(recipe: DrawnStatesRecipe, batches: int) -> None:

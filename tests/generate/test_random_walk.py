@@ -29,7 +29,7 @@ from knotgym.topology.crossings import label
 
 from ..small_job import knotgym
 
-SMALL = RandomWalkConfig(nx=(1, 2), count=2, burn_in=8, every=4, longest=24, batch=4, wave=1)
+SMALL = RandomWalkConfig(nx=(1, 2), count=2, burn_in=12, every=2, longest=30, batch=3, wave=1)
 WANTED = ("generate", "--source", "random-walk", "--nx", "1,2", "--count", 2, "--workers", 1)
 
 

@@ -95,6 +95,7 @@ def test_a_saved_and_loaded_archive_goes_on_as_if_unbroken(
     assert kept(archive, tmp_path) == kept(searched, tmp_path)
 
 
+@pytest.mark.slow
 def test_another_seed_searches_elsewhere(searched: Archive, tmp_path: Path) -> None:
     assert kept(grown(1, replace(SEARCH, seed=2)), tmp_path) != kept(grown(1), tmp_path)
 
@@ -169,6 +170,7 @@ def test_every_rope_counts_as_a_visit(searched: Archive) -> None:
     assert sum(searched.visits.values()) == 3 * SEARCH.batch_size
 
 
+@pytest.mark.slow
 def test_no_sequence_is_longer_than_the_longest_allowed() -> None:
     archive = grown(3, replace(SEARCH, seed=4, longest=12))
     assert 8 < max(len(elite.sequence) for elite in elites(archive)) <= 12

@@ -113,6 +113,7 @@ def remounted(folder: Path, options: str) -> None:
     subprocess.run(["mount", "-o", f"remount,{options}", str(folder)], check=True)
 
 
+@pytest.mark.slow  # a limit on files is met in the same place, below
 @pytest.mark.parametrize("command", RESUMABLE)
 def test_a_full_disk_is_one_line_and_room_makes_it_go_on(
     command: tuple[object, ...],
