@@ -363,6 +363,7 @@ def test_minari_s_metadata_are_as_their_page_says(dataset: Path) -> None:
     assert said - scores == entries.keys() - scores
 
 
+@pytest.mark.slow  # tests/datasets/test_image_table.py has the schema
 @needs_arrow
 def test_the_table_of_pictures_is_as_its_page_says(pictures: Path) -> None:
     import pyarrow.parquet

@@ -79,6 +79,7 @@ def test_both_labellers_agree_on_fourier_curves(tmp_path: Path) -> None:
     assert curves["agreed"] == curves["curves"] == 16 and curves["disagreements"] == []
 
 
+@pytest.mark.slow
 def test_the_expert_benchmark_plays_and_goes_on_after_what_is_done(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -89,6 +90,7 @@ def test_the_expert_benchmark_plays_and_goes_on_after_what_is_done(
     assert "tie-nx2 random: " not in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_every_variant_of_the_model_is_stepped_and_ours_is_where_ours_is(tmp_path: Path) -> None:
     models = figures("physics", tmp_path, "--starts", 1, "--repeats", 1)["models"]
     assert len(models) == 11
@@ -302,6 +304,7 @@ def test_pixels_of_the_published_environment_are_timed_beside_ours(tmp_path: Pat
     assert figures("published", tmp_path, *words)["modes"]["pixels"]["published"]["ms"] > 0
 
 
+@pytest.mark.slow
 def test_walks_from_both_starts_are_measured(tmp_path: Path) -> None:
     found = figures("stationary", tmp_path, "--ropes", 2, "--actions", 20, "--every", 20)
     (row,) = found["rows"]
@@ -323,6 +326,7 @@ def test_ppo_collects_rollouts_of_pictures_on_each(tmp_path: Path) -> None:
     assert {*found["clock"]} == {*found["CPU"]} >= {"sb3_vec_env", "SubprocVecEnv"}
 
 
+@pytest.mark.slow
 def test_drawings_of_random_codes_and_of_knots_are_counted(tmp_path: Path) -> None:
     page = tmp_path / "page.png"
     few = ("crossings", "--nx", 2, "--codes", 2, "--drawings", 1, "--page", page)

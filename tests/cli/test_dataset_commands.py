@@ -247,6 +247,7 @@ def test_what_is_no_dataset_is_refused_in_one_line(
 # Replay.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind",
     [pytest.param("states", marks=pytest.mark.slow), "trajectories"],  # below, a state
@@ -260,6 +261,7 @@ def test_a_replay_is_filmed_from_the_start_to_the_state(
     assert film_length(tmp_path / "a.mp4") == states.source["steps"][5] + 1 + FRAMES_PER_SECOND
 
 
+@pytest.mark.slow
 def test_the_last_frame_shows_the_state_beside_itself(curated: Path, tmp_path: Path) -> None:
     points = read_states(curated / "states.h5").points[5]
     assert knotgym("dataset", "replay", curated, "--row", 5, "--out", tmp_path / "a.mp4") == 0

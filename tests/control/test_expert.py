@@ -172,6 +172,7 @@ def out_of_reach(every: dict[int, int]) -> list[str]:
     return [str(goal) for goal in goals if FLAT not in graph.distances(goal).far]
 
 
+@pytest.mark.slow
 def test_the_graph_that_ships_leads_to_codes_of_up_to_three_crossings() -> None:
     assert out_of_reach({1: 2, 2: 8, 3: 46}) == []
 

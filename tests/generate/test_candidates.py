@@ -171,6 +171,7 @@ def test_the_same_task_gives_the_same_bytes_whatever_was_made_before(made: Made)
         assert same(make_candidate(pickle.loads(pickle.dumps(task))), candidate)
 
 
+@pytest.mark.slow
 def test_another_seed_gives_another_candidate(followed: Made) -> None:
     task, candidate = followed[-1]
     assert not same(make_candidate(task._replace(seed=(1, 2, 3, 4, 5))), candidate)

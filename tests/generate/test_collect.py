@@ -83,6 +83,7 @@ def test_labels_are_an_expert_s_and_change_nothing_that_is_played(
             Transitions(dataset, labels=True, **options)
 
 
+@pytest.mark.slow  # its plans are acted out in tests/control/test_expert.py
 def test_what_the_expert_says_at_every_state_leads_to_the_goal(states_path: str) -> None:
     task = replace(config(states_path).task, horizon=50)
     episodes, expert = EpisodeBatch(task, 1), Expert()

@@ -272,6 +272,7 @@ def test_what_cannot_be_accepted_ends_with_a_line_that_says_so() -> None:
         done(CurationRun.begin(hopeless))
 
 
+@pytest.mark.slow
 def test_a_job_stops_after_its_cycle_with_what_there_is(searched: Archive) -> None:
     few = config(nx=(1,), count=40, cycles=1, wave=2)
     job = done(CurationRun.begin(few, archive=deepcopy(searched)))

@@ -34,7 +34,7 @@ def test_a_named_curve_becomes_a_rope(rope: Rope, knot: str) -> None:
 
 def test_plain_loops_are_legible_and_unlike_each_other(rope: Rope) -> None:
     rng = np.random.default_rng(0)
-    loops = [plain_loop(rope, LoopConfig(), Limits(), rng) for _ in range(12)]
+    loops = [plain_loop(rope, LoopConfig(), Limits(), rng) for _ in range(6)]
     for points in loops:
         assert label(points).nx == 0 and not Limits().faults(measure(points), 0)
     spread = spread_of(np.stack(loops))

@@ -62,6 +62,7 @@ def test_every_setup_gets_its_row_in_order(states_path: str) -> None:
     ]
 
 
+@pytest.mark.slow  # tests/control/test_expert.py plans to the goal
 def test_an_expert_beats_random_and_says_what_planning_took(states_path: str) -> None:
     policies = (
         PolicyConfig(policy="random"),

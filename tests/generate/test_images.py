@@ -63,11 +63,11 @@ pytestmark = pytest.mark.skipif(
 
 CONFIG = ImagesConfig(
     nx=(0, 1, 2),
-    count=12,
-    test_share=0.2,
+    count=6,
+    test_share=0.4,
     steps=4,
     stride=2,
-    rows_per_file=5,
+    rows_per_file=3,
     appearance=AppearanceConfig(vary=VARIED, sizes=(64, 128)),
 )
 
@@ -103,7 +103,7 @@ def rows(folder: Path) -> list[dict[str, Any]]:
 
 def test_there_are_as_many_pictures_as_asked_for_of_each_nx(rows: list[dict[str, Any]]) -> None:
     assert len(rows) == CONFIG.count
-    assert [sum(row["nx"] == nx for row in rows) for nx in CONFIG.nx] == [4, 4, 4]
+    assert [sum(row["nx"] == nx for row in rows) for nx in CONFIG.nx] == [2, 2, 2]
 
 
 def test_the_largest_nx_is_for_test_nx_alone(rows: list[dict[str, Any]]) -> None:
@@ -125,6 +125,7 @@ def test_no_two_rows_are_near_duplicates(folder: Path) -> None:
         assert distances(points[k], points[k + 1 :]).min() >= NEAR
 
 
+@pytest.mark.slow  # a collection stands for it in tests/runs/test_kills.py
 def test_a_run_that_was_interrupted_and_resumed_on_other_workers_gives_the_same_bytes(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -145,7 +146,7 @@ def test_a_run_that_was_interrupted_and_resumed_on_other_workers_gives_the_same_
 
 def test_another_run_is_not_resumed_and_what_differs_is_named(folder: Path, tmp_path: Path) -> None:
     shutil.copytree(folder, tmp_path / "table")
-    with pytest.raises(InvalidRun, match="config.count is 12 there and 15 here"):
+    with pytest.raises(InvalidRun, match="config.count is 6 there and 15 here"):
         made(tmp_path / "table", replace(CONFIG, count=15), resume=True)
 
 

@@ -113,6 +113,7 @@ def test_a_killed_run_goes_on_to_the_same_bytes(
     assert digests(tmp_path) == digests(unbroken)
 
 
+@pytest.mark.slow
 def test_a_finished_suite_is_left_alone_and_shows_evaluations_that_came_since(
     unbroken: Path,
 ) -> None:

@@ -265,6 +265,7 @@ def test_every_shard_of_pictures_verifies(pictured: list[Path]) -> None:
     assert all(knotgym("dataset", "verify", part, "--quiet") == 0 for part in pictured)
 
 
+@pytest.mark.slow
 @with_arrow
 def test_merged_pictures_verify_without_a_leak_or_a_duplicate(
     pictured: list[Path], tmp_path: Path, capfd: pytest.CaptureFixture[str]
