@@ -388,6 +388,7 @@ def test_the_table_of_pictures_is_as_its_page_says(pictures: Path) -> None:
     assert {code_words(row[0])[0]: row[1] for row in rows} == found
 
 
+@pytest.mark.slow
 @needs_arrow
 def test_the_walks_are_as_their_page_says(pictures: Path) -> None:
     said = tables(DOCS / "formats/images.md")

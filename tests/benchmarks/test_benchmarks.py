@@ -195,6 +195,7 @@ def test_fixed_actions_tow_with_and_without_a_bound(tmp_path: Path) -> None:
     }
 
 
+@pytest.mark.slow
 def test_an_archive_tells_how_far_it_reaches(searched: Archive, tmp_path: Path) -> None:
     searched.save(tmp_path / "archive.h5")
     reached = figures("ways", tmp_path, tmp_path / "archive.h5", "--most-nx", 1)["nx"]

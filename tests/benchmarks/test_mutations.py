@@ -13,6 +13,7 @@ from ..scripts import ROOT, run_script
 COPIES = 4
 
 
+@pytest.mark.slow  # tests/datasets/test_state_schema.py harms in the ways that there are
 def test_no_damaged_file_ends_in_a_traceback_or_a_crash(tmp_path: Path) -> None:
     path = tmp_path / "states.h5"
     write_states(path, read_states(shipped()).taken(np.array([0])))

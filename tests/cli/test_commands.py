@@ -100,9 +100,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[], str]]:
     "command",
     [
         # all tell alike
-        pytest.param(name, marks=pytest.mark.slow)
-        if name in ("images", "verify", "merge")
-        else name
+        pytest.param(name, marks=pytest.mark.slow) if name not in ("generate", "evaluate") else name
         for name in COMMANDS
     ],
 )

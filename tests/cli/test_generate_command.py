@@ -372,6 +372,7 @@ def test_other_options_cannot_resume_it(killed: Path, capfd: pytest.CaptureFixtu
     assert bytes_of(killed.parent) == before
 
 
+@pytest.mark.slow  # a collection stands for it in tests/runs/test_kills.py
 def test_resumed_it_ends_in_the_same_bytes_as_an_unbroken_run_and_quiet_says_nothing(
     killed: Path, curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

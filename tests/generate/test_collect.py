@@ -63,7 +63,7 @@ def test_the_dataset_takes_its_id_and_holds_every_episode(states_path: str, tmp_
 def test_labels_are_an_expert_s_and_change_nothing_that_is_played(
     states_path: str, tmp_path: Path
 ) -> None:
-    policy = PolicyConfig(policy="random", planner=PlannerConfig(budget=48))
+    policy = PolicyConfig(policy="random", planner=PlannerConfig(budget=16))
     task = replace(config(states_path).task, horizon=2)
     plain = config(states_path, task=task, policy=policy, episodes=2)
     labelled = config(states_path, task=task, policy=policy, episodes=2, labels="expert")

@@ -165,6 +165,7 @@ def test_what_the_suite_has_not_is_one_line(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_a_set_of_another_size_is_refused_before_anything_is_made(
     unbroken: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -207,6 +207,7 @@ def test_every_shard_of_states_verifies(curated_in_parts: list[Path]) -> None:
     assert all(knotgym("dataset", "verify", path, "--quiet") == 0 for path in curated_in_parts)
 
 
+@pytest.mark.slow  # what verify does with a folder of states is tried in tests/cli/test_commands.py
 def test_merged_states_verify_and_are_a_folder_like_any(merged_states: Path, curated: Path) -> None:
     assert knotgym("dataset", "verify", merged_states, "--quiet") == 0
     assert {path.name for path in merged_states.iterdir()} == {
