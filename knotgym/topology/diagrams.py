@@ -54,10 +54,13 @@ def drawn(code: GaussCode) -> GaussCode:
     if code.chirality is not None:
         if _has_sphere(following(code)):
             return code
-    else:
-        patterns = chiralities(code)
-        if patterns:
-            return GaussCode(code.visits, patterns[0])
+    elif (turns := _some_turns(code)) is not None:
+        part, signs = parts(code), _signs(code.visits, turns)
+        # the first letter of each part is as early in the alphabet as it can be
+        flips = {number: -signs[part.index(number)] for number in set(part)}
+        return GaussCode(
+            code.visits, _letters([sign * flips[part[k]] for k, sign in enumerate(signs)])
+        )
     raise NotPlanar(code)
 
 
@@ -79,7 +82,7 @@ def chiralities(code: GaussCode) -> tuple[str, ...]:
     patterns = []
     for flips in product((1, -1), repeat=max(part, default=-1) + 1):
         signs = _signs(code.visits, [turn * flips[part[label]] for label, turn in enumerate(turns)])
-        patterns.append("".join([POSITIVE if sign > 0 else NEGATIVE for sign in signs]))
+        patterns.append(_letters(signs))
     return tuple(sorted(patterns))
 
 
@@ -206,6 +209,10 @@ def _signs(visits: tuple[int, ...], turns: list[int] | tuple[int, ...]) -> list[
     for visit in visits:
         first.setdefault(abs(visit), visit)
     return [turn if visit > 0 else -turn for turn, visit in zip(turns, first.values(), strict=True)]
+
+
+def _letters(signs: list[int]) -> str:
+    return "".join([POSITIVE if sign > 0 else NEGATIVE for sign in signs])
 
 
 def _places(visits: tuple[int, ...]) -> list[list[int]]:

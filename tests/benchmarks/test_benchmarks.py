@@ -202,6 +202,7 @@ def test_an_archive_tells_how_far_it_reaches(searched: Archive, tmp_path: Path) 
     assert reached["0"]["led_to"] == 1 and 0 < reached["1"]["led_to"] <= reached["1"]["there_are"]
 
 
+@pytest.mark.slow
 def test_the_transitions_of_an_archive_make_a_table(searched: Archive, tmp_path: Path) -> None:
     searched.save(tmp_path / "archive.h5")
     words = ("--seeds", "--rounds", "--archive", tmp_path / "archive.h5", "--workers", 1)

@@ -59,6 +59,15 @@ def test_files_of_one_set_up_with_other_seeds_are_counted_together(tmp_path: Pat
     assert read_scores(files[::-1]) == [row]
 
 
+def test_a_file_from_before_a_rule_came_is_of_its_default(tmp_path: Path) -> None:
+    files = [told(tmp_path / "a", 1, 16, 64), told(tmp_path / "b", 2, 80, 192)]
+    old = json.loads(files[0].read_text(encoding="utf-8"))
+    del old["settings"]["task"]["max_goals"]
+    files[0].write_text(json.dumps(old), encoding="utf-8")
+    (row,) = read_scores(files)
+    assert row["episodes"] == 256 and row["rules"]["max_goals"] is None
+
+
 def test_the_same_episodes_twice_and_other_rules_are_refused(tmp_path: Path) -> None:
     first = told(tmp_path / "a", 1, 16, 64)
     with pytest.raises(InvalidScores, match=r"b tells once more of random, readable, test, tie, 2"):

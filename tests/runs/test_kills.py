@@ -207,6 +207,7 @@ def children(process: int) -> list[int]:
     return own + [below for child in own for below in children(child)]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="needs /proc")
 def test_a_worker_that_dies_is_one_line_and_the_rest_is_kept(
     unbroken: Unbroken, tmp_path: Path
@@ -312,6 +313,7 @@ def stopped(*_: object) -> None:
     raise KeyboardInterrupt
 
 
+@pytest.mark.slow  # tests/generate/test_unit_files.py spoils them too
 def test_spoilt_shards_of_a_collection_are_made_anew(
     unbroken: Unbroken, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -216,6 +216,7 @@ def test_merged_states_verify_and_are_a_folder_like_any(merged_states: Path, cur
     assert [path.name for path in merged_states.parent.iterdir()] == ["nx1"]
 
 
+@pytest.mark.slow
 def test_merged_states_are_as_many_and_as_even_as_were_asked_for(merged_states: Path) -> None:
     states = read_states(merged_states / "states.h5")
     assert states.nx.tolist() == [1, 1]
@@ -223,6 +224,7 @@ def test_merged_states_are_as_many_and_as_even_as_were_asked_for(merged_states: 
     assert [len(states.rows(1, split)) for split in ("train", "test")] == [1, 1]
 
 
+@pytest.mark.slow
 def test_merged_states_hold_no_two_near_duplicates_nor_a_seed_twice(merged_states: Path) -> None:
     states = read_states(merged_states / "states.h5")
     assert all(
@@ -232,6 +234,7 @@ def test_merged_states_hold_no_two_near_duplicates_nor_a_seed_twice(merged_state
     assert len({tuple(seed) for seed in states.source["seed"]}) == len(states)
 
 
+@pytest.mark.slow
 def test_the_merged_archive_knows_what_any_shard_does(
     merged_states: Path, curated_in_parts: list[Path]
 ) -> None:

@@ -79,6 +79,16 @@ def test_drawing_keeps_a_chirality_that_is_there() -> None:
     assert drawn(TREFOIL.plain).chirality == "aaa"
 
 
+@pytest.mark.parametrize("nx", range(5))
+def test_a_code_is_drawn_with_the_first_of_its_chiralities(nx: int) -> None:
+    assert all(drawn(code).chirality == chiralities(code)[0] for code in planar_codes(nx))
+
+
+def test_a_code_of_many_parts_is_drawn_without_listing_its_chiralities() -> None:
+    kinks = GaussCode(tuple(sign * k for k in range(1, 61) for sign in (1, -1)))
+    assert is_planar(drawn(kinks))  # of 2 ** 60
+
+
 @pytest.mark.parametrize("text", ["1+,2+,1-,2-", "1+c,2-c,3+a,1-c,2+c,3-a"])
 def test_what_cannot_be_drawn_is_named(text: str) -> None:
     with pytest.raises(NotPlanar) as refusal:

@@ -7,10 +7,11 @@ from numbers import Real
 from pathlib import Path
 from typing import Any
 
-from knotgym.configuration import read_json
+from knotgym.configuration import as_json, read_json
 from knotgym.datasets.cards.state_card import table
 from knotgym.errors import KnotgymError, one_line
 from knotgym.runs.intervals import wilson
+from knotgym.tasks import TaskConfig
 
 TASKS, CROSSINGS = ("unknot", "tie", "convert"), (2, 3, 4)
 # per cent on the train split, learners after a million steps; arXiv 2505.18028
@@ -27,6 +28,8 @@ _KEY = ("policy", "states", "split", "task", "nx")
 _OWN = ("episodes", "successes", "success_rate", "interval", "steps", "seeds", "training")
 _SUM = "weights_sha256"  # in what a file says of training
 _MEANS = ("planned_actions", "planning_seconds")
+# rules that a file doesn't name are of later versions, whose defaults are what there was before
+_PLAIN = as_json(TaskConfig(task="tie"))
 
 
 class InvalidScores(KnotgymError, ValueError):
@@ -104,7 +107,7 @@ def _rows(told: Mapping[str, Any]) -> Iterable[dict[str, Any]]:
             "seeds": [told["settings"]["seed"]],
             "rules": {
                 name: rule
-                for name, rule in told["settings"]["task"].items()
+                for name, rule in {**_PLAIN, **told["settings"]["task"]}.items()
                 if name not in ("task", "nx", "split", "states")
             },
             "version": told["version"],
