@@ -6,9 +6,8 @@ it. What each of these counts is not told but learned, see `fitting`. Strands pu
 
 Each substep solves, implicitly, for the velocities of the vertices and the spins of the beads.
 Their order runs round the loop from both sides at once, so that the matrix is banded. Four ropes
-are moved at once, one a lane (`lanes`): each moves as it would by itself, to the bit. Nothing here is
-compiled with `fastmath`: it gains nothing, and then code just compiled and code from Numba's cache
-round otherwise.
+are moved at once, one a lane (`lanes`): each moves as it would by itself, to the bit. `fastmath`
+gains nothing here, and with it code just compiled and code from Numba's cache round otherwise.
 """
 
 from __future__ import annotations
