@@ -22,7 +22,7 @@ from knotgym.topology.crossings import label
 from .small_job import SECONDS, WANTED, begun, knotgym
 
 # Compiling, or another process on the same cores, is no failure.
-settings.register_profile("unhurried", deadline=None, max_examples=30)
+settings.register_profile("unhurried", deadline=None, max_examples=20)
 settings.load_profile("unhurried")
 
 PER_NX = 6

@@ -268,6 +268,7 @@ def test_minari_loads_the_trajectories_of_one_split(
         assert np.array_equal(episode.observations["pixels"][-1, :, :128], states.image[row])
 
 
+@pytest.mark.slow  # and with collected ones, in tests/generate/test_collect.py
 @pytest.mark.parametrize(
     "name",
     [
