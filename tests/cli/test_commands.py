@@ -505,6 +505,7 @@ def test_numbers_and_dicts_are_told_in_words() -> None:
 # Success says something; one folder, one thing.
 
 
+@pytest.mark.slow  # every check of it is tried in tests/datasets/test_state_verification.py
 @pytest.mark.parametrize(
     ("name", "told"),
     [

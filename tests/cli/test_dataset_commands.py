@@ -354,6 +354,7 @@ def test_merged_states_are_those_of_both_in_order_of_nx(curated: Path, tmp_path:
     )
 
 
+@pytest.mark.slow
 def test_two_halves_merged_are_the_whole(curated: Path, tmp_path: Path) -> None:
     whole = read_states(curated / "states.h5")
     for nx in (1, 0):

@@ -96,6 +96,7 @@ def test_what_the_expert_says_at_every_state_leads_to_the_goal(states_path: str)
     raise AssertionError("the goal wasn't reached in 50 steps")
 
 
+@pytest.mark.slow
 def test_of_several_attempts_the_shortest_success_is_kept(states_path: str, tmp_path: Path) -> None:
     acted = {
         "task": replace(config(states_path).task, horizon=10),

@@ -101,7 +101,9 @@ def test_a_code_asked_for_by_name_keeps_its_chirality() -> None:
     assert [one.code.chiral for one in made.states] == ["1+c,1-c"]
 
 
-@pytest.mark.parametrize(("knot", "letters"), [("3_1", "ccc"), ("m3_1", "aaa")])
+@pytest.mark.parametrize(
+    ("knot", "letters"), [pytest.param("3_1", "ccc", marks=pytest.mark.slow), ("m3_1", "aaa")]
+)
 def test_a_knot_is_drawn_with_its_hand(knot: str, letters: str) -> None:
     config = DrawnStatesConfig(knot=knot, every_code=1)
     codes = DrawnStatesRecipe(config, Shard()).codes[3]

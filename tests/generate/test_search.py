@@ -83,6 +83,7 @@ def test_rounds_are_the_same_bytes_on_two_workers(searched: Archive, tmp_path: P
         assert kept(grown(3, pool=pool, chunk=3), tmp_path) == kept(searched, tmp_path)
 
 
+@pytest.mark.slow
 def test_a_saved_and_loaded_archive_goes_on_as_if_unbroken(
     searched: Archive, tmp_path: Path
 ) -> None:

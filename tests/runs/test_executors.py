@@ -166,6 +166,7 @@ def _print_interruptible() -> None:
         print([*pool.map(_interruptible, range(2)), _interruptible(0)])
 
 
+@pytest.mark.slow
 def test_processes_leave_an_interruption_to_their_parent_from_their_first_moment_on() -> None:
     words = [sys.executable, "-c", f"from {__name__} import _print_interruptible as told; told()"]
     assert (
