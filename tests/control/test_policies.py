@@ -35,7 +35,7 @@ def act_once(
     for index in range(count):
         episodes.begin(index, np.random.default_rng([seed, index]))
         policy.begin(episodes, index, np.random.default_rng([seed, index, 1]))
-    actions = []
+    actions: list[NDArray[np.float32]] = []
     for _ in range(2):
         if actions:
             episodes.step(actions[0], np.arange(count))
