@@ -7,7 +7,7 @@
 --drawings times or until a state is accepted by the limits of pictures of 128 pixels. A drawing is
 also judged for 256 pixels, where half the width tells a gap from none: two strands lie a rope's
 width and one of those pixels apart, two crossings two widths and one of them, a region is three of
-them wide; what is no matter of pixels stays (angle, clearance, curvature, noise, margin).
+them wide; all other limits stay.
 
 `knots` lays every prime knot of up to ten crossings from its table's diagram, begun at any base
 point and seen from either side: rests with the code unchanged, read by both labellers, of the knot
@@ -33,11 +33,7 @@ from rich.table import Table
 
 from knotgym.atomic_files import atomic_write
 from knotgym.datasets.gallery import contact_sheet, write_png
-from knotgym.generate.states.drawn_states import (
-    DrawnStatesConfig,
-    DrawnUnit,
-    draw_states,
-)
+from knotgym.generate.states.drawn_states import DrawnStatesConfig, DrawnUnit, draw_states
 from knotgym.quality import Limits
 from knotgym.rendering.picture import PictureConfig, draw
 from knotgym.topology.gauss import GaussCode
@@ -128,7 +124,13 @@ def main() -> None:
     parser.add_argument("what", choices=["crossings", "knots"])
     parser.add_argument("--nx", type=int, nargs="+", default=[7, 8, 9, 10])
     parser.add_argument("--codes", type=int, default=100, help="of each nx")
-    parser.add_argument("--knots", nargs="+", default=None, help="names; all 249 if not told")
+    parser.add_argument(
+        "--knots",
+        nargs="+",
+        choices=[*prime_diagrams()],
+        metavar="NAME",
+        help="all 249 if not told",
+    )
     parser.add_argument("--drawings", type=int, default=10, help="of each code or knot, at most")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--page", type=Path, default=None, help="PNG of accepted states")
@@ -161,33 +163,21 @@ def main() -> None:
         with atomic_write(out) as temporary:
             temporary.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
     kept = [rows[key] for key, _ in todo]
-    table = Table(title=f"{asked.what}: at most {asked.drawings} drawings each")
     if asked.what == "knots":
-        lacking = [row["knot"] for row in kept if not row["laid"]]
-        for name in ("knots", "laid", "drawings", "CPU s"):
-            table.add_column(name)
-        table.add_row(
-            f"{len(kept)}",
-            f"{len(kept) - len(lacking)}",
-            f"{sum(row['drawings'] for row in kept)}",
-            f"{sum(row['cpu_seconds'] for row in kept):.0f}",
-        )
-        print("not laid:", *lacking or ["none"])
+        groups, counted = {"all": kept}, {"laid": "laid"}
+        print("not laid:", *[row["knot"] for row in kept if not row["laid"]] or ["none"])
     else:
-        for name in ("nx", "codes", "accepted at 128", "accepted at 256", "drawings", "CPU s"):
-            table.add_column(name)
-        for nx in asked.nx:
-            own = [row for row in kept if row["nx"] == nx]
-            table.add_row(
-                f"{nx}",
-                f"{len(own)}",
-                f"{sum(row['at_128'] for row in own)}",
-                f"{sum(row['at_256'] for row in own)}",
-                f"{sum(row['drawings'] for row in own)}",
-                f"{sum(row['cpu_seconds'] for row in own):.0f}",
-            )
+        groups = {f"nx {nx}": [row for row in kept if row["nx"] == nx] for nx in asked.nx}
+        counted = {"at_128": "accepted at 128", "at_256": "accepted at 256"}
         if asked.page and any("points" in row for row in kept):
             write_png(asked.page, page(kept))
+    table = Table(title=f"{asked.what}: at most {asked.drawings} drawings each")
+    counted |= {"drawings": "drawings", "cpu_seconds": "CPU s"}
+    for name in ("", "knots" if asked.what == "knots" else "codes", *counted.values()):
+        table.add_column(name)
+    for name, own in groups.items():
+        sums = [f"{sum(row[column] for row in own):.0f}" for column in counted]
+        table.add_row(name, f"{len(own)}", *sums)
     Console().print(table)
 
 
