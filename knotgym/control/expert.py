@@ -136,7 +136,7 @@ class Expert:
         self._controller.advance(points)
         if self._controller.idle[index]:
             graph = self._graph_used()
-            distances = graph.distances(episodes.goals[index])
+            distances = graph.distances(episodes.goals[index], episodes.codes[index])
             macro_action = promising(points[index], graph, distances, self.config, progress.rng)
             progress.kind = macro_action.kind
             self._controller.begin(index, macro_action)

@@ -87,6 +87,7 @@ class _Pool:
 
     def hops(self, code: GaussCode) -> int:
         """Changes of code from here to the goal, about."""
+        self._distances(code)  # a code just met may get its hops now
         return self._distances.hops.get(code, self._config.unknown_hops)
 
     def add(self, node: Node) -> None:
@@ -224,7 +225,7 @@ class _Search:
         self.steps, self.hold, self.bound = steps, hold, bound
         simulation.restore(state[None], [0])
         self.root = Node(state, label_many(simulation.points[:1])[0])
-        self.distances = graph.distances(goal)
+        self.distances = graph.distances(goal, self.root.code)
         self.pool = _Pool(self.distances, config)
         self.pool.add(self.root)
         self.towards: dict[GaussCode, Towards] = {}

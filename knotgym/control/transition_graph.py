@@ -3,6 +3,10 @@
 A change that one macro-action in n makes costs n macro-actions, and more where few were tried. The
 distances of all codes to a goal come from Dijkstra's algorithm, run backwards from the goal; a code
 that the counts don't reach is as far as the last one reached and farther by its crossings.
+
+Counts reach to four crossings, and some way into five. For goals and ropes beyond, Reidemeister's
+single moves, which every code has, go on where the counts end, each at the cost that its like has
+among those counted: backwards from the goal at the search, and down from a code when it is met.
 """
 
 from __future__ import annotations
@@ -19,12 +23,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.configuration import check_numbers
+from knotgym.control.diagram_moves import DOWN_COST, below, leading_to
 from knotgym.control.transition_counts import ELEMENTS, MacroTemplate, TransitionCounts
 from knotgym.topology.diagrams import chiralities
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import canonical_form, images
 
 _IMAGES = len(ELEMENTS)  # of a code
+_COUNTED_NX = 4  # codes of more crossings are led to by single moves too
+_MOST_MOVED = 1000  # codes that moves leading to them are looked for, for one goal, nearest first
+_FARTHEST_DOWN = 3  # crossings more than goal and counts have, from which moves down are looked for
+_GOALS_KEPT = 128  # whose distances are remembered; a megabyte or two each
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,6 +94,8 @@ class Distances:
         hops: code -> changes of code on the way.
         beyond: what codes not in `far` are at least away.
         by_place: float64, the distances of all the graph's codes, in its own order.
+        by_moves: single moves go on where counts end.
+        moved: code -> steps that single moves are.
     """
 
     nx: int
@@ -94,6 +105,8 @@ class Distances:
     hops: dict[GaussCode, int] = field(default_factory=dict)
     beyond: float = 0.0
     by_place: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    by_moves: bool = False
+    moved: dict[GaussCode, list[Step]] = field(default_factory=dict)
 
     def __call__(self, code: GaussCode) -> float:
         """Expected macro-actions from a code with chirality."""
@@ -101,7 +114,16 @@ class Distances:
         return self._unknown(code) if far is None else far
 
     def _unknown(self, code: GaussCode) -> float:
-        return self.beyond + self.strange * max(1, abs(code.nx - self.nx))
+        far = self.beyond + self.strange * max(1, abs(code.nx - self.nx))
+        if self.by_moves and code.nx <= max(self.nx, _COUNTED_NX) + _FARTHEST_DOWN:
+            hops = None
+            for lower in below(code):
+                if self(lower) + DOWN_COST < far:
+                    far, hops = self(lower) + DOWN_COST, self.hops.get(lower)
+            self.far[code] = far
+            if hops is not None:
+                self.hops[code] = hops + 1
+        return far
 
 
 class TransitionGraph:
@@ -136,16 +158,25 @@ class TransitionGraph:
             for code, own in rows.items()
         }
         self._leading = self._leading_to(before, after, chance)
-        self._known: dict[GaussCode, Distances] = {}
+        self._known: dict[tuple[GaussCode, bool], Distances] = {}
 
-    def distances(self, goal: GaussCode) -> Distances:
+    def distances(self, goal: GaussCode, start: GaussCode | None = None) -> Distances:
         """Distances of all codes to a goal, whose chirality is left open.
 
-        They take about a twelfth of a second and are kept.
+        They take about a twelfth of a second, four with single moves, and are kept for a while.
+
+        Args:
+            goal: compared without chirality.
+            start: the code of the rope; single moves count too where it has more than five
+                crossings, or the goal more than four.
         """
-        if goal.plain not in self._known:
-            self._known[goal.plain] = self._search(goal.plain)
-        return self._known[goal.plain]
+        by_moves = goal.nx > _COUNTED_NX or (start is not None and start.nx > _COUNTED_NX + 1)
+        key = goal.plain, by_moves
+        if key not in self._known:
+            if len(self._known) >= _GOALS_KEPT:
+                del self._known[next(iter(self._known))]
+            self._known[key] = self._search(goal.plain, by_moves)
+        return self._known[key]
 
     def steps(self, code: GaussCode, distances: Distances) -> list[Step]:
         """Changes out of a code that lead nearer to the goal, for a rope that shows this code.
@@ -155,9 +186,10 @@ class TransitionGraph:
             distances: to the goal, of this graph.
         """
         base = canonical_form(code)
+        towards = distances.moved.get(code, [])
         if base not in self._out:
-            return []
-        towards = []
+            return towards
+        towards = towards.copy()
         here, arcs = distances(code), 2 * code.nx + 1
         keys, shown, chances = self._out[base]
         for image, member in enumerate(images(code)):
@@ -205,31 +237,49 @@ class TransitionGraph:
             leading.setdefault(to, []).append((start, 1 / likely))
         return leading
 
-    def _search(self, goal: GaussCode) -> Distances:
+    def _search(self, goal: GaussCode, by_moves: bool) -> Distances:
         goals = frozenset(GaussCode(goal.visits, letters) for letters in chiralities(goal))
-        distances = Distances(goal.nx, goals, self._config.strange)
+        distances = Distances(goal.nx, goals, self._config.strange, by_moves=by_moves)
         queue: list[tuple[float, int, int, int]] = []  # distance, tie, hops, place
-        codes = self._codes.copy()
-        for code in sorted(goals, key=lambda code: code.chiral):
-            queue.append((0.0, len(queue), 0, self._place.get(code, len(codes))))
-            if code not in self._place:
+        codes, new = self._codes.copy(), dict[GaussCode, int]()  # what the counts don't have
+
+        def place_of(code: GaussCode) -> int:
+            place = self._place.get(code, new.get(code))
+            if place is None:
+                place = new[code] = len(codes)
                 codes.append(code)
-        nearest = [math.inf] * len(codes)
-        for far, _, _, place in queue:
-            nearest[place] = far
-        ties = len(queue)
+            return place
+
+        for code in sorted(goals, key=lambda code: code.chiral):
+            queue.append((0.0, len(queue), 0, place_of(code)))
+        nearest = {place: far for far, _, _, place in queue}
+        ties, moved = len(queue), 0
         while queue:
             far, _, hops, place = heapq.heappop(queue)
             code = codes[place]
             if code in distances.far:
                 continue
             distances.far[code], distances.hops[code], distances.beyond = far, hops, far
-            for start, cost in self._leading.get(place, ()):
-                if far + cost < nearest[start]:
+            leading = self._leading.get(place, [])
+            if by_moves and code.nx > _COUNTED_NX and moved < _MOST_MOVED:
+                moved += 1
+                leading = leading.copy()
+                for before, cost, templates in leading_to(code):
+                    leading.append((place_of(before), cost))
+                    if templates:
+                        step = Step(code, 1 / cost, cost, templates, 0, 2 * before.nx + 1)
+                        distances.moved.setdefault(before, []).append(step)
+            for start, cost in leading:
+                if far + cost < nearest.get(start, math.inf):
                     nearest[start] = far + cost
                     heapq.heappush(queue, (far + cost, ties, hops + 1, start))
                     ties += 1
-        by_place = np.array(nearest[: len(self._codes)])[self._first]
+        for before, steps in distances.moved.items():
+            here = distances.far[before]
+            nearer = [step._replace(gain=here - distances.far[step.after]) for step in steps]
+            distances.moved[before] = [step for step in nearer if step.gain > 1e-9]
+        by_place = np.array([nearest.get(place, math.inf) for place in range(len(self._codes))])
+        by_place = by_place[self._first]
         strange = distances.beyond + self._config.strange * np.maximum(
             1, np.abs(self._nx - goal.nx)
         )

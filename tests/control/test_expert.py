@@ -112,6 +112,25 @@ def test_distances_are_those_of_plain_shortest_paths() -> None:
     )
 
 
+def test_single_moves_lead_to_what_was_never_counted() -> None:
+    before = GaussCode.parse("1+a,2+c,2-c,1-a,3+a,4+c,4-c,3-a")  # two fingers, then a kink
+    goal = GaussCode.parse("1+a,2+c,2-c,1-a,3+a,4+c,4-c,3-a,5+c,5-c")
+    table = TransitionCounts.load(SHIPPED).pruned(max_nx=4, least=40)
+    graph = TransitionGraph(table, GRAPH)
+    distances = graph.distances(goal.plain)
+    assert 0 == distances(goal) < distances(before) < distances(FLAT) < distances.beyond
+    (step,) = (step for step in graph.steps(before, distances) if step.after == goal)
+    places = {(way.kind, int(way.bead), int(way.target)) for way in step.templates}
+    assert places == {("curl", 8, 8)}  # on the last arc
+
+
+def test_of_a_rope_of_many_crossings_it_is_known_how_many_moves_take_them_out() -> None:
+    rope = GaussCode.parse("1+a,2+c,2-c,1-a,3+a,4+c,4-c,3-a,5+a,6+c,6-c,5-a")
+    distances = TransitionGraph(kinks(), GRAPH).distances(FLAT.plain, rope)
+    assert distances(rope) < distances.beyond + 6 * distances.strange
+    assert distances.hops[rope] == 3
+
+
 def test_steps_come_with_templates_turned_for_the_rope() -> None:
     graph = TransitionGraph(kinks(), GRAPH)
     steps = graph.steps(FLAT, graph.distances(GaussCode.parse("1-,1+")))
