@@ -19,7 +19,7 @@ from knotgym.generate.states.code_frequencies import FrequencyConfig, frequencie
 from knotgym.generate.states.curation_run import CurationRun, search_config, start_of
 from knotgym.generate.states.curves import LoopConfig
 from knotgym.generate.states.generate_config import GenerateConfig, InvalidGenerateConfig
-from knotgym.generate.states.search import advance, new_archive
+from knotgym.generate.states.search import Replay, advance, confirm, new_archive
 from knotgym.generate.states.targeted_search import TargetPlan, reach
 from knotgym.quality import Limits
 from knotgym.rope import Rope, RopeConfig
@@ -389,6 +389,21 @@ def test_an_aim_is_a_way_that_can_be_gone_again(
             step_ropes(simulation, np.array([bead]), force[None])
         assert np.array_equal(simulation.states()[0], elite.state)
     assert next(one for one in shot.elites if one.exact).code.matches(target.goal)
+
+
+def test_a_way_goes_on_from_an_elite(targeted: CurationRun, reached: TargetPlan) -> None:
+    target = curation._targets(deepcopy(targeted), search_config(targeted.config))[0]
+    begun = next(one for one in reached.elites if one.exact)
+    goal = GaussCode.parse("1+,1-")
+    further = next(
+        one
+        for one in reach(target._replace(goal=goal, elite=begun)).elites
+        if one.exact and one.code.matches(goal)
+    )
+    assert np.array_equal(further.sequence.beads[: len(begun.sequence)], begun.sequence.beads)
+    assert len(begun.sequence) < len(further.sequence) <= target.search.longest
+    (shown, *_) = confirm(Replay(target.search, (further.sequence,)))
+    assert np.array_equal(shown.state, further.state)
 
 
 def test_an_aim_that_fails_says_what_it_spent() -> None:

@@ -348,18 +348,25 @@ def _unconfirmed(archive: Archive, config: SearchConfig, number: int) -> list[Ac
     sequences = []
     for niche in drawn[: int(config.replay_share * config.batch_size)]:
         elites = archive.niches[niche]
-        elite = elites[rng.integers(len(elites))]
-        renumbered = Symmetry(
-            reverse=elite.reverse,
-            base_shift=-elite.base_shift if elite.reverse else elite.base_shift,
-        )
-        beads = renumbered.beads(elite.sequence.beads, config.rope.beads).astype(np.int16)
-        back = renumbered.back_to_loop(config.rope.beads)
-        sequence = ActionSequence(
-            beads, back.vectors(elite.sequence.forces.astype(np.float64)).astype(np.float32)
-        )
+        sequence = renumbered(elites[rng.integers(len(elites))], config.rope.beads)
         sequences.append(sequence.jittered(rng.uniform(0, config.jitter), rng))
     return sequences
+
+
+def renumbered(elite: Elite, beads: int) -> ActionSequence:
+    """An elite's sequence for the rope numbered as its code is walked, laid as the plain loop.
+
+    It leads there nearly.
+    """
+    numbering = Symmetry(
+        reverse=elite.reverse,
+        base_shift=-elite.base_shift if elite.reverse else elite.base_shift,
+    )
+    forces = elite.sequence.forces.astype(np.float64)
+    return ActionSequence(
+        numbering.beads(elite.sequence.beads, beads).astype(np.int16),
+        numbering.back_to_loop(beads).vectors(forces).astype(np.float32),
+    )
 
 
 def _parents(archive: Archive, config: SearchConfig, number: int) -> list[Elite]:

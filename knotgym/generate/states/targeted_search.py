@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from knotgym.control.action_sequence import ActionSequence, step_ropes
+from knotgym.control.action_sequence import NO_ACTIONS, ActionSequence, step_ropes
 from knotgym.control.planner import plan
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.transition_graph import shipped_transition_graph
@@ -23,13 +23,17 @@ from knotgym.topology.gauss import GaussCode
 
 
 class Target(NamedTuple):
-    """A code to reach from a configuration (beads, 3) at rest; `seed` decides what is tried."""
+    """A code to reach from a configuration (beads, 3) at rest; `seed` decides what is tried.
+
+    With an `elite` from its state, and its sequence comes first.
+    """
 
     search: SearchConfig
     planner: PlannerConfig
     start: Array
     goal: GaussCode
     seed: tuple[int, ...]
+    elite: Elite | None = None
 
 
 class TargetPlan(NamedTuple):
@@ -50,7 +54,9 @@ def reach(target: Target) -> TargetPlan:
     simulation = simulation_of(planner.batch_size, search.rope)
     rope = simulation.rope
     simulation.lay(rope.qpos(target.start)[None], [0])
-    state = simulation.states([0])[0]
+    state, before = simulation.states([0])[0], NO_ACTIONS
+    if target.elite is not None:
+        state, before = target.elite.state, target.elite.sequence
     planned = plan(
         simulation,
         state,
@@ -58,7 +64,7 @@ def reach(target: Target) -> TargetPlan:
         shipped_transition_graph(planner.graph),
         planner,
         generator_of(target.seed),
-        steps=search.longest,
+        steps=search.longest - len(before),
     )
     if not planned.solved:
         return TargetPlan((), planned.spent)
@@ -69,7 +75,7 @@ def reach(target: Target) -> TargetPlan:
         (beads[step],), force = simulation.read_actions(action[None], [0])
         forces[step] = force[0] / rope.config.max_force
         step_ropes(simulation, beads[[step]], forces[[step]], [0])
-    end, sequence = simulation.states([0])[0], ActionSequence(beads, forces)
+    end, sequence = simulation.states([0])[0], before + ActionSequence(beads, forces)
     shown = readings(simulation.points[0], Limits(), search.rope)
     elites = tuple(reading.elite(sequence, end) for reading in shown)
-    return TargetPlan(elites, planned.spent + len(sequence))
+    return TargetPlan(elites, planned.spent + len(beads))
