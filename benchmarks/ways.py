@@ -1,189 +1,104 @@
-"""Ways from the plain loop to every code of an unknot: found by the planner, counted, kept.
+"""What an archive knows: codes by number of crossings, and the shortest action sequence to each
+from the plain loop, replayed.
 
-    python benchmarks/ways.py --nx 5 --out ways
-    python benchmarks/ways.py --nx 5 --out ways   # goes on where it was
+    python benchmarks/ways.py knotgym-data/nx4-every1/archive.h5
 
-A code's way is planned from the state nearest to it of those reached so far, fewer crossings first,
-and what leads there goes before; it is at most --longest actions, and is acted out from the plain
-loop. A way to a code leads to its mirror images too. Of codes seen only with the walk begun at
-another sub-chain, or the other way round, the way so renumbered is tried first.
-
-Writes --out/archive.h5, which `knotgym generate --archive` takes, and --out/ways.json: for every nx
-the codes with a way and its length, and those without.
+A sequence counts when the rope, led from the plain loop at rest (mirrored or turned over where the
+code is such an image, numbered from another sub-chain or the other way where the archive knows the
+sequence so), shows the code; actions count until it first does. Writes JSON, with the growth of the
+archive by rounds, to --out.
 """
-
-from __future__ import annotations
 
 import argparse
 import json
-import time
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from knotgym.atomic_files import atomic_write
-from knotgym.control.planner_config import PlannerConfig
-from knotgym.control.transition_graph import shipped_transition_graph
+from knotgym.control.action_sequence import step_ropes
 from knotgym.generate.states.archive import Archive, Elite
-from knotgym.generate.states.search import Replay, SearchConfig, confirm, new_archive, renumbered
-from knotgym.generate.states.targeted_search import Target, reach
-from knotgym.rope import Rope
-from knotgym.runs.engine import Batch
-from knotgym.runs.executors import executor
-from knotgym.runs.pools import Pool
-from knotgym.streams import Stream, key
+from knotgym.simulation import Simulation
+from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import codes_of
-
-WAVE = 16  # codes planned for between two savings
-FIRST_BUDGET = 400  # simulated actions; twice as many at every further attempt
-PACE = 7  # actions that a change of code may take; PACE more at every further attempt
+from knotgym.topology.symmetry import mirrorings
 
 
-class Ways:
-    """An archive that grows until it has a way to every code, and what that took."""
-
-    def __init__(self, folder: Path, config: SearchConfig, settings: dict[str, Any]) -> None:
-        self.folder, self.config = folder, config
-        self.archive, self.kept = new_archive(config), {"settings": settings, "attempts": {}}
-        if (folder / "ways.json").exists():
-            self.kept = json.loads((folder / "ways.json").read_text(encoding="utf-8"))
-            if self.kept["settings"] != settings:
-                raise SystemExit(f"{folder} was made with {self.kept['settings']}; got {settings}")
-            self.archive = Archive.load(folder / "archive.h5")
-        self.loop = Rope(config.rope).loop()
-
-    def length(self, code: GaussCode) -> int | None:
-        """Of the shortest way to a code, whose chirality is left open; None without a way."""
-        lengths = [
-            len(elite.sequence)
-            for chiral in self.archive.known_chiralities(code)
-            for elite in self.archive.leading_to(chiral)
-            if elite.exact and len(elite.sequence) <= self.config.longest
-        ]
-        return min(lengths, default=None)
-
-    def find(self, nx: int, attempts: int, pool: Pool) -> None:
-        """Look for ways to the codes with nx crossings that have none."""
-        for number in range(attempts):
-            pairs = list(enumerate(code for code in codes_of("0_1", nx) if self._stands(code)))
-            for first in range(0, len(pairs), WAVE):
-                wave = [
-                    (index, code)
-                    for index, code in pairs[first : first + WAVE]
-                    if self.kept["attempts"].get(str(code), 0) <= number
-                ]
-                self._replay([code for _, code in wave if self.length(code) is None], pool)
-                open_ = [(index, code) for index, code in wave if self.length(code) is None]
-                targets = [self._target(code, nx, index, number) for index, code in open_]
-                for _ in Batch(reach, targets, lambda _, found: self._offer(found.elites)).follow(
-                    pool
-                ):
-                    pass
-                for _, code in open_:
-                    self.kept["attempts"][str(code)] = number + 1
-                if open_:
-                    self.save(nx)
-
-    def _stands(self, code: GaussCode) -> bool:
-        """Whether a code stands for itself and its mirror image."""
-        return code.visits >= code.mirrored().visits
-
-    def _offer(self, elites: tuple[Elite, ...]) -> None:
-        for elite in elites:
-            self.archive.offer(elite, self.config.archive)
-
-    def _replay(self, codes: list[GaussCode], pool: Pool) -> None:
-        """Try the ways to codes seen with the rope numbered otherwise, so renumbered."""
-        sequences = tuple(
-            renumbered(elite, self.config.rope.beads)
-            for code in codes
-            for chiral in self.archive.known_chiralities(code)
-            for elite in self.archive.leading_to(chiral)[:1]
+def leads(simulation: Simulation, elite: Elite, code: GaussCode) -> int | None:
+    """After how many actions of the elite's sequence, carried over, the rope shows `code`; None if
+    it never does.
+    """
+    rope = simulation.rope
+    for shown, symmetry in mirrorings(elite.code):
+        if shown.plain != code:
+            continue
+        symmetry = replace(
+            symmetry,
+            reverse=elite.reverse,
+            base_shift=-elite.base_shift if elite.reverse else elite.base_shift,
         )
-        if sequences:
-            (found,) = pool.map(confirm, [Replay(self.config, sequences)])
-            for one in found:
-                elite = one.reading.elite(sequences[one.batch_index], one.state)
-                self.archive.offer(elite, self.config.archive)
-
-    def _target(self, code: GaussCode, nx: int, index: int, number: int) -> Target:
-        """The code, or its mirror image, from the number-th nearest state."""
-        graph = shipped_transition_graph(PlannerConfig().graph)
-        distances = graph.distances(code)
-        near: list[tuple[float, int, bool, Elite]] = []
-        for elite in self._elites():
-            for mirrored in (False, True):
-                shown = elite.code.mirrored() if mirrored else elite.code
-                far = distances(shown) + len(elite.sequence)
-                near.append((far, len(near), mirrored, elite))
-        _, _, mirrored, elite = sorted(near)[min(number, len(near) - 1)]
-        goal = code.mirrored() if mirrored else code
-        hops = distances.hops.get(elite.code.mirrored() if mirrored else elite.code, 2)
-        longest = min(self.config.longest, len(elite.sequence) + PACE * (hops + number))
-        planner = PlannerConfig(budget=FIRST_BUDGET * 2**number)
-        seed = key(Stream.TARGETED_SEARCH, self.config.seed, nx, index, number)
-        return Target(replace(self.config, longest=longest), planner, self.loop, goal, seed, elite)
-
-    def _elites(self) -> Iterator[Elite]:
-        """The shortest exact one of every class known."""
-        for elites in self.archive.niches.values():
-            exact = [elite for elite in elites if elite.exact]
-            if exact and len(exact[0].sequence) < self.config.longest:
-                yield min(exact, key=lambda elite: len(elite.sequence))
-
-    def row(self, nx: int) -> dict[str, Any]:
-        """What is known of the ways to codes with nx crossings."""
-        lengths = {code: self.length(code) for code in codes_of("0_1", nx)}
-        found = [length for length in lengths.values() if length is not None]
-        return {
-            "codes": len(lengths),
-            "found": len(found),
-            "median": float(np.median(found)) if found else None,
-            "longest": max(found, default=None),
-            "without": [str(code) for code, length in lengths.items() if length is None],
-        }
-
-    def save(self, most: int) -> None:
-        """Write both files."""
-        self.kept["rows"] = {str(nx): self.row(nx) for nx in range(1, most + 1)}
-        self.archive.save(self.folder / "archive.h5")
-        with atomic_write(self.folder / "ways.json") as temporary:
-            temporary.write_text(json.dumps(self.kept, indent=1) + "\n", encoding="utf-8")
+        simulation.lay(rope.qpos(symmetry.configuration(rope.loop()))[None])
+        beads = symmetry.beads(elite.sequence.beads, rope.config.beads)
+        forces = symmetry.vectors(elite.sequence.forces.astype(np.float64))
+        for taken, (bead, force) in enumerate(zip(beads, forces, strict=True)):
+            if label(simulation.points[0]).plain == code:
+                return taken
+            step_ropes(simulation, np.array([bead]), force[None].astype(np.float32))
+        if label(simulation.points[0]).plain == code:
+            return len(beads)
+    return None
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--nx", type=int, default=5, help="crossings at most")
-    parser.add_argument("--longest", type=int, default=50, help="actions of a way, at most")
-    parser.add_argument("--attempts", type=int, default=5, help="for each code, at most")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--workers", type=int, default=1, help="processes, 0 for one a core")
-    parser.add_argument("--out", type=Path, default=Path("ways"))
-    asked = parser.parse_args()
-    asked.out.mkdir(parents=True, exist_ok=True)
-    config = SearchConfig(max_nx=asked.nx, longest=asked.longest, seed=asked.seed)
-    settings = {"nx": asked.nx, "longest": asked.longest, "seed": asked.seed}
-    ways, begun = Ways(asked.out, config, settings), time.perf_counter()
-    with executor(asked.workers) as pool:
-        for nx in range(1, asked.nx + 1):
-            ways.find(nx, asked.attempts, pool)
-    ways.save(asked.nx)
-    table = Table(title=f"ways of at most {asked.longest} actions")
-    for name in ("nx", "codes", "with a way", "median actions", "longest"):
-        table.add_column(name)
-    for name, row in ways.kept["rows"].items():
-        cells = (row[column] for column in ("codes", "found", "median", "longest"))
-        table.add_row(name, *map(str, cells))
+    parser.add_argument("archive", type=Path)
+    parser.add_argument("--most-nx", type=int, default=4)
+    parser.add_argument("--out", type=Path, default=Path("ways.json"))
+    args = parser.parse_args()
+    archive, simulation = Archive.load(args.archive), Simulation()
+    table = Table(
+        "nx",
+        "codes there are",
+        "known",
+        "led to",
+        "fewest",
+        "median",
+        "most",
+        title=f"action sequences from the plain loop, {args.archive}",
+    )
+    figures = {}
+    for nx in range(args.most_nx + 1):
+        lengths: dict[str, int] = {}
+        for code in codes_of("0_1", nx):
+            elites = [
+                elite
+                for chiral in archive.known_chiralities(code)
+                for elite in archive.leading_to(chiral)
+            ]
+            for elite in sorted(elites, key=lambda one: len(one.sequence)):
+                if (taken := leads(simulation, elite, code)) is not None:
+                    lengths[str(code)] = taken
+                    break
+        counts = [len(codes_of("0_1", nx)), len(archive.codes(nx)), len(lengths)]
+        spread = (
+            [int(value) for value in np.quantile(list(lengths.values()), [0, 0.5, 1])]
+            if lengths
+            else ["-"] * 3
+        )
+        table.add_row(*map(str, [nx, *counts, *spread]))
+        figures[nx] = {
+            "there_are": counts[0],
+            "known": counts[1],
+            "led_to": counts[2],
+            "actions": lengths,
+        }
     Console().print(table)
-    print(f"{time.perf_counter() - begun:.0f} s in this call")
+    args.out.write_text(json.dumps({"nx": figures, "growth": archive.growth}, indent=1) + "\n")
 
 
 if __name__ == "__main__":
