@@ -201,7 +201,7 @@ class GaussCode:
         >>> str(GaussCode.parse("1+,2-,2+,1-").reversed())
         '1-,2+,2-,1+'
         """
-        return self._walked(self.visits[::-1])
+        return self.of_visits(self.visits[::-1])
 
     def rebased(self, k: int) -> GaussCode:
         """Start the walk just before visit k, counted modulo the number of visits.
@@ -212,7 +212,7 @@ class GaussCode:
         if not self.visits:
             return self
         k %= len(self.visits)
-        return self._walked(self.visits[k:] + self.visits[:k])
+        return self.of_visits(self.visits[k:] + self.visits[:k])
 
     def _letters(self) -> str:
         if self.chirality is None:
@@ -224,8 +224,14 @@ class GaussCode:
             return None
         return self.chirality.translate(_SWITCHED)
 
-    def _walked(self, visits: tuple[int, ...]) -> GaussCode:
-        """The code of its own visits in another order, numbered anew."""
+    def of_visits(self, visits: tuple[int, ...]) -> GaussCode:
+        """The code of its own visits, or of all those of some crossings, in another order.
+
+        Labels are numbered anew; nothing is checked.
+
+        >>> GaussCode.parse("1+a,2+c,2-c,1-a").of_visits((-2, 2)).chiral
+        '1-c,1+c'
+        """
         new = _numbers(visits)
         renamed = tuple([new[visit] if visit > 0 else -new[-visit] for visit in visits])
         letters = self.chirality

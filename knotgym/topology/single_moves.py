@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from knotgym.topology.diagrams import faces
-from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode
+from knotgym.topology.gauss import GaussCode
 
 
 class Removal(NamedTuple):
@@ -33,8 +33,10 @@ class Removal(NamedTuple):
 def removals(code: GaussCode) -> Iterator[Removal]:
     """Every kink and every bigon taken out by itself.
 
-    >>> [str(move.code) for move in removals(GaussCode.parse("1+a,1-a,2-c,2+c"))]
-    ['1-,1+', '1+,1-']
+    A bigon may be the outer face: the rope's upper strand is laid over all the rest.
+
+    >>> [move.code.chiral for move in removals(GaussCode.parse("1+a,1-a,2-c,2+c"))]
+    ['', '1-c,1+c', '1+a,1-a']
     """
     visits, signs = code.visits, code.signs
     count = len(visits)
@@ -78,7 +80,7 @@ def sideways(code: GaussCode) -> Iterator[GaussCode]:
             for edge in edges:
                 after = (edge + 1) % count
                 moved[edge], moved[after] = moved[after], moved[edge]
-            yield GaussCode.relabelled(moved, _letters(code))
+            yield code.of_visits(tuple(moved))
 
 
 def _later(one: int, other: int) -> int:
@@ -88,10 +90,4 @@ def _later(one: int, other: int) -> int:
 
 def _without(code: GaussCode, taken: set[int]) -> GaussCode:
     """The code after some labels are gone."""
-    return GaussCode.relabelled(
-        [visit for visit in code.visits if abs(visit) not in taken], _letters(code)
-    )
-
-
-def _letters(code: GaussCode) -> dict[int, str]:
-    return {n: POSITIVE if sign > 0 else NEGATIVE for n, sign in enumerate(code.signs, 1)}
+    return code.of_visits(tuple([visit for visit in code.visits if abs(visit) not in taken]))
