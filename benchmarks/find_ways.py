@@ -116,26 +116,24 @@ class Ways:
         """The code, or its mirror image, from the number-th nearest state."""
         graph = shipped_transition_graph(PlannerConfig().graph)
         distances = graph.distances(code)
-        near: list[tuple[float, int, bool, Elite]] = []
-        for elite in self._elites():
-            for mirrored in (False, True):
-                shown = elite.code.mirrored() if mirrored else elite.code
-                far = distances(shown) + len(elite.sequence)
-                near.append((far, len(near), mirrored, elite))
-        _, _, mirrored, elite = sorted(near)[min(number, len(near) - 1)]
-        goal = code.mirrored() if mirrored else code
-        hops = distances.hops.get(elite.code.mirrored() if mirrored else elite.code, 2)
+        near = [
+            (elite, shown, goal)
+            for elite in self._elites()
+            for shown, goal in ((elite.code, code), (elite.code.mirrored(), code.mirrored()))
+        ]
+        near.sort(key=lambda one: distances(one[1]) + len(one[0].sequence))
+        elite, shown, goal = near[min(number, len(near) - 1)]
+        hops = distances.hops.get(shown, PlannerConfig().unknown_hops)
         longest = min(self.config.longest, len(elite.sequence) + PACE * (hops + number))
         planner = PlannerConfig(budget=FIRST_BUDGET * 2**number)
         seed = key(Stream.TARGETED_SEARCH, self.config.seed, nx, index, number)
         return Target(replace(self.config, longest=longest), planner, self.loop, goal, seed, elite)
 
     def _elites(self) -> Iterator[Elite]:
-        """The shortest exact one of every class known."""
+        """The shortest exact one of every class that has one; it stands first in its niche."""
         for elites in self.archive.niches.values():
-            exact = [elite for elite in elites if elite.exact]
-            if exact and len(exact[0].sequence) < self.config.longest:
-                yield min(exact, key=lambda elite: len(elite.sequence))
+            if elites[0].exact and len(elites[0].sequence) < self.config.longest:
+                yield elites[0]
 
     def row(self, nx: int) -> dict[str, Any]:
         """What is known of the ways to codes with nx crossings."""
@@ -161,7 +159,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--nx", type=int, default=5, help="crossings at most")
+    parser.add_argument("--nx", type=int, choices=range(1, 7), default=5, help="crossings at most")
     parser.add_argument("--longest", type=int, default=50, help="actions of a way, at most")
     parser.add_argument("--attempts", type=int, default=5, help="for each code, at most")
     parser.add_argument("--seed", type=int, default=0)

@@ -90,7 +90,8 @@ class Distances:
         nx: its crossings.
         goals: the codes with chirality that show it.
         strange: as of the graph's configuration.
-        far: code -> expected macro-actions, for the codes known.
+        far: code -> expected macro-actions, for the codes known; where single moves go on, those
+            asked for are put in.
         hops: code -> changes of code on the way.
         beyond: what codes not in `far` are at least away.
         by_place: float64, the distances of all the graph's codes, in its own order.
@@ -163,7 +164,7 @@ class TransitionGraph:
     def distances(self, goal: GaussCode, start: GaussCode | None = None) -> Distances:
         """Distances of all codes to a goal, whose chirality is left open.
 
-        They take about a twelfth of a second, four with single moves, and are kept for a while.
+        They take about a twelfth of a second, with single moves a third, and are kept for a while.
 
         Args:
             goal: compared without chirality.
