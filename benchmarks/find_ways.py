@@ -5,7 +5,8 @@
 
 A code's way is planned from the state nearest to it of those reached so far, fewer crossings first,
 and what leads there goes before; it is at most --longest actions, and is acted out from the plain
-loop. A way to a code leads to its mirror images too. Of codes seen only with the walk begun at
+loop. Codes without a way that the planner meets on its search get theirs by the way. A way to a
+code leads to its mirror images too. Of codes seen only with the walk begun at
 another sub-chain, or the other way round, the way so renumbered is tried first.
 
 Writes --out/archive.h5, which `knotgym generate --archive` takes and `benchmarks/ways.py` acts out,
@@ -39,8 +40,10 @@ from knotgym.runs.pools import Pool
 from knotgym.streams import Stream, key
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import codes_of
+from knotgym.topology.symmetry import mirror_images
 
-WAVE = 16  # codes planned for between two savings
+WAVE = 4  # codes planned for at once
+PAUSE = 60.0  # seconds between two savings
 FIRST_BUDGET = 400  # simulated actions; twice as many at every further attempt
 PACE = 7  # actions that a change of code may take; PACE more at every further attempt
 
@@ -56,17 +59,20 @@ class Ways:
             if self.kept["settings"] != settings:
                 raise SystemExit(f"{folder} was made with {self.kept['settings']}; got {settings}")
             self.archive = Archive.load(folder / "archive.h5")
+        self.codes = [code for nx in range(1, config.max_nx + 1) for code in codes_of("0_1", nx)]
+        self.saved = time.monotonic()
         self.loop = Rope(config.rope).loop()
 
-    def length(self, code: GaussCode) -> int | None:
-        """Of the shortest way to a code, whose chirality is left open; None without a way."""
-        lengths = [
-            len(elite.sequence)
-            for chiral in self.archive.known_chiralities(code)
-            for elite in self.archive.leading_to(chiral)
-            if elite.exact and len(elite.sequence) <= self.config.longest
-        ]
-        return min(lengths, default=None)
+    def lengths(self) -> dict[GaussCode, int]:
+        """Of the shortest way to every code that has one; chirality left open."""
+        lengths: dict[GaussCode, int] = {}
+        for niche, elites in self.archive.niches.items():
+            found = [len(elite.sequence) for elite in elites if elite.exact]
+            if min(found, default=self.config.longest + 1) <= self.config.longest:
+                for image in mirror_images(niche):
+                    length = lengths.get(image.plain, self.config.longest)
+                    lengths[image.plain] = min(length, *found)
+        return lengths
 
     def find(self, nx: int, attempts: int, pool: Pool) -> None:
         """Look for ways to the codes with nx crossings that have none."""
@@ -78,16 +84,19 @@ class Ways:
                     for index, code in pairs[first : first + WAVE]
                     if self.kept["attempts"].get(str(code), 0) <= number
                 ]
-                self._replay([code for _, code in wave if self.length(code) is None], pool)
-                open_ = [(index, code) for index, code in wave if self.length(code) is None]
-                targets = [self._target(code, nx, index, number) for index, code in open_]
+                known = self.lengths()
+                self._replay([code for _, code in wave if code not in known], pool)
+                known = self.lengths()
+                open_ = [(index, code) for index, code in wave if code not in known]
+                wanted = frozenset(code for code in self.codes if code not in known)
+                targets = [self._target(code, nx, index, number, wanted) for index, code in open_]
                 for _ in Batch(reach, targets, lambda _, found: self._offer(found.elites)).follow(
                     pool
                 ):
                     pass
                 for _, code in open_:
                     self.kept["attempts"][str(code)] = number + 1
-                if open_:
+                if time.monotonic() > self.saved + PAUSE:
                     self.save(nx)
 
     def _stands(self, code: GaussCode) -> bool:
@@ -112,7 +121,9 @@ class Ways:
                 elite = one.reading.elite(sequences[one.batch_index], one.state)
                 self.archive.offer(elite, self.config.archive)
 
-    def _target(self, code: GaussCode, nx: int, index: int, number: int) -> Target:
+    def _target(
+        self, code: GaussCode, nx: int, index: int, number: int, wanted: frozenset[GaussCode]
+    ) -> Target:
         """The code, or its mirror image, from the number-th nearest state."""
         graph = shipped_transition_graph(PlannerConfig().graph)
         distances = graph.distances(code)
@@ -127,7 +138,8 @@ class Ways:
         longest = min(self.config.longest, len(elite.sequence) + PACE * (hops + number))
         planner = PlannerConfig(budget=FIRST_BUDGET * 2**number)
         seed = key(Stream.TARGETED_SEARCH, self.config.seed, nx, index, number)
-        return Target(replace(self.config, longest=longest), planner, self.loop, goal, seed, elite)
+        search = replace(self.config, longest=longest)
+        return Target(search, planner, self.loop, goal, seed, elite, wanted)
 
     def _elites(self) -> Iterator[Elite]:
         """The shortest exact one of every class that has one; it stands first in its niche."""
@@ -137,14 +149,14 @@ class Ways:
 
     def row(self, nx: int) -> dict[str, Any]:
         """What is known of the ways to codes with nx crossings."""
-        lengths = {code: self.length(code) for code in codes_of("0_1", nx)}
-        found = [length for length in lengths.values() if length is not None]
+        codes, known = codes_of("0_1", nx), self.lengths()
+        found = [known[code] for code in codes if code in known]
         return {
-            "codes": len(lengths),
+            "codes": len(codes),
             "found": len(found),
             "median": float(np.median(found)) if found else None,
             "longest": max(found, default=None),
-            "without": [str(code) for code, length in lengths.items() if length is None],
+            "without": [str(code) for code in codes if code not in known],
         }
 
     def save(self, most: int) -> None:
@@ -153,6 +165,7 @@ class Ways:
         self.archive.save(self.folder / "archive.h5")
         with atomic_write(self.folder / "ways.json") as temporary:
             temporary.write_text(json.dumps(self.kept, indent=1) + "\n", encoding="utf-8")
+        self.saved = time.monotonic()
 
 
 def main() -> None:

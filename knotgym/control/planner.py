@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -160,6 +160,7 @@ def plan(
     hold: int = 1,
     budget: int | None = None,
     bound: TowBound | None = None,
+    met: Callable[[Node], object] | None = None,
 ) -> Plan:
     """Find steps that lead to the goal code.
 
@@ -174,12 +175,13 @@ def plan(
         hold: consecutive states that shall show the goal.
         budget: simulated actions, instead of the configuration's.
         bound: where the rope's centre must stay; None for anywhere.
+        met: called with every state met that shows a new code, the goal's last.
 
     Returns:
         The first plan found that reaches the goal; for want of one, the plan to the state nearest
         to it.
     """
-    search = _Search(simulation, state, goal, graph, config, rng, steps, hold, bound)
+    search = _Search(simulation, state, goal, graph, config, rng, steps, hold, bound, met)
     return search.run(config.budget if budget is None else budget)
 
 
@@ -219,10 +221,11 @@ class _Search:
         steps: int,
         hold: int,
         bound: TowBound | None,
+        met: Callable[[Node], object] | None,
     ) -> None:
         self.simulation, self.goal, self.graph = simulation, goal, graph
         self.config, self.rng = config, rng
-        self.steps, self.hold, self.bound = steps, hold, bound
+        self.steps, self.hold, self.bound, self.met = steps, hold, bound, met
         simulation.restore(state[None], [0])
         self.root = Node(state, label_many(simulation.points[:1])[0])
         self.distances = graph.distances(goal, self.root.code)
@@ -334,6 +337,8 @@ class _Search:
             branch.kind,
             tuple(branch.actions),
         )
+        if self.met is not None:
+            self.met(node)
         if node.steps + self.config.least_stride * self.pool.hops(code) <= self.steps:
             self.pool.add(node)
         return node

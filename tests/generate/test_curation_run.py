@@ -406,6 +406,17 @@ def test_a_way_goes_on_from_an_elite(targeted: CurationRun, reached: TargetPlan)
     assert np.array_equal(shown.state, further.state)
 
 
+def test_codes_met_on_the_way_to_an_aim_get_their_own(targeted: CurationRun) -> None:
+    target = curation._targets(deepcopy(targeted), search_config(targeted.config))[0]
+    wanted = frozenset(map(GaussCode.parse, ("1+,1-", "1-,1+")))
+    found = [one for one in reach(target._replace(wanted=wanted)).elites if one.exact]
+    met = next(one for one in found if one.code.plain in wanted)
+    assert any(one.code.matches(target.goal) for one in found)
+    shown = confirm(Replay(target.search, (met.sequence,)))
+    assert met.code in [one.reading.code for one in shown]
+    assert np.array_equal(shown[0].state, met.state)
+
+
 def test_an_aim_that_fails_says_what_it_spent() -> None:
     target = curation._targets(
         CurationRun.begin(config(nx=(4,), every_code=1)), search_config(config(nx=(4,)))
