@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
 
 import cv2
@@ -13,7 +14,8 @@ from knotgym.atomic_files import atomic_write
 from knotgym.datasets.states import InvalidStates, States
 from knotgym.rendering.picture import PictureError
 
-_EDGE, _TEXT = 6, 30  # pixels round a tile, and below its picture
+_EDGE, _LINE = 6, 14  # pixels round a tile, and of a line of text below its picture
+_FONT, _LETTERS = cv2.FONT_HERSHEY_SIMPLEX, 0.4
 _GREY, _WHITE = (40, 40, 40), (225, 225, 225)
 
 
@@ -27,7 +29,7 @@ def contact_sheet(
 
     Args:
         images: uint8 (n, size, size, 3).
-        captions: up to two lines of text a picture.
+        captions: lines of text of each picture; a long one goes on in the next line.
         colours: RGB of each caption; white by default.
         columns: pictures in a row.
 
@@ -35,19 +37,35 @@ def contact_sheet(
         uint8 (height, width, 3).
     """
     size = images.shape[1]
-    wide, high = size + 2 * _EDGE, size + 2 * _EDGE + _TEXT
+    wrapped = [[part for line in lines for part in _wrapped(line, size)] for lines in captions]
+    text = 2 + _LINE * max(2, *map(len, wrapped)) if wrapped else 0
+    wide, high = size + 2 * _EDGE, size + 2 * _EDGE + text
     rows = -(-max(1, len(images)) // columns)
     sheet = np.full((rows * high, columns * wide, 3), _GREY, dtype=np.uint8)
-    for k, (image, lines) in enumerate(zip(images, captions, strict=True)):
+    for k, (image, lines) in enumerate(zip(images, wrapped, strict=True)):
         top, left = k // columns * high + _EDGE, k % columns * wide + _EDGE
         sheet[top : top + size, left : left + size] = image
         colour = colours[k] if colours else _WHITE
-        for number, line in enumerate(lines[:2]):
-            wide_at_full = cv2.getTextSize(line, cv2.FONT_HERSHEY_SIMPLEX, 0.4, 1)[0][0]
-            scale = min(0.4, 0.4 * size / max(1, wide_at_full))
-            at = (left, top + size + 13 + 14 * number)
-            cv2.putText(sheet, line, at, cv2.FONT_HERSHEY_SIMPLEX, scale, colour, 1, cv2.LINE_AA)
+        for number, line in enumerate(lines):
+            scale = min(_LETTERS, _LETTERS * size / max(1, _width(line)))
+            at = (left, top + size + 13 + _LINE * number)
+            cv2.putText(sheet, line, at, _FONT, scale, colour, 1, cv2.LINE_AA)
     return sheet
+
+
+def _wrapped(line: str, width: int) -> list[str]:
+    """A line of text in lines of at most `width` pixels, parted after commas and spaces."""
+    parts = [""]
+    for word in re.split("(?<=[, ])", line):
+        if parts[-1] and _width(parts[-1] + word.rstrip()) > width:
+            parts.append("")
+        parts[-1] += word
+    return parts
+
+
+def _width(line: str) -> int:
+    """Of a line of text, pixels."""
+    return int(cv2.getTextSize(line, _FONT, _LETTERS, 1)[0][0])
 
 
 def write_gallery(path: str | os.PathLike[str], states: States, columns: int = 8) -> None:

@@ -153,6 +153,14 @@ def test_a_contact_sheet_holds_every_picture_unchanged() -> None:
         assert np.array_equal(sheet[top : top + 16, left : left + 16], image)
 
 
+def test_a_caption_too_long_for_its_picture_goes_on_in_the_next_line() -> None:
+    images = np.zeros((1, 128, 128, 3), dtype=np.uint8)
+    code = ",".join(f"{number}+a" for number in (*range(1, 7), *range(1, 7)))
+    short, long = contact_sheet(images, [("1+a", "b")]), contact_sheet(images, [(code, "b")])
+    assert long.shape[0] > short.shape[0] and long.shape[1] == short.shape[1]
+    assert (long[short.shape[0] - 12 :] != long[-1, 0]).any()
+
+
 def test_a_gallery_needs_pictures(states_path: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="read with their images"):
         write_gallery(tmp_path / "a.png", read_states(states_path, images=False))
