@@ -227,6 +227,7 @@ def evaluate(
     shares: SharesOption = "0.25,0.25,0.25,0.25",
     seed: SeedOption = 0,
     workers: WorkersOption = 0,
+    resume: ResumeOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Measure success rates, with 95 % intervals.
@@ -278,6 +279,7 @@ def evaluate(
             quiet=quiet,
             console=progress.console,
             progress=progress,
+            resume=resume,
         )
 
 

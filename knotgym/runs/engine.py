@@ -119,18 +119,7 @@ def run(recipe: Recipe, out: Path, options: RunOptions, progress: Progress | Non
         progress.say(f"{out} is finished already")
         return out
     require_writable(out)
-    if staging_folder(out).exists():
-        with lock_folder(staging_folder(out)):  # nobody is at it
-            left = request_of(staging_folder(out))
-            if options.resume:
-                require_resumable(staging_folder(out), left, request, recipe.flexible)
-            elif left is not None:
-                progress.say(
-                    f"{staging_folder(out)}: what an interrupted run left goes; --resume would have"
-                    " gone on from it"
-                )
-    elif options.resume:
-        progress.say(f"{out}: there is nothing to resume here, so the run begins")
+    require_nothing_else_left(out, request, options.resume, recipe.flexible, progress)
     compile_first(progress)
     if not (options.resume and recipe.load(staging_folder(out))):
         recipe.begin()
@@ -158,6 +147,31 @@ def run(recipe: Recipe, out: Path, options: RunOptions, progress: Progress | Non
     seconds = time.perf_counter() - began
     progress.say(f"{out}: {recipe.summary()}; {seconds:.0f} s")
     return out
+
+
+def require_nothing_else_left(
+    out: Path, asked: dict[str, Any], resume: bool, flexible: tuple[str, ...], progress: Progress
+) -> None:
+    """Look at what an interrupted run left beside `out`: refuse to resume another request's, say
+    what goes.
+
+    Raises:
+        InvalidRun: it is such.
+        Occupied: another run is at it.
+    """
+    left_in = staging_folder(out)
+    if left_in.exists():
+        with lock_folder(left_in):  # nobody is at it
+            left = request_of(left_in)
+            if resume:
+                require_resumable(left_in, left, asked, flexible)
+            elif left is not None:
+                progress.say(
+                    f"{left_in}: what an interrupted run left goes; --resume would have gone on"
+                    " from it"
+                )
+    elif resume:
+        progress.say(f"{out}: there is nothing to resume here, so the run begins")
 
 
 def whole_request(recipe: Recipe, options: RunOptions) -> dict[str, Any]:

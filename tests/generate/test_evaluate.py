@@ -10,6 +10,7 @@ from rich.console import Console
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig
 from knotgym.datasets.states import States, write_states
+from knotgym.generate.episodes import evaluate as evaluation
 from knotgym.generate.episodes.evaluate import (
     EvaluateConfig,
     InvalidEvaluation,
@@ -21,6 +22,8 @@ from knotgym.generate.episodes.evaluate import (
 )
 from knotgym.runs.executors import InProcess
 from knotgym.runs.intervals import wilson
+from knotgym.runs.run_options import InvalidRun
+from knotgym.runs.staging import staging_folder
 from knotgym.tasks import InvalidSetting, TaskConfig
 
 
@@ -209,3 +212,80 @@ def test_a_mistake_is_one_line_and_status_2(
         main(["evaluate", *words])
     assert left.value.code == 2
     assert capsys.readouterr().err.count("\n") == 1
+
+
+# Interrupted, and gone on with.
+
+
+def to_file(made: EvaluateConfig, out: Path, resume: bool = False) -> None:
+    run(made, workers=1, out=out, video=None, quiet=True, console=Console(), resume=resume)
+
+
+def counted_pieces(monkeypatch: pytest.MonkeyPatch, most: int) -> list[object]:
+    """Pieces played from now on; a person stops the evaluation after `most`."""
+    play, pieces = evaluation._play, list[object]()
+
+    def one(piece: Any) -> Any:
+        if len(pieces) == most:
+            raise KeyboardInterrupt
+        pieces.append(piece)
+        return play(piece)
+
+    monkeypatch.setattr(evaluation, "_play", one)
+    return pieces
+
+
+@pytest.fixture
+def interrupted(states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The file that an evaluation would have written, stopped after two pieces of three."""
+    with monkeypatch.context() as stopped, pytest.raises(KeyboardInterrupt):
+        counted_pieces(stopped, 2)
+        to_file(config(states_path, episodes=17), tmp_path / "r.json")
+    assert not (tmp_path / "r.json").exists()
+    return tmp_path / "r.json"
+
+
+def test_an_interrupted_evaluation_goes_on_to_the_same_bytes(
+    states_path: str, interrupted: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = config(states_path, episodes=17)
+    to_file(made, interrupted.with_name("unbroken.json"))
+    pieces = counted_pieces(monkeypatch, 1)
+    to_file(made, interrupted, resume=True)
+    assert interrupted.read_bytes() == interrupted.with_name("unbroken.json").read_bytes()
+    to_file(made, interrupted, resume=True)  # finished: nothing is played again
+    assert len(pieces) == 1
+    assert {path.name for path in interrupted.parent.iterdir()} == {"r.json", "unbroken.json"}
+
+
+def test_an_evaluation_of_other_settings_is_not_gone_on_with(
+    states_path: str, interrupted: Path
+) -> None:
+    with pytest.raises(InvalidRun, match="config.seed is 0 there and 1 here"):
+        to_file(config(states_path, episodes=17, seed=1), interrupted, resume=True)
+    to_file(config(states_path, episodes=1), interrupted)  # begun anew, what was left goes
+    with pytest.raises(InvalidRun, match="settings.episodes is 1 there and 2 here"):
+        to_file(config(states_path, episodes=2), interrupted, resume=True)
+    interrupted.write_text('{"version": 1}')
+    with pytest.raises(InvalidRun, match="isn't an evaluation"):
+        to_file(config(states_path, episodes=2), interrupted, resume=True)
+    with pytest.raises(InvalidEvaluation, match="--resume goes on with the evaluation of an --out"):
+        run(
+            config(states_path),
+            workers=1,
+            out=None,
+            video=None,
+            quiet=True,
+            console=Console(),
+            resume=True,
+        )
+
+
+@pytest.mark.parametrize("spoilt", ["{}", '{"0": [[1]]}', "no JSON"])
+def test_what_was_played_is_not_gone_on_from_once_it_is_spoilt(
+    spoilt: str, states_path: str, interrupted: Path
+) -> None:
+    played = staging_folder(interrupted) / "played.json"
+    played.write_text(spoilt)
+    with pytest.raises(InvalidRun, match="is damaged; start without --resume"):
+        to_file(config(states_path, episodes=17), interrupted, resume=True)

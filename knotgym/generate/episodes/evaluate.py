@@ -19,16 +19,24 @@ from rich.console import Console
 
 import knotgym
 from knotgym.atomic_files import atomic_write, require_writable
+from knotgym.configuration import as_json, differences, read_json
 from knotgym.control.learned_policies import is_learner, learner_card
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import Rollout, rollout
 from knotgym.datasets.trajectory import Episode
 from knotgym.episode_batch import OWN, SHIPPED, state_origins
 from knotgym.errors import KnotgymError
+from knotgym.generate.episodes.unfinished_evaluation import (
+    PlayedEpisode,
+    Unfinished,
+    kept_beside,
+    request,
+)
 from knotgym.runs.executors import executor
 from knotgym.runs.intervals import wilson
 from knotgym.runs.pools import Pool
 from knotgym.runs.progress import Progress, compile_first, tell_if_long
+from knotgym.runs.run_options import InvalidRun
 from knotgym.runs.tables import narrow_table
 from knotgym.tasks import TaskConfig
 
@@ -125,22 +133,18 @@ class _Piece(NamedTuple):
     filmed: int
 
 
-class _Played(NamedTuple):
-    """What is counted of one episode, and its course if it is filmed."""
-
-    success: bool
-    steps: int
-    total: float
-    planned_actions: int
-    planning_seconds: float
-    failed: bool
-    episode: Episode | None
-
-
 def evaluate(
-    config: EvaluateConfig, pool: Pool, progress: Progress | None = None
+    config: EvaluateConfig,
+    pool: Pool,
+    progress: Progress | None = None,
+    unfinished: Unfinished | None = None,
 ) -> tuple[list[Result], list[Episode]]:
-    """Play every setup; the results in the order of `config.setups`, and the filmed episodes."""
+    """Play every setup but for what is played of an unfinished evaluation.
+
+    Returns:
+        The results in the order of `config.setups`, and the filmed episodes.
+    """
+    kept = Unfinished() if unfinished is None else unfinished
     setups = list(config.setups())
     starts = range(0, config.episodes, SIDE_BY_SIDE)
     pieces = [
@@ -154,17 +158,31 @@ def evaluate(
         for policy, task in setups
         for first in starts
     ]
-    played = iter(pool.map(_play, pieces))
-    results, films = [], []
-    for number, (policy, task) in enumerate(setups, 1):
-        episodes: list[_Played] = []
-        for _ in starts:
-            if progress is not None:
-                done = (number - 1) * config.episodes + len(episodes)
-                progress.stage("episodes", done, len(setups) * config.episodes)
-            episodes += next(played)
-        results.append(_result(policy, task, episodes))
-        films += [one.episode for one in episodes if one.episode is not None]
+    # of what was played no film is left
+    left = [
+        number
+        for number, piece in enumerate(pieces)
+        if number not in kept.pieces or piece.numbers.start < piece.filmed
+    ]
+    films: list[Episode] = []
+    total = config.episodes * len(setups)
+    done = total - sum(len(pieces[number].numbers) for number in left)
+    if progress is not None:
+        progress.stage("episodes", done, total)
+    for number, (played, filmed) in zip(
+        left, pool.map(_play, [pieces[number] for number in left]), strict=True
+    ):
+        kept.keep(number, played)
+        films += filmed
+        done += len(played)
+        if progress is not None:
+            progress.stage("episodes", done, total)
+    results = []
+    for row, (policy, task) in enumerate(setups):
+        mine = range(row * len(starts), (row + 1) * len(starts))
+        results.append(
+            _result(policy, task, [one for number in mine for one in kept.pieces[number]])
+        )
     return results, films
 
 
@@ -252,17 +270,25 @@ def run(
     quiet: bool,
     console: Console,
     progress: Progress | None = None,
+    resume: bool = False,
 ) -> list[Result]:
     """Evaluate, show, and write what was asked for.
 
+    With `resume` it goes on with what an evaluation of the same settings left beside `out` when it
+    was interrupted; one that is finished is shown.
+
     Raises:
-        InvalidEvaluation: fewer than 0 workers.
+        InvalidEvaluation: fewer than 0 workers, or nothing to resume from.
+        InvalidRun: what is to be resumed is of another evaluation, or damaged.
+        Occupied: another process is evaluating into `out`.
         Unwritable: nothing can be written where `out` or `video` are.
         UnknownFilm: the video is of no kind that can be written here.
         InvalidSetting: the state file lacks what a task needs.
     """
     if workers < 0:
         raise InvalidEvaluation(f"workers must be at least 0, got {workers}")
+    if resume and out is None:
+        raise InvalidEvaluation("--resume goes on with the evaluation of an --out; name it")
     if video is not None:
         from knotgym.rendering.video import require_film, write_film
 
@@ -275,27 +301,56 @@ def run(
         make_policy(policy)  # refuses what isn't there before any work is done
     for _, task in config.setups():
         state_origins(task)  # so does this
-    if progress is not None:
+    if resume and out is not None and out.exists() and video is None:
+        results = _finished(out, config)
+        if not quiet:
+            show(results, console)
+            console.print(f"{out} is finished already", soft_wrap=True, highlight=False)
+        return results
+    progress = Progress(quiet=True) if progress is None else progress
+    with kept_beside(out, request(config), resume, progress) as unfinished:
         spent = sum(policy.core_seconds for policy, _ in config.setups()) * config.episodes
         tell_if_long(progress, spent, workers)
         compile_first(progress)
-    with executor(workers) as pool:
-        results, films = evaluate(config, pool, progress)
-    if not quiet:
-        show(results, console)
-    if out is not None:
-        with atomic_write(out) as temporary:
-            temporary.write_text(
-                json.dumps(report(config, results), indent=1) + "\n", encoding="utf-8"
-            )
+        with executor(workers) as pool:
+            results, films = evaluate(config, pool, progress, unfinished)
         if not quiet:
-            told = f"{out}: {len(results)} results of {config.episodes} episodes each"
-            console.print(told, soft_wrap=True, highlight=False)
+            show(results, console)
+        if out is not None:
+            with atomic_write(out) as temporary:
+                told = json.dumps(report(config, results), indent=1) + "\n"
+                temporary.write_text(told, encoding="utf-8")
+    if out is not None and not quiet:
+        told = f"{out}: {len(results)} results of {config.episodes} episodes each"
+        console.print(told, soft_wrap=True, highlight=False)
     if video is not None:
         frames = [frame for episode in films for frame in film(episode, config.task)]
         write_film(video, frames)
         if not quiet:
             console.print(f"{video}: {len(films)} episodes", soft_wrap=True, highlight=False)
+    return results
+
+
+def _finished(out: Path, config: EvaluateConfig) -> list[Result]:
+    """What an evaluation of the same settings wrote.
+
+    Raises:
+        InvalidRun: the file is of another one.
+    """
+    try:
+        said = read_json(out)
+        there = {name: said[name] for name in ("version", "settings")}
+        results = [Result(**row) for row in said["results"]]
+    except (KeyError, TypeError, ValueError) as error:
+        raise InvalidRun(
+            f"{out} isn't an evaluation of this version; choose another --out"
+        ) from error
+    asked = {"version": knotgym.__version__, "settings": as_json(config)}
+    if found := list(differences(there, asked)):
+        raise InvalidRun(
+            f"{out} is of another evaluation than the one asked for: {'; '.join(found[:3])}; give"
+            " the same again, or another --out"
+        )
     return results
 
 
@@ -321,26 +376,25 @@ def film(episode: Episode, task: TaskConfig) -> list[NDArray[np.uint8]]:
     return frames + frames[-1:] * 4
 
 
-def _play(piece: _Piece) -> list[_Played]:
+def _play(piece: _Piece) -> tuple[list[PlayedEpisode], list[Episode]]:
     rollouts = rollout(piece.task, make_policy(piece.policy), piece.numbers, piece.seed)
-    return [_counted(one, one.number < piece.filmed) for one in rollouts]
+    films = [one.episode for one in rollouts if one.number < piece.filmed]
+    return [_counted(one) for one in rollouts], films
 
 
-def _counted(one: Rollout, filmed: bool) -> _Played:
+def _counted(one: Rollout) -> PlayedEpisode:
     episode = one.episode
-    total, failed = float(episode.rewards.sum()), bool(episode.simulation_failed[-1])
-    return _Played(
+    return PlayedEpisode(
         one.success,
         len(episode),
-        total,
+        float(episode.rewards.sum()),
         one.effort.actions,
         one.effort.seconds,
-        failed,
-        episode if filmed else None,
+        bool(episode.simulation_failed[-1]),
     )
 
 
-def _result(policy: PolicyConfig, task: TaskConfig, played: Sequence[_Played]) -> Result:
+def _result(policy: PolicyConfig, task: TaskConfig, played: Sequence[PlayedEpisode]) -> Result:
     successes = sum(one.success for one in played)
     low, high = wilson(successes, len(played))
     origins = state_origins(task)
