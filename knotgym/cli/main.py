@@ -8,7 +8,7 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import BrokenExecutor
 from typing import Annotated, Any
 
@@ -94,7 +94,6 @@ _USAGE: Any = typer.BadParameter.__mro__[2]
 _FAILED, _MISTAKEN, _INTERRUPTED = 1, 2, 130
 _NO_NAME = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP)
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_STOPPED = "interrupted; nothing half-written is left, --resume goes on from the last cycle"
 _OURS = (
     "this is a fault of knotgym's, not of yours: please report it, with the lines above, in the"
     " issue tracker of the repository"
@@ -116,13 +115,14 @@ _built = functools.cache(typer.main.get_command)
 
 
 def _run(command: typer.Typer, name: str, arguments: Sequence[str] | None) -> None:
+    stopped = functools.partial(_stopped, command, arguments)
     for number in _SIGNALS:
-        signal.signal(number, _interrupt)
+        signal.signal(number, functools.partial(_interrupt, stopped))
     try:
         result = _built(command)(args=arguments, prog_name=name, standalone_mode=False)
         status = result if isinstance(result, int) else 0
         if status == _INTERRUPTED:  # what typer makes of a KeyboardInterrupt
-            _say(_STOPPED, status)
+            _say(stopped(), status)
     except (NotEnough, LostWorkers) as error:
         status = _say(str(error), _FAILED)
     except _USAGE as error:
@@ -145,7 +145,7 @@ def _run(command: typer.Typer, name: str, arguments: Sequence[str] | None) -> No
         # a name that can't be one is the user's
         status = _say(_trouble(error), _MISTAKEN if error.errno in _NO_NAME else _FAILED)
     except (KeyboardInterrupt, typer.Abort):
-        status = _say(_STOPPED, _INTERRUPTED)
+        status = _say(stopped(), _INTERRUPTED)
     except typer.Exit as ended:
         status = ended.exit_code
     except Exception:
@@ -154,27 +154,37 @@ def _run(command: typer.Typer, name: str, arguments: Sequence[str] | None) -> No
     sys.exit(status)
 
 
-def _interrupt(number: int, frame: object) -> None:
+def _stopped(typed: typer.Typer, arguments: Sequence[str] | None) -> str:
+    """The line of an interrupted command, which promises --resume where there is one."""
+    command: Any = _built(typed)
+    for word in sys.argv[1:] if arguments is None else arguments:
+        command = getattr(command, "commands", {}).get(word, command)
+    resumable = any(parameter.name == "resume" for parameter in command.params)
+    goes_on = ", --resume goes on from the last cycle" if resumable else ""
+    return f"interrupted; nothing half-written is left{goes_on}"
+
+
+def _interrupt(stopped: Callable[[], str], number: int, frame: object) -> None:
     for one in _SIGNALS:
-        signal.signal(one, _end)
-    sys.unraisablehook = _unraisable
+        signal.signal(one, functools.partial(_end, stopped))
+    sys.unraisablehook = functools.partial(_unraisable, stopped)
     raise KeyboardInterrupt
 
 
-def _unraisable(error: sys.UnraisableHookArgs) -> None:
+def _unraisable(stopped: Callable[[], str], error: sys.UnraisableHookArgs) -> None:
     """After an interruption: silence of what was half made and is taken down; but the interruption
     itself is never swallowed.
     """
     if issubclass(error.exc_type, KeyboardInterrupt):
-        _end(0, None)
+        _end(stopped, 0, None)
 
 
-def _end(number: int, frame: object) -> None:
+def _end(stopped: Callable[[], str], number: int, frame: object) -> None:
     """Asked to stop again while clearing up: leave at once. What is half-written has no final name,
     and workers end with their parent.
     """
     shown = "\x1b[?25h" if sys.stderr.isatty() else ""  # a live table had hidden the cursor
-    os.write(2, f"{shown}knotgym: {_STOPPED}\n".encode())
+    os.write(2, f"{shown}knotgym: {stopped()}\n".encode())
     os._exit(_INTERRUPTED)
 
 

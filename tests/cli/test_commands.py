@@ -621,3 +621,25 @@ def test_no_memory_is_one_line(
     monkeypatch.setattr(cli, "_built", lambda _: full)
     assert knotgym("dataset", "show", "x") == 1
     assert capfd.readouterr().err.startswith("knotgym: no memory was left, here or at a worker")
+
+
+@pytest.mark.parametrize(
+    ("words", "goes_on"),
+    [
+        (("dataset", "show", "readable"), ""),
+        (("evaluate",), ", --resume goes on from the last cycle"),
+    ],
+)
+def test_an_interruption_promises_to_go_on_only_where_that_can_be(
+    words: tuple[str, ...],
+    goes_on: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    def stopped(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("knotgym.cli.inspection.show", stopped)
+    monkeypatch.setattr("knotgym.generate.episodes.evaluate.run", stopped)
+    assert knotgym(*words) == 130
+    assert said(capfd) == [f"knotgym: interrupted; nothing half-written is left{goes_on}"]
