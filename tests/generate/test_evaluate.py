@@ -281,11 +281,10 @@ def test_an_evaluation_of_other_settings_is_not_gone_on_with(
         )
 
 
-@pytest.mark.parametrize("spoilt", ["{}", '{"0": [[1]]}', "no JSON"])
 def test_what_was_played_is_not_gone_on_from_once_it_is_spoilt(
-    spoilt: str, states_path: str, interrupted: Path
+    states_path: str, interrupted: Path
 ) -> None:
-    played = staging_folder(interrupted) / "played.json"
-    played.write_text(spoilt)
-    with pytest.raises(InvalidRun, match="is damaged; start without --resume"):
-        to_file(config(states_path, episodes=17), interrupted, resume=True)
+    for spoilt in ("{}", '{"0": [[1]]}', "no JSON"):
+        (staging_folder(interrupted) / "played.json").write_text(spoilt)
+        with pytest.raises(InvalidRun, match="is damaged; start without --resume"):
+            to_file(config(states_path, episodes=17), interrupted, resume=True)
