@@ -175,7 +175,7 @@ def plan(
         hold: consecutive states that shall show the goal.
         budget: simulated actions, instead of the configuration's.
         bound: where the rope's centre must stay; None for anywhere.
-        met: called with every state met that shows a new code, the goal's last.
+        met: called with every state as it is met, the goal's last.
 
     Returns:
         The first plan found that reaches the goal; for want of one, the plan to the state nearest

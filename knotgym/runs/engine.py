@@ -29,6 +29,7 @@ from knotgym.runs.executors import executor
 from knotgym.runs.pools import Pool
 from knotgym.runs.progress import Progress, Status, compile_first
 from knotgym.runs.run_options import InvalidRun, RunOptions
+from knotgym.runs.shards import Shard
 from knotgym.runs.staging import Occupied, is_held, lock_folder, staging, staging_folder
 
 REQUEST = "request.json"
@@ -109,7 +110,7 @@ def run(recipe: Recipe, out: Path, options: RunOptions, progress: Progress | Non
         with Progress(options.quiet) as progress:
             return run(recipe, out, options, progress)
     began = time.perf_counter()
-    request = whole_request(recipe, options)
+    request = whole_request(recipe.request(), options.shard)
     if out.exists():
         made_by = request_of(out)
         if not options.resume or made_by is None:
@@ -174,11 +175,11 @@ def require_nothing_else_left(
         progress.say(f"{out}: there is nothing to resume here, so the run begins")
 
 
-def whole_request(recipe: Recipe, options: RunOptions) -> dict[str, Any]:
-    """All that decides the bytes that a recipe makes, as JSON has it."""
+def whole_request(asked: dict[str, Any], shard: Shard) -> dict[str, Any]:
+    """All that decides the bytes of a run, as JSON has it; `asked` is a recipe's own request."""
     request = {
-        **recipe.request(),
-        "shard": {"number": options.shard.number, "of": options.shard.of},
+        **asked,
+        "shard": {"number": shard.number, "of": shard.of},
         "versions": versions(),
         "rope": RopeConfig().fingerprint,
     }

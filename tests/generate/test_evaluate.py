@@ -281,6 +281,15 @@ def test_an_evaluation_of_other_settings_is_not_gone_on_with(
         )
 
 
+def test_an_evaluation_that_fails_at_once_leaves_nothing(
+    states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counted_pieces(monkeypatch, 0)
+    with pytest.raises(KeyboardInterrupt):
+        to_file(config(states_path), tmp_path / "r.json")
+    assert not any(tmp_path.iterdir())
+
+
 def test_what_was_played_is_not_gone_on_from_once_it_is_spoilt(
     states_path: str, interrupted: Path
 ) -> None:

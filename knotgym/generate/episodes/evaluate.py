@@ -19,7 +19,7 @@ from rich.console import Console
 
 import knotgym
 from knotgym.atomic_files import atomic_write, require_writable
-from knotgym.configuration import as_json, differences, read_json
+from knotgym.configuration import as_json, read_json
 from knotgym.control.learned_policies import is_learner, learner_card
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import Rollout, rollout
@@ -32,6 +32,7 @@ from knotgym.generate.episodes.unfinished_evaluation import (
     kept_beside,
     request,
 )
+from knotgym.runs.engine import require_same
 from knotgym.runs.executors import executor
 from knotgym.runs.intervals import wilson
 from knotgym.runs.pools import Pool
@@ -278,7 +279,7 @@ def run(
     was interrupted; one that is finished is shown.
 
     Raises:
-        InvalidEvaluation: fewer than 0 workers, or nothing to resume from.
+        InvalidEvaluation: fewer than 0 workers, or `resume` without `out`.
         InvalidRun: what is to be resumed is of another evaluation, or damaged.
         Occupied: another process is evaluating into `out`.
         Unwritable: nothing can be written where `out` or `video` are.
@@ -346,11 +347,7 @@ def _finished(out: Path, config: EvaluateConfig) -> list[Result]:
             f"{out} isn't an evaluation of this version; choose another --out"
         ) from error
     asked = {"version": knotgym.__version__, "settings": as_json(config)}
-    if found := list(differences(there, asked)):
-        raise InvalidRun(
-            f"{out} is of another evaluation than the one asked for: {'; '.join(found[:3])}; give"
-            " the same again, or another --out"
-        )
+    require_same(there, asked, (), out)
     return results
 
 

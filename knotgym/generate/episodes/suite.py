@@ -210,7 +210,9 @@ def _is_made(one: CollectConfig, root: Path, options: RunOptions) -> bool:
     if found is None and place == made:
         raise Occupied(f"{made} is there, and doesn't say what made it; remove it")
     if found is not None:
-        require_same(found, whole_request(EpisodeRecipe(one, options), options), (), place)
+        require_same(
+            found, whole_request(EpisodeRecipe(one, options).request(), options.shard), (), place
+        )
     return place == made and not staging_folder(made).exists()
 
 

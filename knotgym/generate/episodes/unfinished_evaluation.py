@@ -16,11 +16,11 @@ from knotgym.atomic_files import atomic_write, sha256
 from knotgym.configuration import as_json
 from knotgym.control.learned_policies import is_learner, learner_card
 from knotgym.datasets.states import ships, states_file
-from knotgym.rope import RopeConfig
-from knotgym.runs.engine import REQUEST, require_nothing_else_left, versions
+from knotgym.runs.engine import REQUEST, require_nothing_else_left, whole_request
 from knotgym.runs.progress import Progress
 from knotgym.runs.run_options import InvalidRun
 from knotgym.runs.sealed_json import read_sealed, write_sealed
+from knotgym.runs.shards import Shard
 from knotgym.runs.staging import staging
 
 _PLAYED = "played.json"
@@ -70,7 +70,8 @@ class Unfinished:
 def kept_beside(
     out: Path | None, asked: dict[str, Any], resume: bool, progress: Progress
 ) -> Iterator[Unfinished]:
-    """What was played of an evaluation that will write `out`; gone when it is written.
+    """What was played of an evaluation that will write `out`; gone when it is written,
+    or when nothing was played.
 
     Raises:
         InvalidRun: what is there to resume is of another evaluation, or damaged.
@@ -90,7 +91,10 @@ def kept_beside(
         try:
             yield unfinished
         except BaseException:
-            unfinished.save()
+            if unfinished.pieces:
+                unfinished.save()
+            else:
+                shutil.rmtree(folder)
             raise
     shutil.rmtree(folder)
 
@@ -98,16 +102,11 @@ def kept_beside(
 def request(config: Any) -> dict[str, Any]:
     """All that decides what an `EvaluateConfig`'s episodes come to, as JSON has it."""
     states = config.task.states
-    return {
-        "config": as_json(config),
-        "source": {
-            "states": None if ships(states) else sha256(states_file(states)),
-            "policies": {one.policy: _weights(one.policy) for one in config.policies},
-        },
-        "shard": None,
-        "versions": versions(),
-        "rope": RopeConfig().fingerprint,
+    source = {
+        "states": None if ships(states) else sha256(states_file(states)),
+        "policies": {one.policy: _weights(one.policy) for one in config.policies},
     }
+    return whole_request({"config": as_json(config), "source": source}, Shard())
 
 
 def _weights(policy: str) -> str | None:
