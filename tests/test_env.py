@@ -574,6 +574,15 @@ def test_a_missing_state_file_is_named(make: Make, tmp_path: Path) -> None:
         make(states=str(tmp_path / "absent.h5"))
 
 
+def test_the_folder_of_a_run_names_its_states(make: Make, states_path: str, tmp_path: Path) -> None:
+    (tmp_path / "states.h5").write_bytes(Path(states_path).read_bytes())
+    env = make(states=str(tmp_path))
+    env.reset(seed=0)
+    with pytest.raises(InvalidStates, match="no state file at .*empty"):
+        (tmp_path / "empty").mkdir()
+        make(states=str(tmp_path / "empty"))
+
+
 def test_a_truncated_state_file_is_refused_in_one_line(
     make: Make, states_path: str, tmp_path: Path
 ) -> None:

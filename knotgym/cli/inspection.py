@@ -29,7 +29,14 @@ from knotgym.datasets.manifest_check import read_manifest
 from knotgym.datasets.minari_dataset import compact, merge_datasets
 from knotgym.datasets.page.page_data import dataset_name, page_data
 from knotgym.datasets.page.page_writer import write_page
-from knotgym.datasets.states import leads_out, merge_states, minari_root, read_states, write_states
+from knotgym.datasets.states import (
+    leads_out,
+    merge_states,
+    minari_root,
+    read_states,
+    states_at,
+    write_states,
+)
 from knotgym.errors import KnotgymError
 from knotgym.generate.merge_shards import merge_shards, shard_folder_of
 from knotgym.prompting.transcripts import transcripts_at
@@ -44,11 +51,6 @@ from knotgym.topology.crossings import label
 
 _SHOWN = 64  # pictures or episodes of a gallery, at most
 _LARGE = 4_000_000  # bytes of a table that is checked sooner by several processes than by this one
-
-
-def states_file(path: Path) -> Path:
-    """The state file that a folder or a path means."""
-    return path / "states.h5" if path.is_dir() else path
 
 
 def demonstrations(path: Path) -> list[Place]:
@@ -75,7 +77,7 @@ def show(named: str, console: Console) -> None:
         if kind == "images":
             print_images(str(path), console)
         elif kind == "states":
-            print_states(named, states_file(path), console)
+            print_states(named, states_at(path), console)
         else:
             print_episodes(str(path), console)
 
@@ -105,7 +107,7 @@ def checked(named: str) -> str:
         if kind == "images":
             told["pictures"] += len(read_table(path, columns=["nx"]))
         elif kind == "states":
-            told["labels"] += len(read_states(states_file(path), images=False))
+            told["labels"] += len(read_states(states_at(path), images=False))
         if kind != "images":
             inside = episodes_at(str(path)) if kind == "episodes" else demonstrations(path)
             for one in inside:
@@ -122,7 +124,7 @@ def gallery(named: str, out: Path, columns: int) -> str:
     refuse_existing(out)
     kind, path = places(named)[0]
     if kind == "states":
-        states = read_states(states_file(path))
+        states = read_states(states_at(path))
         write_gallery(out, states, columns)
         return f"{len(states)} states"
     if kind == "images":
@@ -200,7 +202,7 @@ def _sources(named: str) -> ToUpload:
         return ToUpload(title, pictures=path)
     if kind == "states":
         ways = [one.path for one in demonstrations(path)]
-        return ToUpload(title, states=states_file(path), episodes=ways)
+        return ToUpload(title, states=states_at(path), episodes=ways)
     title = named if len(found) > 1 else dataset_name(path)
     return ToUpload(title, episodes=[one.path for one in found])
 
@@ -257,7 +259,7 @@ def merge(sources: Sequence[str], out: Path, count: Count = uncounted) -> str:
             f"states and trajectories don't go into one file: {', '.join(sources)}"
         )
     if kinds == {"states"}:
-        merged = merge_states([read_states(states_file(path)) for _, path in found], distinct=True)
+        merged = merge_states([read_states(states_at(path)) for _, path in found], distinct=True)
         write_states(out, merged)
         return f"{out}: {len(merged)} states"
     paths = [path for _, path in found]
@@ -309,7 +311,7 @@ class _Scene(NamedTuple):
 
 
 def _state_scene(path: Path, row: int) -> _Scene:
-    states = read_states(states_file(path), images=False)
+    states = read_states(states_at(path), images=False)
     _require_row(row, len(states))
     if not {"start_qpos", "actions", "steps"} <= states.source.keys():
         raise UnknownDataset(

@@ -5,6 +5,9 @@ near the goal, as the transition graph tells, each through one macro-action: the
 several whose surrogate rollouts are looked at, some of them like those that made a change towards
 the goal before; or any. Every new code on the way joins the pool. MuJoCo repeats itself bit for bit
 from an integration state, so a plan that reaches the goal here reaches it.
+
+Beyond what counts of macro-actions tell, where more crossings must share the rope, an exemplar of
+the goal says how: states that lie more like it count as nearer.
 """
 
 from __future__ import annotations
@@ -17,7 +20,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.control import exemplar as exemplars
 from knotgym.control.action_sequence import Ropes, step_ropes
+from knotgym.control.exemplar import Exemplar, Potential
 from knotgym.control.guidance import Promises, Towards, most_promising
 from knotgym.control.macro_actions import WaypointController, cumulative_shares, propose
 from knotgym.control.planner_config import PlannerConfig
@@ -42,6 +47,7 @@ class Node:
         kind: of that macro-action.
         actions: of that macro-action up to here, float32 (k, 6).
         tries: macro-actions that set out from here.
+        apart: metres from the goal's exemplar, 0 where none is looked at.
     """
 
     state: Array
@@ -51,6 +57,7 @@ class Node:
     kind: str = ""
     actions: tuple[NDArray[np.float32], ...] = ()
     tries: int = 0
+    apart: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +87,7 @@ class _Pool:
         self._far = np.empty(0)
         self._tries = np.empty(0, dtype=np.int64)
         self._earliest = np.empty(0, dtype=np.int64)
+        self._apart = np.empty(0)
         self._left = np.empty(0)  # steps to the goal, about
 
     def __iter__(self) -> Iterator[Node]:
@@ -96,9 +104,9 @@ class _Pool:
         nodes = self._nodes[row]
         nodes.append(node)
         if len(nodes) > self._config.kept:
-            cost = self._config.try_cost
-            nodes.remove(max(nodes, key=lambda node: node.steps + cost * node.tries))
+            nodes.remove(max(nodes, key=self._cost))
         self._earliest[row] = min([node.steps for node in nodes])
+        self._apart[row] = min([node.apart for node in nodes])
 
     def tries(self, code: GaussCode) -> int:
         """How often a state with this code was set out from."""
@@ -108,18 +116,30 @@ class _Pool:
         """Draw a code, near and early ones more often, then a state that shows it."""
         config = self._config
         late = self._earliest + self._left
+        far = self._far + exemplars.WEIGHT * self._apart
         weights = (
-            (1 + self._far) ** -config.greed
+            (1 + far) ** -config.greed
             / (1 + self._tries / config.weariness)
             * np.exp(-(late - late.min()) / config.patience)
         )
         row = _drawn(weights, rng)
         nodes = self._nodes[row]
-        fresh = [np.exp(-node.steps / config.patience) / (1 + node.tries) for node in nodes]
-        node = nodes[_drawn(np.array(fresh), rng)]
+        late = np.array([node.steps / config.patience for node in nodes])
+        apart = np.array([node.apart - self._apart[row] for node in nodes]) / exemplars.PATIENCE
+        fresh = np.exp(-late - apart) / np.array([1 + node.tries for node in nodes])
+        node = nodes[_drawn(fresh, rng)]
         node.tries += 1
         self._tries[row] += 1
         return node
+
+    def weary(self, node: Node, tries: int) -> None:
+        """Count further tries of a state."""
+        node.tries += tries
+        self._tries[self._rows[node.code]] += tries
+
+    def _cost(self, node: Node) -> float:
+        """Steps, and what counts as such."""
+        return node.steps + self._config.try_cost * node.tries + exemplars.STEPS * node.apart
 
     def _row(self, code: GaussCode) -> int:
         """The row of a code, which may be new."""
@@ -129,6 +149,7 @@ class _Pool:
             self._far = np.append(self._far, self._distances(code))
             self._tries = np.append(self._tries, 0)
             self._earliest = np.append(self._earliest, 0)
+            self._apart = np.append(self._apart, 0.0)
             self._left = np.append(self._left, self._config.stride * self.hops(code))
         return self._rows[code]
 
@@ -160,6 +181,7 @@ def plan(
     hold: int = 1,
     budget: int | None = None,
     bound: TowBound | None = None,
+    exemplar: Array | None = None,
     met: Callable[[Node], object] | None = None,
 ) -> Plan:
     """Find steps that lead to the goal code.
@@ -175,13 +197,15 @@ def plan(
         hold: consecutive states that shall show the goal.
         budget: simulated actions, instead of the configuration's.
         bound: where the rope's centre must stay; None for anywhere.
+        exemplar: (beads, 3), metres, a rope that shows the goal, to be looked at where distances
+            go by single moves; None for none.
         met: called with every state as it is met, the goal's last.
 
     Returns:
         The first plan found that reaches the goal; for want of one, the plan to the state nearest
         to it.
     """
-    search = _Search(simulation, state, goal, graph, config, rng, steps, hold, bound, met)
+    search = _Search(simulation, state, goal, graph, config, rng, steps, hold, bound, exemplar, met)
     return search.run(config.budget if budget is None else budget)
 
 
@@ -221,6 +245,7 @@ class _Search:
         steps: int,
         hold: int,
         bound: TowBound | None,
+        exemplar: Array | None,
         met: Callable[[Node], object] | None,
     ) -> None:
         self.simulation, self.goal, self.graph = simulation, goal, graph
@@ -229,6 +254,11 @@ class _Search:
         simulation.restore(state[None], [0])
         self.root = Node(state, label_many(simulation.points[:1])[0])
         self.distances = graph.distances(goal, self.root.code)
+        looked_at = None
+        if exemplar is not None and self.distances.by_moves:
+            looked_at = Exemplar(exemplar)
+        self.potential = Potential(self.distances, looked_at)
+        self.root.apart = float(self.potential.apart(simulation.points[:1])[0])
         self.pool = _Pool(self.distances, config)
         self.pool.add(self.root)
         self.towards: dict[GaussCode, Towards] = {}
@@ -271,7 +301,7 @@ class _Search:
             branch, code = self.branches[row], codes[row]
             branch.actions.append(actions[row])
             ended = bool(idle[row]) or self._is_over(branch)
-            if self._is_worth_keeping(branch, code, ended):
+            if self._is_worth_keeping(row, branch, code, ended):
                 node = self._keep(row, branch, code)
                 if code.matches(self.goal):
                     reached = self._hold_goal(row, node)
@@ -294,16 +324,20 @@ class _Search:
         """Whether the branch, or the episode, has no step left."""
         return len(branch.actions) >= self.config.longest or branch.steps >= self.steps
 
-    def _is_worth_keeping(self, branch: _Branch, code: GaussCode, ended: bool) -> bool:
+    def _is_worth_keeping(self, row: int, branch: _Branch, code: GaussCode, ended: bool) -> bool:
         """Whether the state joins the pool: a code just changed, or a macro-action's end.
 
         An end with the code that the branch set out from counts only where that code is stuck: then
-        the same code, lying otherwise, is worth setting out from.
+        the same code, lying otherwise, is worth setting out from; or where it lies more like the
+        exemplar than before.
         """
         if code != branch.code:
             return True
-        stuck = self.pool.tries(branch.node.code) > self.config.stuck
-        return ended and (stuck or code != branch.node.code)
+        if not ended or code != branch.node.code:
+            return ended
+        apart = float(self.potential.apart(self.simulation.points[[row]])[0])
+        nearer = apart < branch.node.apart - exemplars.NEARER
+        return nearer or self.pool.tries(branch.node.code) > self.config.stuck
 
     def _set_out(self, row: int) -> _Branch:
         """Choose a state and a macro-action, and lay a rope there."""
@@ -313,15 +347,17 @@ class _Search:
         if self.rng.random() < self.config.guided:
             if node.code not in self.towards:
                 self.towards[node.code] = Towards(self.graph.steps(node.code, self.distances))
-            macro_action = most_promising(
+            macro_action, promise = most_promising(
                 points,
                 node.code,
                 self.towards[node.code],
-                self.distances,
+                self.potential,
                 self.config,
                 self.rng,
                 self.promises,
             )
+            if promise == node.code and self.potential.exemplar is not None:
+                self.pool.weary(node, exemplars.IDLE)
         else:
             macro_action = propose(points, self.rng, self.config.macro_actions)
         self.controller.begin(row, macro_action)
@@ -336,6 +372,7 @@ class _Search:
             branch.node,
             branch.kind,
             tuple(branch.actions),
+            apart=float(self.potential.apart(self.simulation.points[[row]])[0]),
         )
         if self.met is not None:
             self.met(node)

@@ -150,13 +150,18 @@ def minari_root() -> Path:
 
 def states_file(named: str | None) -> Path:
     """The state file that is meant: by the name of a set that ships (None is "readable"), by the id
-    of a Minari dataset that carries one, or by its path.
+    of a Minari dataset that carries one, or by its path or that of the run that made it.
     """
     if named is None or named in SHIPPED:
         return shipped(named or "readable")
     carried = minari_root() / named / "data" / "states.h5"
     is_id = not leads_out(named) and carried.is_file()
-    return carried if is_id and not Path(named).is_file() else Path(named)
+    return carried if is_id and not Path(named).is_file() else states_at(Path(named))
+
+
+def states_at(path: Path) -> Path:
+    """The state file that a path means: its own, or of a folder the one in it."""
+    return path / "states.h5" if path.is_dir() else path
 
 
 def leads_out(named: str | os.PathLike[str]) -> bool:
