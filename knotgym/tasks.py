@@ -67,9 +67,9 @@ class TaskConfig:
         nx: crossings of the tangled side; convert starts at nx - 1.
         split: rows of the state file to draw from, "train" or "test".
         states: "readable" (the same as None), "random-walk" or "hard-unknots", sets that ship,
-            see `datasets.states.shipped`; or path of a state file, or id of a Minari dataset that
-            carries one. Plain loops, and they alone, come from the readable set where a file has
-            none.
+            see `datasets.states.shipped`; or path of a state file, or of the run that made it, or
+            id of a Minari dataset that carries one. Plain loops, and they alone, come from the
+            readable set where a file has none.
         observation: "pixels", "state", "both" or "symbolic".
         max_goals: so many goal configurations of the split at most are drawn from, the first by
             row; None for all.

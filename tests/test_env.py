@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from knotgym.datasets.states import InvalidStates, States, merge_states, write_states
 from knotgym.env import KnotEnv
+from knotgym.errors import MissingFile
 from knotgym.episode_batch import state_origins
 from knotgym.rendering.observations import SYMBOLS, symbols
 from knotgym.rendering.picture import PictureConfig, draw
@@ -576,10 +577,10 @@ def test_a_missing_state_file_is_named(make: Make, tmp_path: Path) -> None:
 
 def test_the_folder_of_a_run_names_its_states(make: Make, states_path: str, tmp_path: Path) -> None:
     (tmp_path / "states.h5").write_bytes(Path(states_path).read_bytes())
-    env = make(states=str(tmp_path))
-    env.reset(seed=0)
-    with pytest.raises(InvalidStates, match="no state file at .*empty"):
-        (tmp_path / "empty").mkdir()
+    _, told = make(states=str(tmp_path)).reset(seed=0)
+    assert told["start_states"] == "own"
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(MissingFile, match="no state file at .*empty"):
         make(states=str(tmp_path / "empty"))
 
 

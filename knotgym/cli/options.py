@@ -34,7 +34,8 @@ StatesOption = Annotated[
     Path | None,
     option(
         "--states",
-        help="readable (default), random-walk or hard-unknots, which ship, or a state file.",
+        help="readable (default), random-walk or hard-unknots, which ship, or a state file, or the"
+        " folder of the run that made it.",
         group=ENVIRONMENT,
     ),
 ]

@@ -22,6 +22,7 @@ WEIGHT = 1500.0  # macro-actions that a metre from the exemplar counts as
 PATIENCE = 0.02  # metres farther at which a state of a code is e times less likely to be chosen
 STEPS = 300.0  # that a metre counts as when the worst state of a code is dropped
 NEARER = 0.003  # metres by which a state has come nearer if it is worth keeping for that alone
+ANEW = 7000  # simulated actions after which a search begins anew
 IDLE = 2  # tries more that a macro-action counts as when it promises no other code
 _OVERSHOOT = (0.8, 1.3)  # of the way to the exemplar that a bead is led, from and to
 

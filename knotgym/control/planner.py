@@ -7,7 +7,8 @@ the goal before; or any. Every new code on the way joins the pool. MuJoCo repeat
 from an integration state, so a plan that reaches the goal here reaches it.
 
 Beyond what counts of macro-actions tell, where more crossings must share the rope, an exemplar of
-the goal says how: states that lie more like it count as nearer.
+the goal says how: states that lie more like it count as nearer. A search that has got stuck there
+begins anew.
 """
 
 from __future__ import annotations
@@ -259,29 +260,41 @@ class _Search:
             looked_at = Exemplar(exemplar)
         self.potential = Potential(self.distances, looked_at)
         self.root.apart = float(self.potential.apart(simulation.points[:1])[0])
-        self.pool = _Pool(self.distances, config)
-        self.pool.add(self.root)
         self.towards: dict[GaussCode, Towards] = {}
-        self.promises: Promises = Counter()
         self.controller = WaypointController(simulation.count, config.macro_actions)
-        self.branches: dict[int, _Branch] = {}  # by the rope of the simulation
         self.spent = 0
+        self._begin()
 
     def run(self, budget: int) -> Plan:
         """Search until the goal is reached or the budget spent."""
         count = self.config.batch_size
+        nearest: list[Node] = []  # of the searches given up
         while self.spent + count <= budget and self.steps > 0:
+            if self.potential.exemplar and self.spent >= exemplars.ANEW * (len(nearest) + 1):
+                nearest.append(self._nearest())
+                self._begin()
             for row in range(count):
                 if row not in self.branches:
                     self.branches[row] = self._set_out(row)
             reached = self._step()
             if reached is not None:
                 return _plan_to(reached, True, self.spent)
-        nearest = min(
-            self.pool,
-            key=lambda node: (self.distances(node.code), node.steps),
-        )
-        return _plan_to(nearest, False, self.spent)
+        return _plan_to(min([self._nearest(), *nearest], key=self._far), False, self.spent)
+
+    def _begin(self) -> None:
+        """Know nothing but where the rope is."""
+        self.root.tries = 0
+        self.pool = _Pool(self.distances, self.config)
+        self.pool.add(self.root)
+        self.promises: Promises = Counter()
+        self.branches: dict[int, _Branch] = {}  # by the rope of the simulation
+
+    def _nearest(self) -> Node:
+        return min(self.pool, key=self._far)
+
+    def _far(self, node: Node) -> tuple[float, int]:
+        """By code, and the earlier of equals."""
+        return self.distances(node.code), node.steps
 
     def _step(self) -> Node | None:
         """Take one step of every branch; the node at which the goal has been held, if any is."""

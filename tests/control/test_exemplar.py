@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from knotgym.control import exemplar as exemplars
 from knotgym.control.exemplar import WEIGHT, Exemplar, Potential
 from knotgym.control.macro_actions import MacroActionConfig
 from knotgym.control.planner import Plan, plan
@@ -85,3 +86,13 @@ def test_an_exemplar_is_heeded_where_counts_end_and_nowhere_else(knotted: Array)
     for goal, heeded in ((beyond, True), (four, False)):
         plain, guided = planned(goal, None), planned(goal, knotted)
         assert np.array_equal(plain.actions, guided.actions) is not heeded
+
+
+def test_a_search_begun_anew_goes_on_to_its_budget(
+    knotted: Array, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    beyond = str(read_states(shipped("hard-unknots"), images=False).gauss_code[0])
+    at_once = planned(beyond, knotted)
+    monkeypatch.setattr(exemplars, "ANEW", 16)
+    anew = planned(beyond, knotted)
+    assert anew.spent == at_once.spent == 40 and not np.array_equal(anew.actions, at_once.actions)
