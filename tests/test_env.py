@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from knotgym.datasets.states import InvalidStates, States, merge_states, write_states
 from knotgym.env import KnotEnv
-from knotgym.errors import MissingFile
 from knotgym.episode_batch import state_origins
+from knotgym.errors import MissingFile
 from knotgym.rendering.observations import SYMBOLS, symbols
 from knotgym.rendering.picture import PictureConfig, draw
 from knotgym.simulation import InvalidAction
