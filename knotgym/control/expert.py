@@ -123,7 +123,6 @@ class Expert:
             hold=max(1, hold - held) if held else hold,
             budget=self.config.budget - progress.spent,
             bound=episodes.tow_bound(index),
-            exemplar=episodes.goal_points(index),
         )
 
     def _act_without_plan(

@@ -10,7 +10,6 @@ from collections import Counter
 
 import numpy as np
 
-from knotgym.control.exemplar import Potential
 from knotgym.control.macro_actions import (
     MacroAction,
     cumulative_shares,
@@ -54,50 +53,42 @@ def promising(
     """A macro-action that promises to lead towards the goal of `distances`."""
     code = find_crossings(points).code
     steps = Towards(graph.steps(code, distances))
-    return most_promising(points, code, steps, Potential(distances), config, rng, Counter())[0]
+    return most_promising(points, code, steps, distances, config, rng, Counter())
 
 
 def most_promising(
     points: Array,
     code: GaussCode,
     towards: Towards,
-    potential: Potential,
+    distances: Distances,
     config: PlannerConfig,
     rng: np.random.Generator,
     promises: Promises,
-) -> tuple[MacroAction, GaussCode]:
-    """Of some macro-actions the one whose surrogate rollout comes nearest to the goal, and the code
-    that it promises.
+) -> MacroAction:
+    """Of some macro-actions the one whose surrogate rollout comes nearest to the goal.
 
-    Every second one follows a template that made a change towards the goal before, every fourth
-    leads a bead to where an exemplar has it. What a rollout promises counts the less the oftener a
-    macro-action was chosen for the same promise; the choice is counted in `promises`.
+    Every second one follows a template that made a change towards the goal before. What a rollout
+    promises counts the less the oftener a macro-action was chosen for the same promise; the choice
+    is counted in `promises`.
     """
     places = Places(find_crossings(points), len(points))
-    here = float(potential([code], points[None])[0])
-    best, promise, chosen = -np.inf, code, None
+    here, best, promise, chosen = distances(code), -np.inf, code, None
     for number in range(config.surrogate_rollouts):
         if towards.steps and number % 2 == 0:
             template = towards.draw(rng)
             macro_action = _from_template(points, template, places, config, rng)
-        elif potential.exemplar is not None and number % 4 == 1:
-            macro_action = potential.exemplar.propose(points, rng, config.macro_actions)
         else:
             macro_action = propose(points, rng, config.macro_actions)
         frames = surrogate_rollout(
             points, macro_action, config.macro_actions.arrived, config.surrogate
         )
-        codes = label_many(frames)
-        left = potential(codes, frames)
-        nearest = codes[int(left.argmin())]
-        gain = here - float(left.min())
-        if nearest != code:
-            gain /= 1 + promises[code, nearest] / config.trust
+        nearest = min(label_many(frames), key=distances)
+        gain = (here - distances(nearest)) / (1 + promises[code, nearest] / config.trust)
         if gain > best:
             best, promise, chosen = gain, nearest, macro_action
     assert chosen is not None  # there is at least one, and no distance is infinite
     promises[code, promise] += 1
-    return chosen, promise
+    return chosen
 
 
 def _from_template(

@@ -112,12 +112,16 @@ def move_aside(
     A shift is lifted (side +1) or lowered (-1).
     """
     offset = points[bead, :2] - points[:, :2].mean(axis=0)
+    height = points[bead, 2]
     if kind == "spread":
         side = 0
         heading = np.arctan2(offset[1], offset[0]) + rng.normal(0, config.spread_angle)
     else:
+        height = height + side * config.lift
         heading = rng.uniform(-np.pi, np.pi)
-    return lead(points, kind, bead, heading, rng.uniform(*config.distance), side, config)
+    far = rng.uniform(*config.distance)
+    waypoints = _waypoints(points, bead, heading, height, min(config.rise, far), far)
+    return MacroAction(kind, bead, waypoints, side=side)
 
 
 def pass_strand(
@@ -137,21 +141,6 @@ def pass_strand(
     reach = far + rng.uniform(*config.beyond)
     waypoints = _waypoints(points, bead, heading, height, min(config.rise, far), reach)
     return MacroAction(kind, bead, waypoints, target, side)
-
-
-def lead(
-    points: Array,
-    kind: str,
-    bead: int,
-    heading: float,
-    reach: float,
-    side: int,
-    config: MacroActionConfig,
-) -> MacroAction:
-    """Lead `bead` so far in a direction, lifted (side +1) or lowered (-1) on the way."""
-    height = points[bead, 2] + side * config.lift
-    waypoints = _waypoints(points, bead, heading, height, min(config.rise, reach), reach)
-    return MacroAction(kind, bead, waypoints, side=side)
 
 
 def _waypoints(

@@ -5,10 +5,6 @@ near the goal, as the transition graph tells, each through one macro-action: the
 several whose surrogate rollouts are looked at, some of them like those that made a change towards
 the goal before; or any. Every new code on the way joins the pool. MuJoCo repeats itself bit for bit
 from an integration state, so a plan that reaches the goal here reaches it.
-
-Beyond what counts of macro-actions tell, where more crossings must share the rope, an exemplar of
-the goal says how: states that lie more like it count as nearer. A search that has got stuck there
-begins anew.
 """
 
 from __future__ import annotations
@@ -21,9 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.control import exemplar as exemplars
 from knotgym.control.action_sequence import Ropes, step_ropes
-from knotgym.control.exemplar import Exemplar, Potential
 from knotgym.control.guidance import Promises, Towards, most_promising
 from knotgym.control.macro_actions import WaypointController, cumulative_shares, propose
 from knotgym.control.planner_config import PlannerConfig
@@ -48,7 +42,6 @@ class Node:
         kind: of that macro-action.
         actions: of that macro-action up to here, float32 (k, 6).
         tries: macro-actions that set out from here.
-        apart: metres from the goal's exemplar, 0 where none is looked at.
     """
 
     state: Array
@@ -58,7 +51,6 @@ class Node:
     kind: str = ""
     actions: tuple[NDArray[np.float32], ...] = ()
     tries: int = 0
-    apart: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +80,6 @@ class _Pool:
         self._far = np.empty(0)
         self._tries = np.empty(0, dtype=np.int64)
         self._earliest = np.empty(0, dtype=np.int64)
-        self._apart = np.empty(0)
         self._left = np.empty(0)  # steps to the goal, about
 
     def __iter__(self) -> Iterator[Node]:
@@ -105,9 +96,9 @@ class _Pool:
         nodes = self._nodes[row]
         nodes.append(node)
         if len(nodes) > self._config.kept:
-            nodes.remove(max(nodes, key=self._cost))
+            cost = self._config.try_cost
+            nodes.remove(max(nodes, key=lambda node: node.steps + cost * node.tries))
         self._earliest[row] = min([node.steps for node in nodes])
-        self._apart[row] = min([node.apart for node in nodes])
 
     def tries(self, code: GaussCode) -> int:
         """How often a state with this code was set out from."""
@@ -117,30 +108,18 @@ class _Pool:
         """Draw a code, near and early ones more often, then a state that shows it."""
         config = self._config
         late = self._earliest + self._left
-        far = self._far + exemplars.WEIGHT * self._apart
         weights = (
-            (1 + far) ** -config.greed
+            (1 + self._far) ** -config.greed
             / (1 + self._tries / config.weariness)
             * np.exp(-(late - late.min()) / config.patience)
         )
         row = _drawn(weights, rng)
         nodes = self._nodes[row]
-        late = np.array([node.steps / config.patience for node in nodes])
-        apart = np.array([node.apart - self._apart[row] for node in nodes]) / exemplars.PATIENCE
-        fresh = np.exp(-late - apart) / np.array([1 + node.tries for node in nodes])
-        node = nodes[_drawn(fresh, rng)]
+        fresh = [np.exp(-node.steps / config.patience) / (1 + node.tries) for node in nodes]
+        node = nodes[_drawn(np.array(fresh), rng)]
         node.tries += 1
         self._tries[row] += 1
         return node
-
-    def weary(self, node: Node, tries: int) -> None:
-        """Count further tries of a state."""
-        node.tries += tries
-        self._tries[self._rows[node.code]] += tries
-
-    def _cost(self, node: Node) -> float:
-        """Steps, and what counts as such."""
-        return node.steps + self._config.try_cost * node.tries + exemplars.STEPS * node.apart
 
     def _row(self, code: GaussCode) -> int:
         """The row of a code, which may be new."""
@@ -150,7 +129,6 @@ class _Pool:
             self._far = np.append(self._far, self._distances(code))
             self._tries = np.append(self._tries, 0)
             self._earliest = np.append(self._earliest, 0)
-            self._apart = np.append(self._apart, 0.0)
             self._left = np.append(self._left, self._config.stride * self.hops(code))
         return self._rows[code]
 
@@ -182,7 +160,6 @@ def plan(
     hold: int = 1,
     budget: int | None = None,
     bound: TowBound | None = None,
-    exemplar: Array | None = None,
     met: Callable[[Node], object] | None = None,
 ) -> Plan:
     """Find steps that lead to the goal code.
@@ -198,15 +175,13 @@ def plan(
         hold: consecutive states that shall show the goal.
         budget: simulated actions, instead of the configuration's.
         bound: where the rope's centre must stay; None for anywhere.
-        exemplar: (beads, 3), metres, a rope that shows the goal, to be looked at where distances
-            go by single moves; None for none.
         met: called with every state as it is met, the goal's last.
 
     Returns:
         The first plan found that reaches the goal; for want of one, the plan to the state nearest
         to it.
     """
-    search = _Search(simulation, state, goal, graph, config, rng, steps, hold, bound, exemplar, met)
+    search = _Search(simulation, state, goal, graph, config, rng, steps, hold, bound, met)
     return search.run(config.budget if budget is None else budget)
 
 
@@ -246,7 +221,6 @@ class _Search:
         steps: int,
         hold: int,
         bound: TowBound | None,
-        exemplar: Array | None,
         met: Callable[[Node], object] | None,
     ) -> None:
         self.simulation, self.goal, self.graph = simulation, goal, graph
@@ -255,46 +229,29 @@ class _Search:
         simulation.restore(state[None], [0])
         self.root = Node(state, label_many(simulation.points[:1])[0])
         self.distances = graph.distances(goal, self.root.code)
-        looked_at = None
-        if exemplar is not None and self.distances.by_moves:
-            looked_at = Exemplar(exemplar)
-        self.potential = Potential(self.distances, looked_at)
-        self.root.apart = float(self.potential.apart(simulation.points[:1])[0])
+        self.pool = _Pool(self.distances, config)
+        self.pool.add(self.root)
         self.towards: dict[GaussCode, Towards] = {}
+        self.promises: Promises = Counter()
         self.controller = WaypointController(simulation.count, config.macro_actions)
+        self.branches: dict[int, _Branch] = {}  # by the rope of the simulation
         self.spent = 0
-        self._begin()
 
     def run(self, budget: int) -> Plan:
         """Search until the goal is reached or the budget spent."""
         count = self.config.batch_size
-        nearest: list[Node] = []  # of the searches given up
         while self.spent + count <= budget and self.steps > 0:
-            if self.potential.exemplar and self.spent >= exemplars.ANEW * (len(nearest) + 1):
-                nearest.append(self._nearest())
-                self._begin()
             for row in range(count):
                 if row not in self.branches:
                     self.branches[row] = self._set_out(row)
             reached = self._step()
             if reached is not None:
                 return _plan_to(reached, True, self.spent)
-        return _plan_to(min([self._nearest(), *nearest], key=self._far), False, self.spent)
-
-    def _begin(self) -> None:
-        """Know nothing but where the rope is."""
-        self.root.tries = 0
-        self.pool = _Pool(self.distances, self.config)
-        self.pool.add(self.root)
-        self.promises: Promises = Counter()
-        self.branches: dict[int, _Branch] = {}  # by the rope of the simulation
-
-    def _nearest(self) -> Node:
-        return min(self.pool, key=self._far)
-
-    def _far(self, node: Node) -> tuple[float, int]:
-        """By code, and the earlier of equals."""
-        return self.distances(node.code), node.steps
+        nearest = min(
+            self.pool,
+            key=lambda node: (self.distances(node.code), node.steps),
+        )
+        return _plan_to(nearest, False, self.spent)
 
     def _step(self) -> Node | None:
         """Take one step of every branch; the node at which the goal has been held, if any is."""
@@ -314,7 +271,7 @@ class _Search:
             branch, code = self.branches[row], codes[row]
             branch.actions.append(actions[row])
             ended = bool(idle[row]) or self._is_over(branch)
-            if self._is_worth_keeping(row, branch, code, ended):
+            if self._is_worth_keeping(branch, code, ended):
                 node = self._keep(row, branch, code)
                 if code.matches(self.goal):
                     reached = self._hold_goal(row, node)
@@ -337,20 +294,16 @@ class _Search:
         """Whether the branch, or the episode, has no step left."""
         return len(branch.actions) >= self.config.longest or branch.steps >= self.steps
 
-    def _is_worth_keeping(self, row: int, branch: _Branch, code: GaussCode, ended: bool) -> bool:
+    def _is_worth_keeping(self, branch: _Branch, code: GaussCode, ended: bool) -> bool:
         """Whether the state joins the pool: a code just changed, or a macro-action's end.
 
         An end with the code that the branch set out from counts only where that code is stuck: then
-        the same code, lying otherwise, is worth setting out from; or where it lies more like the
-        exemplar than before.
+        the same code, lying otherwise, is worth setting out from.
         """
         if code != branch.code:
             return True
-        if not ended or code != branch.node.code:
-            return ended
-        apart = float(self.potential.apart(self.simulation.points[[row]])[0])
-        nearer = apart < branch.node.apart - exemplars.NEARER
-        return nearer or self.pool.tries(branch.node.code) > self.config.stuck
+        stuck = self.pool.tries(branch.node.code) > self.config.stuck
+        return ended and (stuck or code != branch.node.code)
 
     def _set_out(self, row: int) -> _Branch:
         """Choose a state and a macro-action, and lay a rope there."""
@@ -360,17 +313,15 @@ class _Search:
         if self.rng.random() < self.config.guided:
             if node.code not in self.towards:
                 self.towards[node.code] = Towards(self.graph.steps(node.code, self.distances))
-            macro_action, promise = most_promising(
+            macro_action = most_promising(
                 points,
                 node.code,
                 self.towards[node.code],
-                self.potential,
+                self.distances,
                 self.config,
                 self.rng,
                 self.promises,
             )
-            if promise == node.code and self.potential.exemplar is not None:
-                self.pool.weary(node, exemplars.IDLE)
         else:
             macro_action = propose(points, self.rng, self.config.macro_actions)
         self.controller.begin(row, macro_action)
@@ -385,7 +336,6 @@ class _Search:
             branch.node,
             branch.kind,
             tuple(branch.actions),
-            apart=float(self.potential.apart(self.simulation.points[[row]])[0]),
         )
         if self.met is not None:
             self.met(node)

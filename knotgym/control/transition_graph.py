@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.configuration import check_numbers
-from knotgym.control.diagram_moves import DOWN_COST, below, leading_down, leading_to
+from knotgym.control.diagram_moves import DOWN_COST, below, leading_to
 from knotgym.control.transition_counts import ELEMENTS, MacroTemplate, TransitionCounts
 from knotgym.topology.diagrams import chiralities
 from knotgym.topology.gauss import GaussCode
@@ -186,15 +186,12 @@ class TransitionGraph:
             code: with chirality.
             distances: to the goal, of this graph.
         """
-        base, here, arcs = canonical_form(code), distances(code), 2 * code.nx + 1
-        towards = distances.moved.get(code, []).copy()
-        if distances.by_moves and code.nx > _COUNTED_NX:
-            for after, cost, templates in leading_down(code):
-                gain = here - distances(after)
-                if gain > 1e-9:
-                    towards.append(Step(after, 1 / cost, gain, templates, 0, arcs))
+        base = canonical_form(code)
+        towards = distances.moved.get(code, [])
         if base not in self._out:
             return towards
+        towards = towards.copy()
+        here, arcs = distances(code), 2 * code.nx + 1
         keys, shown, chances = self._out[base]
         for image, member in enumerate(images(code)):
             if member != base:

@@ -22,31 +22,12 @@ class Removal(NamedTuple):
         kink: it was a first move.
         over, under: arcs of it that the crossings taken out lay on, the upper strand's and the
             lower one's; the same for a kink.
-        upper, lower: the sides of the bigon, arcs of the code moved; the same for a kink's loop.
     """
 
     code: GaussCode
     kink: bool
     over: int
     under: int
-    upper: int
-    lower: int
-
-
-class Sideways(NamedTuple):
-    """A move that keeps the number of crossings.
-
-    Attributes:
-        code: after it.
-        slid: the base point went past the first visit (1) or back past the last (-1); 0 for a
-            third move.
-        triangle: the upper, middle and lower side's arcs, the same before and after; none where
-            the base point moved.
-    """
-
-    code: GaussCode
-    slid: int
-    triangle: tuple[int, ...]
 
 
 def removals(code: GaussCode) -> Iterator[Removal]:
@@ -64,7 +45,7 @@ def removals(code: GaussCode) -> Iterator[Removal]:
         first, second = visits[k - 1], visits[k]
         if first == -second:
             arc = k - 1 if k else 0
-            yield Removal(_without(code, {abs(first)}), True, arc, arc, k, k)
+            yield Removal(_without(code, {abs(first)}), True, arc, arc)
         elif (
             first > 0
             and second > 0
@@ -72,35 +53,34 @@ def removals(code: GaussCode) -> Iterator[Removal]:
             and (place[-first] - place[-second]) % count in (1, count - 1)
         ):
             taken = {first, second}
-            sides = k, _later(place[-first], place[-second])
             over, under = [
-                sum(abs(visit) not in taken for visit in visits[:start]) for start in sides
+                sum(abs(visit) not in taken for visit in visits[:start])
+                for start in (k, _later(place[-first], place[-second]))
             ]
-            yield Removal(_without(code, taken), False, over, under, *sides)
+            yield Removal(_without(code, taken), False, over, under)
 
 
-def sideways(code: GaussCode) -> Iterator[Sideways]:
+def sideways(code: GaussCode) -> Iterator[GaussCode]:
     """Codes as long, one move away: the base point past a crossing, and every third move.
 
     >>> sum(1 for _ in sideways(GaussCode.parse("1+a,1-a")))
     2
     """
     if code.nx:
-        yield Sideways(code.rebased(1), 1, ())
-        yield Sideways(code.rebased(-1), -1, ())
+        yield code.rebased(1)
+        yield code.rebased(-1)
     visits, count = code.visits, len(code.visits)
     for face in faces(code) if code.nx >= 3 else ():
         edges = [dart // 2 for dart in face]
         ends = [(visits[edge], visits[(edge + 1) % count]) for edge in edges]
         labels = {abs(visit) for pair in ends for visit in pair}
-        heights = [(a > 0) + (b > 0) for a, b in ends]
-        if len(face) == len(labels) == 3 and sorted(heights) == [0, 1, 2]:
+        heights = sorted((a > 0) + (b > 0) for a, b in ends)
+        if len(face) == len(labels) == 3 and heights == [0, 1, 2]:
             moved = list(visits)
             for edge in edges:
                 after = (edge + 1) % count
                 moved[edge], moved[after] = moved[after], moved[edge]
-            sides = tuple(edges[heights.index(height)] + 1 for height in (2, 1, 0))
-            yield Sideways(code.of_visits(tuple(moved)), 0, sides)
+            yield code.of_visits(tuple(moved))
 
 
 def _later(one: int, other: int) -> int:
