@@ -2,10 +2,13 @@
 
     python benchmarks/learner_curves.py matrix evaluations/*.json --out docs/generalization
     python benchmarks/learner_curves.py data evaluations/*.json --out docs/data-curve
+    python benchmarks/learner_curves.py goals evaluations/*.json --out docs/goal-curve
 
-`matrix` shows success by the learner, a row each, and the crossings it was tested at, a column
-each; `data` success by the number of episodes that learners were trained on. Files of one set-up
-with different seeds are counted together. Writes OUT.svg, and OUT.json with the rows behind it.
+`matrix` shows success by the learner, a row each, and the set-ups it was tested at, a column each;
+`data` success by the number of episodes that learners were trained on; `goals` by that of goal
+configurations, the `--max-goals` that a learner was tried with on the train split. Files of one
+set-up with different seeds are counted together. Writes OUT.svg, and OUT.json with the rows behind
+it.
 """
 
 from __future__ import annotations
@@ -24,6 +27,7 @@ from knotgym.generate.episodes.suite_scores import InvalidScores, read_scores
 INK, PALE, LINE = "#222222", "#767676", "#2a6f97"
 CELL, LEFT, TOP = 96, 190, 64  # pixels
 WIDE, HIGH = 420, 240  # of the field of a curve
+WORDS = {"data": "episodes trained on", "goals": "goal configurations trained on"}
 Row = dict[str, Any]
 
 
@@ -57,15 +61,17 @@ def interval(row: Row) -> str:
 def matrix(rows: Sequence[Row], names: dict[str, str]) -> str:
     """Learners by crossings; every cell has its rate, interval and number of episodes."""
     learners = [policy for policy in names if any(row["policy"] == policy for row in rows)]
-    columns = sorted({row["nx"] for row in rows})
-    cells = {(row["policy"], row["nx"]): row for row in rows}
+    columns = sorted({(row["task"], row["nx"]) for row in rows})
+    cells = {(row["policy"], row["task"], row["nx"]): row for row in rows}
     parts = [text(LEFT + CELL * len(columns) / 2, 22, "tested at")]
-    parts += [text(LEFT + CELL * (i + 0.5), 48, f"nx {nx}") for i, nx in enumerate(columns)]
+    parts += [
+        text(LEFT + CELL * (i + 0.5), 48, f"{task} {nx}") for i, (task, nx) in enumerate(columns)
+    ]
     for j, policy in enumerate(learners):
         y = TOP + CELL * j
         parts.append(text(LEFT - 12, y + CELL / 2 + 4, names[policy], "end"))
-        for i, nx in enumerate(columns):
-            row, x = cells.get((policy, nx)), LEFT + CELL * i
+        for i, setup in enumerate(columns):
+            row, x = cells.get((policy, *setup)), LEFT + CELL * i
             if row is None:
                 parts.append(text(x + CELL / 2, y + CELL / 2, "not run", colour=PALE))
                 continue
@@ -82,13 +88,13 @@ def matrix(rows: Sequence[Row], names: dict[str, str]) -> str:
     return picture(LEFT + CELL * len(columns) + 20, TOP + CELL * len(learners) + 16, parts)
 
 
-def data_curve(rows: Sequence[Row]) -> str:
-    """Success by episodes of training, the latter on a logarithmic axis, with intervals."""
-    numbers = sorted({row["training"]["episodes"] for row in rows})
-    low, high = math.log(numbers[0] / 1.3), math.log(numbers[-1] * 1.3)
+def curve(rows: Sequence[Row], numbers: dict[str, int], words: str) -> str:
+    """Success by a number that each policy has, on a logarithmic axis, with intervals."""
+    marks = sorted(set(numbers.values()))
+    low, high = math.log(marks[0] / 1.3), math.log(marks[-1] * 1.3)
 
-    def at(episodes: int, rate: float) -> tuple[float, float]:
-        share = (math.log(episodes) - low) / (high - low)
+    def at(number: int, rate: float) -> tuple[float, float]:
+        share = (math.log(number) - low) / (high - low)
         return 70 + WIDE * share, 30 + HIGH * (1 - rate)
 
     parts = []
@@ -96,33 +102,50 @@ def data_curve(rows: Sequence[Row]) -> str:
         y = 30 + HIGH * (1 - k / 5)
         parts.append(f'<path d="M70 {y:.1f}h{WIDE}" stroke="#e3e3e3"/>')
         parts.append(text(62, y + 4, f"{20 * k} %", "end", PALE))
-    for number in numbers:
+    for number in marks:
         parts.append(text(at(number, 0)[0], 30 + HIGH + 20, number, colour=PALE))
-    parts.append(text(70 + WIDE / 2, 30 + HIGH + 44, "episodes trained on"))
-    setups = sorted({(row["task"], row["nx"]) for row in rows})
-    for k, setup in enumerate(setups):
-        own = sorted(
-            (row for row in rows if (row["task"], row["nx"]) == setup),
-            key=lambda row: row["training"]["episodes"],
-        )
+    parts.append(text(70 + WIDE / 2, 30 + HIGH + 44, words))
+    lines = sorted({(row["task"], row["nx"], row["split"]) for row in rows})
+    for k, line in enumerate(lines):
+        own = [row for row in rows if (row["task"], row["nx"], row["split"]) == line]
+        own.sort(key=lambda row: numbers[row["policy"]])
         dash = f' stroke-dasharray="{2 + 4 * k} {4 * k}"' if k else ""
-        points = [at(row["training"]["episodes"], row["success_rate"]) for row in own]
-        line = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
+        points = [at(numbers[row["policy"]], row["success_rate"]) for row in own]
+        drawn = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
         parts.append(
-            f'<polyline points="{line}" fill="none" stroke="{LINE}" stroke-width="2"{dash}/>'
+            f'<polyline points="{drawn}" fill="none" stroke="{LINE}" stroke-width="2"{dash}/>'
         )
         for (x, y), row in zip(points, own, strict=True):
             below, above = (at(1, rate)[1] for rate in row["interval"])
             parts.append(f'<path d="M{x:.1f} {below:.1f}V{above:.1f}" stroke="{LINE}"/>')
             parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="{LINE}"/>')
         x, y = points[-1]
-        parts.append(text(x + 12, y + 4, f"{setup[0]} nx {setup[1]}", "start", LINE))
-    return picture(70 + WIDE + 110, 30 + HIGH + 60, parts)
+        parts.append(text(x + 12, y + 4, f"{line[0]} nx {line[1]}, {line[2]}", "start", LINE))
+    return picture(70 + WIDE + 130, 30 + HIGH + 60, parts)
+
+
+def numbers_of(kind: str, rows: Sequence[Row]) -> dict[str, int]:
+    """What a curve is drawn over, for each policy."""
+    if kind == "data":
+        told = {row["policy"]: row["training"].get("episodes") for row in rows}
+        missing = "doesn't say how many episodes it was trained on"
+    else:
+        told = dict.fromkeys(row["policy"] for row in rows)
+        told |= {
+            row["policy"]: row["rules"]["max_goals"]
+            for row in rows
+            if row["split"] == "train" and row["rules"]["max_goals"] is not None
+        }
+        missing = "wasn't tried on the train split with --max-goals"
+    for policy, number in told.items():
+        if number is None:
+            sys.exit(f"{policy} {missing}")
+    return told
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("kind", choices=("matrix", "data"))
+    parser.add_argument("kind", choices=("matrix", "data", "goals"))
     parser.add_argument("evaluations", type=Path, nargs="+")
     parser.add_argument("--out", type=Path, required=True, help="without .svg and .json")
     parser.add_argument(
@@ -133,13 +156,14 @@ def main() -> None:
         rows = read_scores(given.evaluations)
     except InvalidScores as error:
         sys.exit(str(error))
-    if given.kind == "data" and not all("episodes" in row["training"] for row in rows):
-        sys.exit("a file doesn't say how many episodes its learner was trained on")
     told = dict(pair.split("=", 1) for pair in given.names.split(",") if "=" in pair)
     policies = {Path(row["policy"]).name: row["policy"] for row in rows}
     order = [*[name for name in told if name in policies], *sorted({*policies} - {*told})]
     names = {policies[name]: told.get(name, name) for name in order}
-    drawn = matrix(rows, names) if given.kind == "matrix" else data_curve(rows)
+    if given.kind == "matrix":
+        drawn = matrix(rows, names)
+    else:
+        drawn = curve(rows, numbers_of(given.kind, rows), WORDS[given.kind])
     given.out.with_suffix(".svg").write_text(drawn, encoding="utf-8")
     for row in rows:
         row["policy"] = Path(row["policy"]).name  # no folder of this machine

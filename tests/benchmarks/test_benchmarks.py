@@ -140,15 +140,15 @@ def test_evaluations_make_the_table_of_learners(tmp_path: Path) -> None:
         run_script(FOLDER / "results.py", tmp_path / "one.json", *words)
 
 
-def test_evaluations_make_the_matrix_and_the_data_curve(tmp_path: Path) -> None:
-    for name, episodes in (("nx2", 270), ("nx3", 540)):
+def test_evaluations_make_the_matrix_and_the_curves(tmp_path: Path) -> None:
+    for name, episodes, goals in (("nx2", 270, 5), ("nx3", 540, 20)):
         told = {
             "version": "1.0.0",
             "learners": {name: {"weights_sha256": name, "seconds": 1, "episodes": episodes}},
-            "settings": {"task": {"states": None}, "seed": 0},
+            "settings": {"task": {"states": None, "max_goals": goals}, "seed": 0},
             "results": [
                 {
-                    **{"policy": name, "task": "tie", "nx": nx, "split": "test", "episodes": 4},
+                    **{"policy": name, "task": "tie", "nx": nx, "split": "train", "episodes": 4},
                     **{"successes": 3, "success_rate": 0.75, "low": 0.3, "high": 0.95},
                     **{"steps": 9.5, "planned_actions": 10.0, "planning_seconds": 0.5},
                 }
@@ -157,7 +157,12 @@ def test_evaluations_make_the_matrix_and_the_data_curve(tmp_path: Path) -> None:
         }
         (tmp_path / f"{name}.json").write_text(json.dumps(told))
     files = sorted(tmp_path.glob("nx*.json"))
-    for kind, words in {"matrix": ("75 %", "30 to 95", "of 4"), "data": ("270", "540")}.items():
+    shown = {
+        "matrix": ("75 %", "30 to 95", "of 4", "tie 3"),
+        "data": ("270", "540", "tie nx 3, train"),
+        "goals": (">5<", ">20<", "goal configurations"),
+    }
+    for kind, words in shown.items():
         run_script(FOLDER / "learner_curves.py", kind, *files, "--out", tmp_path / kind)
         drawn = (tmp_path / f"{kind}.svg").read_text()
         assert all(word in drawn for word in words)
