@@ -28,6 +28,7 @@ from knotgym.topology.gauss import GaussCode
 from knotgym.towing import TowBound
 
 REST = "rest"  # the kind of a step with no force, by which a code is held
+ANEW = 20_000  # simulated actions after which a search begins anew: other draws may have more luck
 
 
 @dataclass(eq=False)
@@ -173,7 +174,8 @@ def plan(
         rng: decides what is tried.
         steps: that there are.
         hold: consecutive states that shall show the goal.
-        budget: simulated actions, instead of the configuration's.
+        budget: simulated actions, instead of the configuration's; after ANEW of them the search
+            begins anew.
         bound: where the rope's centre must stay; None for anywhere.
         met: called with every state as it is met, the goal's last.
 
@@ -181,8 +183,18 @@ def plan(
         The first plan found that reaches the goal; for want of one, the plan to the state nearest
         to it.
     """
-    search = _Search(simulation, state, goal, graph, config, rng, steps, hold, bound, met)
-    return search.run(config.budget if budget is None else budget)
+    limit = config.budget if budget is None else budget
+    spent, nearest = 0, list[Node]()
+    while True:
+        search = _Search(simulation, state, goal, graph, config, rng, steps, hold, bound, met)
+        reached = search.run(min(ANEW, limit - spent))
+        spent += search.spent
+        if reached is not None:
+            return _plan_to(reached, True, spent)
+        nearest.append(min(search.pool, key=search.far))
+        if spent + config.batch_size > limit or not search.spent:
+            break
+    return _plan_to(min(nearest, key=search.far), False, spent)
 
 
 def reason(before: GaussCode, after: GaussCode, kind: str) -> str:
@@ -237,8 +249,8 @@ class _Search:
         self.branches: dict[int, _Branch] = {}  # by the rope of the simulation
         self.spent = 0
 
-    def run(self, budget: int) -> Plan:
-        """Search until the goal is reached or the budget spent."""
+    def run(self, budget: int) -> Node | None:
+        """Search until the goal is reached or the budget spent; the node that reaches it."""
         count = self.config.batch_size
         while self.spent + count <= budget and self.steps > 0:
             for row in range(count):
@@ -246,12 +258,12 @@ class _Search:
                     self.branches[row] = self._set_out(row)
             reached = self._step()
             if reached is not None:
-                return _plan_to(reached, True, self.spent)
-        nearest = min(
-            self.pool,
-            key=lambda node: (self.distances(node.code), node.steps),
-        )
-        return _plan_to(nearest, False, self.spent)
+                return reached
+        return None
+
+    def far(self, node: Node) -> tuple[float, int]:
+        """How far a state's code is from the goal, and after how many steps it was met."""
+        return self.distances(node.code), node.steps
 
     def _step(self) -> Node | None:
         """Take one step of every branch; the node at which the goal has been held, if any is."""

@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from knotgym.control import planner
 from knotgym.control.expert import BLIND, Expert
-from knotgym.control.planner import plan, reason
+from knotgym.control.planner import Node, Plan, plan, reason
 from knotgym.control.planner_config import InvalidPlanner, PlannerConfig
 from knotgym.control.transition_counts import (
     ELEMENTS,
@@ -266,6 +267,33 @@ def test_planning_keeps_its_budget_and_says_what_it_spent() -> None:
         steps=50,
     )
     assert not planned.solved and planned.spent == 28
+
+
+def test_a_search_that_has_had_its_chance_begins_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    def searched(budget: int) -> tuple[list[Node], Plan]:
+        simulation, met = Simulation(4), list[Node]()
+        planned = plan(
+            simulation,
+            simulation.states([0])[0],
+            codes_of("0_1", 4)[0],
+            shipped_transition_graph(GRAPH),
+            PlannerConfig(batch_size=4),
+            np.random.default_rng(0),
+            steps=50,
+            budget=budget,
+            met=met.append,
+        )
+        return met, planned
+
+    def root(node: Node) -> Node:
+        return node if node.before is None else root(node.before)
+
+    monkeypatch.setattr(planner, "ANEW", 60)
+    met, planned = searched(180)
+    assert planned.spent == 180 and not planned.solved
+    assert len({id(root(node)) for node in met}) == 3
+    first, _ = searched(60)
+    assert [node.code for node in met[: len(first)]] == [node.code for node in first]
 
 
 def test_with_its_budget_gone_the_expert_goes_on_without_looking_ahead(states_path: str) -> None:
