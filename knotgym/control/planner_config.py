@@ -20,7 +20,8 @@ class PlannerConfig:
     """How hard to plan.
 
     Attributes:
-        budget: simulated actions for one episode at most, all its plans together.
+        budget: simulated actions for one episode at most, all its plans together. A search that
+            has had `planner.ANEW` of them begins anew, for other draws may have more luck.
         batch_size: copies of the rope led side by side.
         guided: share of macro-actions that are chosen by surrogate rollouts; the others are any.
         surrogate_rollouts: macro-actions looked at for each one so chosen.
