@@ -24,7 +24,8 @@ from xml.sax.saxutils import escape
 
 from knotgym.generate.episodes.suite_scores import InvalidScores, read_scores
 
-INK, PALE, LINE = "#222222", "#767676", "#2a6f97"
+INK, PALE = "#222222", "#767676"
+COLOURS = ("#2a6f97", "#b5482e", "#4f772d", "#6d597a")  # of the lines of a curve
 CELL, LEFT, TOP = 96, 190, 64  # pixels
 WIDE, HIGH = 420, 240  # of the field of a curve
 WORDS = {"data": "episodes trained on", "goals": "goal configurations trained on"}
@@ -92,16 +93,17 @@ def curve(rows: Sequence[Row], numbers: dict[str, int], words: str) -> str:
     """Success by a number that each policy has, on a logarithmic axis, with intervals."""
     marks = sorted(set(numbers.values()))
     low, high = math.log(marks[0] / 1.3), math.log(marks[-1] * 1.3)
+    most = math.ceil(10 * max(row["interval"][1] for row in rows)) / 10  # of the field
 
     def at(number: int, rate: float) -> tuple[float, float]:
         share = (math.log(number) - low) / (high - low)
-        return 70 + WIDE * share, 30 + HIGH * (1 - rate)
+        return 70 + WIDE * share, 30 + HIGH * (1 - rate / most)
 
     parts = []
     for k in range(6):
         y = 30 + HIGH * (1 - k / 5)
         parts.append(f'<path d="M70 {y:.1f}h{WIDE}" stroke="#e3e3e3"/>')
-        parts.append(text(62, y + 4, f"{20 * k} %", "end", PALE))
+        parts.append(text(62, y + 4, f"{20 * k * most:.0f} %", "end", PALE))
     for number in marks:
         parts.append(text(at(number, 0)[0], 30 + HIGH + 20, number, colour=PALE))
     parts.append(text(70 + WIDE / 2, 30 + HIGH + 44, words))
@@ -109,19 +111,17 @@ def curve(rows: Sequence[Row], numbers: dict[str, int], words: str) -> str:
     for k, line in enumerate(lines):
         own = [row for row in rows if (row["task"], row["nx"], row["split"]) == line]
         own.sort(key=lambda row: numbers[row["policy"]])
-        dash = f' stroke-dasharray="{2 + 4 * k} {4 * k}"' if k else ""
+        colour, aside = COLOURS[k % len(COLOURS)], 4 * k  # so that intervals don't hide each other
         points = [at(numbers[row["policy"]], row["success_rate"]) for row in own]
-        drawn = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
-        parts.append(
-            f'<polyline points="{drawn}" fill="none" stroke="{LINE}" stroke-width="2"{dash}/>'
-        )
+        drawn = " ".join(f"{x + aside:.1f},{y:.1f}" for x, y in points)
+        parts.append(f'<polyline points="{drawn}" fill="none" stroke="{colour}" stroke-width="2"/>')
         for (x, y), row in zip(points, own, strict=True):
             below, above = (at(1, rate)[1] for rate in row["interval"])
-            parts.append(f'<path d="M{x:.1f} {below:.1f}V{above:.1f}" stroke="{LINE}"/>')
-            parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="{LINE}"/>')
-        x, y = points[-1]
-        parts.append(text(x + 12, y + 4, f"{line[0]} nx {line[1]}, {line[2]}", "start", LINE))
-    return picture(70 + WIDE + 130, 30 + HIGH + 60, parts)
+            parts.append(f'<path d="M{x + aside:.1f} {below:.1f}V{above:.1f}" stroke="{colour}"/>')
+            parts.append(f'<circle cx="{x + aside:.1f}" cy="{y:.1f}" r="4" fill="{colour}"/>')
+        words = f"{line[0]} nx {line[1]}, {line[2]} split"
+        parts.append(text(80 + WIDE, 44 + 20 * k, words, "start", colour))
+    return picture(70 + WIDE + 160, 30 + HIGH + 60, parts)
 
 
 def numbers_of(kind: str, rows: Sequence[Row]) -> dict[str, int]:
@@ -166,7 +166,8 @@ def main() -> None:
         drawn = curve(rows, numbers_of(given.kind, rows), WORDS[given.kind])
     given.out.with_suffix(".svg").write_text(drawn, encoding="utf-8")
     for row in rows:
-        row["policy"] = Path(row["policy"]).name  # no folder of this machine
+        if Path(row["policy"]).is_absolute():  # no folder of this machine
+            row["policy"] = Path(row["policy"]).name
     given.out.with_suffix(".json").write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
 
 

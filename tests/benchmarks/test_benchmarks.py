@@ -159,7 +159,7 @@ def test_evaluations_make_the_matrix_and_the_curves(tmp_path: Path) -> None:
     files = sorted(tmp_path.glob("nx*.json"))
     shown = {
         "matrix": ("75 %", "30 to 95", "of 4", "tie 3"),
-        "data": ("270", "540", "tie nx 3, train"),
+        "data": ("270", "540", "tie nx 3, train split"),
         "goals": (">5<", ">20<", "goal configurations"),
     }
     for kind, words in shown.items():
