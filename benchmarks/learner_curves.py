@@ -60,7 +60,7 @@ def interval(row: Row) -> str:
 
 
 def matrix(rows: Sequence[Row], names: dict[str, str]) -> str:
-    """Learners by crossings; every cell has its rate, interval and number of episodes."""
+    """Learners by set-ups; every cell has its rate, interval and number of episodes."""
     learners = [policy for policy in names if any(row["policy"] == policy for row in rows)]
     columns = sorted({(row["task"], row["nx"]) for row in rows})
     cells = {(row["policy"], row["task"], row["nx"]): row for row in rows}
@@ -119,8 +119,8 @@ def curve(rows: Sequence[Row], numbers: dict[str, int], words: str) -> str:
             below, above = (at(1, rate)[1] for rate in row["interval"])
             parts.append(f'<path d="M{x + aside:.1f} {below:.1f}V{above:.1f}" stroke="{colour}"/>')
             parts.append(f'<circle cx="{x + aside:.1f}" cy="{y:.1f}" r="4" fill="{colour}"/>')
-        words = f"{line[0]} nx {line[1]}, {line[2]} split"
-        parts.append(text(80 + WIDE, 44 + 20 * k, words, "start", colour))
+        label = f"{line[0]} nx {line[1]}, {line[2]} split"
+        parts.append(text(80 + WIDE, 44 + 20 * k, label, "start", colour))
     return picture(70 + WIDE + 160, 30 + HIGH + 60, parts)
 
 
