@@ -123,6 +123,7 @@ class Expert:
             hold=max(1, hold - held) if held else hold,
             budget=self.config.budget - progress.spent,
             bound=episodes.tow_bound(index),
+            hauling=True,
         )
 
     def _act_without_plan(

@@ -3,6 +3,9 @@
 One step moves the bead by three to five centimetres. Macro-actions are drawn at random from what is
 near: `pass` (over or under another strand), `curl` (over or under a strand close by along the rope,
 which makes or undoes a kink), `spread` (away from the middle), `shift` (anywhere).
+
+A haul is another thing: two beads pulled apart with all force, in turn. It heeds neither strands
+nor codes, and undoes tangles whose every small change makes them worse.
 """
 
 from __future__ import annotations
@@ -18,6 +21,8 @@ from knotgym.rope import Array
 
 KINDS = ("pass", "curl", "spread", "shift")
 _WAYPOINTS = 3
+_HAUL_RISE = -0.2, 0.6  # upward force, in units of the largest
+_HAUL_STEPS = 4, 20  # from and below
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,6 +102,33 @@ def propose(points: Array, rng: np.random.Generator, config: MacroActionConfig) 
     else:
         return move_aside(points, kind, bead, side, rng, config)
     return pass_strand(points, kind, bead, (bead + apart) % beads, side, rng, config)
+
+
+@dataclass(frozen=True, eq=False)
+class Haul:
+    """Two beads pulled apart, in turn.
+
+    Attributes:
+        beads: pulled at even and at odd steps.
+        force: float64 (3,), of even steps, in units of the largest; odd ones turn it about.
+        steps: that it takes.
+    """
+
+    beads: tuple[int, int]
+    force: Array
+    steps: int
+
+    def pull(self, step: int) -> tuple[int, Array]:
+        """The bead pulled at a step, and the force, (3,)."""
+        return self.beads[step % 2], self.force * ((1, 1, 1), (-1, -1, 1))[step % 2]
+
+
+def propose_haul(beads: int, rng: np.random.Generator) -> Haul:
+    """Draw a haul of a rope of so many beads: any two, a fifth of the rope apart at least."""
+    first, apart = int(rng.integers(beads)), int(rng.integers(beads // 5, beads - beads // 5))
+    heading, rise = rng.uniform(-np.pi, np.pi), rng.uniform(*_HAUL_RISE)
+    force = np.array([np.cos(heading), np.sin(heading), rise])
+    return Haul((first, (first + apart) % beads), force, int(rng.integers(*_HAUL_STEPS)))
 
 
 def move_aside(

@@ -3,8 +3,9 @@
 A pool of states met is kept by their codes. Copies of the rope set out from states whose codes are
 near the goal, as the transition graph tells, each through one macro-action: the most promising of
 several whose surrogate rollouts are looked at, some of them like those that made a change towards
-the goal before; or any. Every new code on the way joins the pool. MuJoCo repeats itself bit for bit
-from an integration state, so a plan that reaches the goal here reaches it.
+the goal before; or any. A rope of many crossings may be hauled instead. Every new code on the way joins the
+pool. MuJoCo repeats itself bit for bit from an integration state, so a plan that reaches the goal
+here reaches it.
 """
 
 from __future__ import annotations
@@ -19,7 +20,13 @@ from numpy.typing import NDArray
 
 from knotgym.control.action_sequence import Ropes, step_ropes
 from knotgym.control.guidance import Promises, Towards, most_promising
-from knotgym.control.macro_actions import WaypointController, cumulative_shares, propose
+from knotgym.control.macro_actions import (
+    Haul,
+    WaypointController,
+    cumulative_shares,
+    propose,
+    propose_haul,
+)
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.transition_graph import Distances, TransitionGraph
 from knotgym.rope import Array
@@ -28,6 +35,10 @@ from knotgym.topology.gauss import GaussCode
 from knotgym.towing import TowBound
 
 REST = "rest"  # the kind of a step with no force, by which a code is held
+HAUL = "haul"  # the kind of a haul's steps
+HARD_NX = 7  # crossings from which a rope may be hauled: beyond them guidance knows next to nothing
+HAULED_NX = 3  # crossings from which hauls set out, then; fewer are undone otherwise
+HAULS = 0.6  # share of a hard rope's macro-actions that are hauls
 ANEW = 20_000  # simulated actions after which a search begins anew: other draws may have more luck
 
 
@@ -74,8 +85,8 @@ class Plan:
 class _Pool:
     """States met, by their codes, and how promising it is to set out from each code."""
 
-    def __init__(self, distances: Distances, config: PlannerConfig) -> None:
-        self._distances, self._config = distances, config
+    def __init__(self, distances: Distances, config: PlannerConfig, *, nx_as_hops: bool) -> None:
+        self._distances, self._config, self._nx_as_hops = distances, config, nx_as_hops
         self._rows: dict[GaussCode, int] = {}
         self._nodes: list[list[Node]] = []  # by row, as what follows
         self._far = np.empty(0)
@@ -89,7 +100,8 @@ class _Pool:
     def hops(self, code: GaussCode) -> int:
         """Changes of code from here to the goal, about."""
         self._distances(code)  # a code just met may get its hops now
-        return self._distances.hops.get(code, self._config.unknown_hops)
+        unknown = code.nx if self._nx_as_hops else self._config.unknown_hops
+        return self._distances.hops.get(code, unknown)
 
     def add(self, node: Node) -> None:
         """Put a state in; of too many with one code the longest and most tried goes."""
@@ -141,6 +153,7 @@ class _Branch:
     node: Node
     kind: str
     code: GaussCode
+    haul: Haul | None = None
     actions: list[NDArray[np.float32]] = field(default_factory=list)
 
     @property
@@ -162,6 +175,7 @@ def plan(
     budget: int | None = None,
     bound: TowBound | None = None,
     met: Callable[[Node], object] | None = None,
+    hauling: bool = False,
 ) -> Plan:
     """Find steps that lead to the goal code.
 
@@ -178,6 +192,7 @@ def plan(
             begins anew.
         bound: where the rope's centre must stay; None for anywhere.
         met: called with every state as it is met, the goal's last.
+        hauling: a rope of HARD_NX crossings or more, and more than the goal has, may be hauled too.
 
     Returns:
         The first plan found that reaches the goal; for want of one, the plan to the state nearest
@@ -186,7 +201,9 @@ def plan(
     limit = config.budget if budget is None else budget
     spent, nearest = 0, list[Node]()
     while True:
-        search = _Search(simulation, state, goal, graph, config, rng, steps, hold, bound, met)
+        search = _Search(
+            simulation, state, goal, graph, config, rng, steps, hold, bound, met, hauling
+        )
         reached = search.run(min(ANEW, limit - spent))
         spent += search.spent
         if reached is not None:
@@ -234,6 +251,7 @@ class _Search:
         hold: int,
         bound: TowBound | None,
         met: Callable[[Node], object] | None,
+        hauling: bool,
     ) -> None:
         self.simulation, self.goal, self.graph = simulation, goal, graph
         self.config, self.rng = config, rng
@@ -241,7 +259,9 @@ class _Search:
         simulation.restore(state[None], [0])
         self.root = Node(state, label_many(simulation.points[:1])[0])
         self.distances = graph.distances(goal, self.root.code)
-        self.pool = _Pool(self.distances, config)
+        nx = self.root.code.nx
+        self.hauling = hauling and nx >= HARD_NX and nx > goal.nx
+        self.pool = _Pool(self.distances, config, nx_as_hops=self.hauling)
         self.pool.add(self.root)
         self.towards: dict[GaussCode, Towards] = {}
         self.promises: Promises = Counter()
@@ -269,8 +289,14 @@ class _Search:
         """Take one step of every branch; the node at which the goal has been held, if any is."""
         count, simulation, controller = self.config.batch_size, self.simulation, self.controller
         controller.advance(simulation.points)
-        forces = controller.forces(simulation.points)[:count]
-        actions, held = step_ropes(simulation, controller.beads[:count], forces, np.arange(count))
+        beads, forces = (
+            controller.beads[:count].copy(),
+            controller.forces(simulation.points)[:count],
+        )
+        for row, branch in self.branches.items():
+            if branch.haul is not None:
+                beads[row], forces[row] = branch.haul.pull(len(branch.actions))
+        actions, held = step_ropes(simulation, beads, forces, np.arange(count))
         self.spent += count
         held &= self._allowed(np.arange(count))
         codes = label_many(simulation.points[:count])
@@ -282,7 +308,7 @@ class _Search:
                 continue
             branch, code = self.branches[row], codes[row]
             branch.actions.append(actions[row])
-            ended = bool(idle[row]) or self._is_over(branch)
+            ended = (bool(idle[row]) and branch.haul is None) or self._is_over(branch)
             if self._is_worth_keeping(branch, code, ended):
                 node = self._keep(row, branch, code)
                 if code.matches(self.goal):
@@ -304,14 +330,18 @@ class _Search:
 
     def _is_over(self, branch: _Branch) -> bool:
         """Whether the branch, or the episode, has no step left."""
-        return len(branch.actions) >= self.config.longest or branch.steps >= self.steps
+        longest = self.config.longest if branch.haul is None else branch.haul.steps
+        return len(branch.actions) >= longest or branch.steps >= self.steps
 
     def _is_worth_keeping(self, branch: _Branch, code: GaussCode, ended: bool) -> bool:
         """Whether the state joins the pool: a code just changed, or a macro-action's end.
 
         An end with the code that the branch set out from counts only where that code is stuck: then
-        the same code, lying otherwise, is worth setting out from.
+        the same code, lying otherwise, is worth setting out from. What a haul passes through
+        counts only where it is nearer to the goal than where it set out.
         """
+        if branch.haul is not None:
+            return ended or self.distances(code) < self.distances(branch.node.code)
         if code != branch.code:
             return True
         stuck = self.pool.tries(branch.node.code) > self.config.stuck
@@ -322,6 +352,8 @@ class _Search:
         node = self.pool.choose(self.rng)
         self.simulation.restore(node.state[None], [row])
         points = self.simulation.points[row]
+        if self.hauling and node.code.nx >= HAULED_NX and self.rng.random() < HAULS:
+            return _Branch(node, HAUL, node.code, propose_haul(len(points), self.rng))
         if self.rng.random() < self.config.guided:
             if node.code not in self.towards:
                 self.towards[node.code] = Towards(self.graph.steps(node.code, self.distances))
