@@ -3,9 +3,9 @@
 A pool of states met is kept by their codes. Copies of the rope set out from states whose codes are
 near the goal, as the transition graph tells, each through one macro-action: the most promising of
 several whose surrogate rollouts are looked at, some of them like those that made a change towards
-the goal before; or any. A rope of many crossings may be hauled instead. Every new code on the way joins the
-pool. MuJoCo repeats itself bit for bit from an integration state, so a plan that reaches the goal
-here reaches it.
+the goal before; or any. A rope of many crossings may be hauled instead. Every new code on the way
+joins the pool. MuJoCo repeats itself bit for bit from an integration state, so a plan that reaches
+the goal here reaches it.
 """
 
 from __future__ import annotations
@@ -289,10 +289,8 @@ class _Search:
         """Take one step of every branch; the node at which the goal has been held, if any is."""
         count, simulation, controller = self.config.batch_size, self.simulation, self.controller
         controller.advance(simulation.points)
-        beads, forces = (
-            controller.beads[:count].copy(),
-            controller.forces(simulation.points)[:count],
-        )
+        beads = controller.beads[:count].copy()
+        forces = controller.forces(simulation.points)[:count]
         for row, branch in self.branches.items():
             if branch.haul is not None:
                 beads[row], forces[row] = branch.haul.pull(len(branch.actions))

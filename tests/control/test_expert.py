@@ -25,6 +25,7 @@ from knotgym.control.transition_graph import (
     TransitionGraphConfig,
     shipped_transition_graph,
 )
+from knotgym.datasets.states import read_states, shipped
 from knotgym.episode_batch import EpisodeBatch
 from knotgym.rope import Rope
 from knotgym.simulation import Simulation
@@ -223,6 +224,46 @@ def test_a_plan_that_is_solved_ends_in_the_goal_when_acted_out(states_path: str)
     for action in planned.actions:
         episodes.simulation.act(action[None])
     assert label(episodes.simulation.points[0]).matches(goal)
+
+
+def test_a_hard_unknot_is_hauled_loose() -> None:
+    states = read_states(shipped("hard-unknots"), images=False)
+    simulation = Simulation(8)
+    simulation.lay(states.qpos[:1], [0])
+    start = simulation.states([0])[0]
+    planned = plan(
+        simulation,
+        start,
+        FLAT,
+        shipped_transition_graph(GRAPH),
+        PlannerConfig(budget=1000),
+        np.random.default_rng(1),
+        steps=50,
+        hauling=True,
+    )
+    assert planned.solved and any(move.endswith("haul") for move in planned.moves)
+    simulation.restore(start[None], [0])
+    for action in planned.actions:
+        simulation.act(action[None], [0])
+    assert label(simulation.points[0]) == FLAT
+
+
+def test_ropes_of_few_crossings_are_not_hauled(states_path: str) -> None:
+    def planned(hauling: bool) -> Plan:
+        simulation = Simulation(4)
+        simulation.lay(read_states(states_path, images=False).qpos[-1:], [0])
+        return plan(
+            simulation,
+            simulation.states([0])[0],
+            FLAT,
+            shipped_transition_graph(GRAPH),
+            PlannerConfig(budget=80, batch_size=4),
+            np.random.default_rng(0),
+            steps=50,
+            hauling=hauling,
+        )
+
+    np.testing.assert_array_equal(planned(True).actions, planned(False).actions)
 
 
 def test_a_plan_holds_the_goal_as_long_as_asked(states_path: str) -> None:
