@@ -170,6 +170,25 @@ def test_evaluations_make_the_matrix_and_the_curves(tmp_path: Path) -> None:
         assert len(json.loads((tmp_path / f"{kind}.json").read_text())) == 4
 
 
+def test_trainings_make_a_picture(tmp_path: Path) -> None:
+    task = {"task": "tie", "nx": 2, "observation": "state", "states": None}
+    counts = {"episodes": 4, "successes": 1, "mean_return": -2.5, "mean_length": 50.0}
+    rows = [{"steps": 8 * k, **counts, "seconds": k, "cpu_seconds": k} for k in (1, 2, 3)]
+    for name in ("one", "other"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "ppo.json").write_text(json.dumps({"task": task}))
+        written = {"resumed_at": [], "rows": rows}
+        (tmp_path / name / "curve.json").write_text(json.dumps(written))
+    words = (tmp_path / "one", tmp_path / "other", "--window", 16, "--out", tmp_path / "curves")
+    run_script(FOLDER / "training_curves.py", *words)
+    ElementTree.fromstring((tmp_path / "curves.svg").read_text())
+    one, other = json.loads((tmp_path / "curves.json").read_text())
+    assert one == other and one["steps_per_second"] == 8
+    assert [(row["steps"], row["episodes"]) for row in one["rows"]] == [(16, 8), (24, 4)]
+    with pytest.raises(SystemExit, match="isn't a training"):
+        run_script(FOLDER / "training_curves.py", tmp_path, "--out", tmp_path / "curves")
+
+
 def test_a_collection_is_timed(tmp_path: Path) -> None:
     words = ("--jobs", "state", "--workers", 1, "--repeats", 1, "--episodes", 1)
     assert figures("scaling", tmp_path, *words)["seconds"]["state"]["1"] > 0
