@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
+import math
 import sys
 from pathlib import Path
 from typing import Any
@@ -56,7 +57,8 @@ def course(folder: Path, window: int) -> dict[str, Any]:
 
 def drawn(courses: list[dict[str, Any]]) -> str:
     """All of them in one field."""
-    most = max(row["interval"][1] for one in courses for row in one["rows"])
+    highest = max(row["interval"][1] for one in courses for row in one["rows"])
+    most = math.ceil(10 * highest) / 10
     steps = max(one["rows"][-1]["steps"] for one in courses)
 
     def at(row: Row, rate: float) -> str:

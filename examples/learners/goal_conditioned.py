@@ -82,7 +82,7 @@ def main() -> None:
     serialization = importlib.import_module("flax.serialization")
     jax = importlib.import_module("jax")
 
-    training = Training(f"OGBench's agents, jax {jax.__version__}", given)
+    training = Training(f"OGBench's agents, jax {jax.__version__}", given, given.datasets)
     np.random.seed(given.seed)  # its batches are drawn from there
     config = module.get_config()
     config.batch_size = given.batch

@@ -6,6 +6,8 @@ decision transformer.
 
 Needs d3rlpy, best in an environment of its own, for it pins Gymnasium 1.0.0: pip install d3rlpy.
 With --relabel all, as it is, every code that an episode passes is also a goal that it reached.
+--labelled adds sets of `knotgym collect --policy POLICY.pt --labels expert`, of which the expert's
+actions are learned: behaviour cloning with them is DAgger, and its row is called d3rlpy-bc-dagger.
 Writes `model.d3`, `evaluation.json`, and `policy.pt`, which `knotgym evaluate --policy` takes (none
 of the transformer, which remembers its episode).
 """
@@ -57,9 +59,11 @@ class Transformer:
         return np.clip(self._own.predict(observation, 0.0), -1, 1)  # nothing is paid on the way
 
 
-def buffer_of(datasets: list[str], relabel: str | None) -> Any:
-    """One buffer of all the episodes."""
-    whole, *others = (to_d3rlpy(one, observation="state", relabel=relabel) for one in datasets)
+def buffer_of(datasets: list[str], relabel: str | None, labelled: list[str]) -> Any:
+    """One buffer of all the episodes; of the labelled ones with the expert's actions."""
+    played = (to_d3rlpy(one, observation="state", relabel=relabel) for one in datasets)
+    taught = (to_d3rlpy(one, observation="state", labels=True) for one in labelled)
+    whole, *others = (*played, *taught)
     for other in others:
         for episode in other.episodes:
             whole.append_episode(episode)
@@ -71,10 +75,11 @@ def main() -> None:
     options.add_argument(
         "--relabel", choices=("all", "last", "none"), default="all", help="hindsight"
     )
+    options.add_argument("--labelled", nargs="+", default=[], help="sets with the expert's labels")
     given = options.parse_args()
     # it tells of every setting, the mean of each of 600 numbers included
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.WARNING))
-    training = Training(f"d3rlpy {d3rlpy.__version__}", given)
+    training = Training(f"d3rlpy {d3rlpy.__version__}", given, [*given.datasets, *given.labelled])
     d3rlpy.seed(given.seed)
     config = getattr(d3rlpy.algos, LEARNERS[given.learner])(
         batch_size=given.batch,
@@ -82,14 +87,16 @@ def main() -> None:
     )
     learner = config.create(device="cpu:0")
     learner.fit(
-        buffer_of(given.datasets, None if given.relabel == "none" else given.relabel),
+        buffer_of(
+            given.datasets, None if given.relabel == "none" else given.relabel, given.labelled
+        ),
         n_steps=given.steps,
         n_steps_per_epoch=given.steps,
         logger_adapter=d3rlpy.logging.NoopAdapterFactory(),
         show_progress=False,
     )
     learner.save(str(given.out / "model.d3"))
-    name = f"d3rlpy-{given.learner}"
+    name = f"d3rlpy-{given.learner}{'-dagger' if given.labelled else ''}"
     policy: Policy
     if given.learner == "dt":
         policy = OwnPolicy(Transformer(learner), name)

@@ -39,13 +39,13 @@ def parser(description: str, kinds: tuple[str, ...]) -> argparse.ArgumentParser:
 class Training:
     """What a training took, told beside the scores."""
 
-    def __init__(self, library: str, given: argparse.Namespace) -> None:
+    def __init__(self, library: str, given: argparse.Namespace, datasets: list[str]) -> None:
         self._began, self._spent = time.perf_counter(), time.process_time()
         given.out.mkdir(parents=True, exist_ok=True)
-        readers = [EpisodeReader(source) for source in given.datasets]
+        readers = [EpisodeReader(source) for source in datasets]
         self._told: dict[str, Any] = {
             "library": library,
-            "datasets": [_called(source) for source in given.datasets],
+            "datasets": [_called(source) for source in datasets],
             "episodes": sum(len(reader) for reader in readers),
             "transitions": int(sum(reader.lengths.sum() for reader in readers)),
             "steps": given.steps,

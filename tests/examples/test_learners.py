@@ -58,6 +58,17 @@ def test_a_learner_of_d3rlpy_is_trained_and_measured(
         make_policy(PolicyConfig(policy=str(tmp_path / "out" / "policy.pt")))
 
 
+@no_d3rlpy
+def test_a_learner_of_d3rlpy_learns_an_experts_labels(dataset: Path, tmp_path: Path) -> None:
+    words = ("--task", "unknot", "--nx", 2, "--policy", "random", "--observation", "state")
+    labels = ("--labels", "expert", "--budget", 8, "--episodes", 1, "--workers", 1, "--quiet")
+    assert knotgym("collect", *words, *labels, "--out", tmp_path / "visited") == 0
+    visited = ("--labelled", *(tmp_path / "visited" / "knotgym" / "unknot-nx2").iterdir())
+    run_script(FOLDER / "offline_rl.py", "bc", dataset, *TINY, "--out", tmp_path / "out", *visited)
+    (row,) = read_scores([tmp_path / "out" / "evaluation.json"])
+    assert row["policy"] == "d3rlpy-bc-dagger" and row["training"]["episodes"] == 4
+
+
 @no_ogbench
 @pytest.mark.parametrize("learner", ["gcbc", "gcivl", "gciql", "crl", "hiql"])
 def test_an_agent_of_ogbench_is_trained_and_measured(
