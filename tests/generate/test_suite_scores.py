@@ -98,3 +98,14 @@ def test_what_no_evaluation_says_is_refused(name: str, value: Any, tmp_path: Pat
     path.write_text(json.dumps(said))
     with pytest.raises(InvalidScores, match=f"evaluate --out`: {name} is"):
         read_scores([path])
+
+
+@pytest.mark.parametrize("name", ["success_rate", "seconds"])
+def test_numbers_beyond_all_bounds_are_refused(name: str, tmp_path: Path) -> None:
+    path = told(tmp_path / "a", seed=0, successes=1, episodes=2)
+    said = json.loads(path.read_text())
+    holder = said["results"][0] if name == "success_rate" else said.setdefault("training", {})
+    holder[name] = 10**400
+    path.write_text(json.dumps(said))
+    with pytest.raises(InvalidScores, match="evaluate --out`"):
+        read_scores([path])

@@ -50,7 +50,7 @@ def read_scores(paths: Iterable[Path]) -> list[dict[str, Any]]:
     for path in paths:
         try:
             rows = list(_rows(read_json(path)))
-        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        except (OSError, ArithmeticError, KeyError, ValueError, TypeError, AttributeError) as error:
             raise InvalidScores(
                 f"{path} isn't a file of `knotgym evaluate --out`: {one_line(error)}"
             ) from error
@@ -83,7 +83,7 @@ def score_tables(rows: Sequence[Mapping[str, Any]], heading: str = "##") -> list
             cells = {(row["task"], row["nx"]): row for row in own if row["policy"] == policy}
             told = [_cell(cells[setup]) if setup in cells else "" for setup in setups]
             trained = {row["training"].get("seconds") for row in cells.values()} - {None}
-            body.append((policy, *told, *(sorted(trained)[-1:] or [""])))
+            body.append((policy, *told, "; ".join(map(_seconds, sorted(trained)))))
         body += [(f"*{policy}, published*", *told, "") for policy, told in PUBLISHED.items()]
         lines += ["", f"{heading} States {states}, {split} split", "", *table(head, body)]
     return lines
@@ -120,6 +120,7 @@ def _rows(told: Mapping[str, Any]) -> Iterable[dict[str, Any]]:
         training = dict(told.get("training", learned))
         if not isinstance(training.get("seconds"), Real | None):
             raise InvalidScores(f"seconds is {training['seconds']!r}")
+        _seconds(training.get("seconds") or 0)
         yield {**row, "training": training}
 
 
@@ -152,3 +153,7 @@ def _cell(row: Mapping[str, Any]) -> str:
     low, high = row["interval"]
     rate = 100 * row["success_rate"]
     return f"**{rate:.1f}** ({100 * low:.0f} to {100 * high:.0f}, of {row['episodes']})"
+
+
+def _seconds(value: float) -> str:
+    return f"{value:,.0f}"
