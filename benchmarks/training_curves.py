@@ -21,7 +21,7 @@ from learner_curves import COLOURS, HIGH, PALE, picture, text
 
 from knotgym.runs.intervals import wilson
 
-WIDE, LEFT, TOP, LABELS = 560, 70, 30, 230  # pixels
+WIDE, LEFT, TOP, LABELS = 560, 70, 30, 240  # pixels
 Row = dict[str, Any]
 
 
