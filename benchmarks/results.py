@@ -23,10 +23,11 @@ Made by `python benchmarks/results.py` from files that `knotgym evaluate --out F
 so many episodes. The published rows are of the train split of states that aren't published, by 384
 episodes (random 256): they are beside ours for scale, not like for like.
 
-`pretrained`, as the published learners, is given pictures alone; those of d3rlpy, OGBench and
-`sb3-ppo-state` the vertices of the rope and of the goal's exemplar. Those of Stable-Baselines3 were
-trained online, one for each cell, for 1,048,576 steps, [with the paper's settings](baselines.md);
-all others on episodes of ours, one for all cells. Of several trainings all seconds are told.
+`pretrained`, as the published learners, is given pictures alone, `sb3-ppo-pixels` too; those of
+d3rlpy, OGBench and `sb3-ppo-state` the vertices of the rope and of the goal's exemplar. Those of
+Stable-Baselines3 were trained online, one for each cell, for 1,048,576 steps of states and 20,480
+of pictures, [with the paper's settings](baselines.md); all others on episodes of ours, one for all
+cells. Of several trainings all seconds are told.
 """
 
 
