@@ -148,10 +148,22 @@ def _run(command: typer.Typer, name: str, arguments: Sequence[str] | None) -> No
         status = _say(stopped(), _INTERRUPTED)
     except typer.Exit as ended:
         status = ended.exit_code
-    except Exception:
-        traceback.print_exc()
-        status = _say(_OURS, _FAILED)
+    except Exception as error:
+        if _interrupted(error):
+            status = _say(stopped(), _INTERRUPTED)
+        else:
+            traceback.print_exc()
+            status = _say(_OURS, _FAILED)
     sys.exit(status)
+
+
+def _interrupted(error: BaseException | None) -> bool:
+    """Whether a KeyboardInterrupt began it: of one inside a compiled function, numba makes a
+    SystemError.
+    """
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__
+    return error is not None
 
 
 def _stopped(typed: typer.Typer, arguments: Sequence[str] | None) -> str:

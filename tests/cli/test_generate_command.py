@@ -601,6 +601,21 @@ def test_a_fault_of_our_own_is_not_called_the_users_mistake(
     assert "a fault of knotgym's" in lines[-1] and "issue tracker" in lines[-1]
 
 
+def test_an_interruption_inside_a_compiled_function_is_no_fault(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def compiled(folder: Path) -> bool:
+        # what numba makes of it
+        raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
+
+    monkeypatch.setattr(run_engine, "request_of", compiled)
+    (tmp_path / "a").mkdir()
+    words = ("generate", "--nx", 0, "--count", 1, "--out", tmp_path / "a", "--resume")
+    assert knotgym(*words) == 130
+    (line,) = said(capfd)
+    assert line.startswith("knotgym: interrupted; nothing half-written is left, --resume")
+
+
 def test_another_rope_than_the_environments_is_refused_at_once(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
