@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,22 @@ def load_model(path: Path, algorithm: str = "") -> Model:
         ) from error
 
 
+@contextmanager
+def inference(torch: Any) -> Iterator[None]:
+    """Ask a network of the module `torch`: without gradients, and on one thread.
+
+    With more, sums are of another order on another machine, and the threads of worker processes
+    wait for each other, which makes them many times slower.
+    """
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        with torch.no_grad():
+            yield
+    finally:
+        torch.set_num_threads(threads)
+
+
 def is_learner(place: str) -> bool:
     """Whether a policy's name is that of a learner's folder, or of the one that ships."""
     return place == "pretrained" or (place != "" and Path(place).is_dir())
@@ -109,12 +126,20 @@ def _stable_baselines3(path: Path, algorithm: str) -> Model:
             f"Stable-Baselines3 has no algorithm {name!r}; name it after the file, as in {path}:SAC"
         )
     model = getattr(algorithms, name).load(path, device="cpu")
-    return lambda batch: model.predict(batch, deterministic=True)[0]
+    torch = _library("torch", path)
+
+    def act(batch: Any) -> Any:
+        with inference(torch):
+            return model.predict(batch, deterministic=True)[0]
+
+    return act
 
 
 def _onnx(path: Path, algorithm: str) -> Model:
     runtime = _library("onnxruntime", path)
-    session = runtime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    options = runtime.SessionOptions()
+    options.intra_op_num_threads = 1  # as `inference`
+    session = runtime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     first = session.get_inputs()[0].name
 
     def act(batch: Any) -> Any:
@@ -128,7 +153,7 @@ def _torchscript(path: Path, algorithm: str) -> Model:
     model = torch.jit.load(str(path), map_location="cpu").eval()
 
     def act(batch: Any) -> Any:
-        with torch.no_grad():
+        with inference(torch):
             if isinstance(batch, dict):
                 return np.asarray(
                     model({part: torch.from_numpy(values) for part, values in batch.items()})

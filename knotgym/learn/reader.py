@@ -16,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from knotgym.control.learned_policies import inference
 from knotgym.learn.bead_network import BeadNetwork, grown
 from knotgym.learn.colour_reading import BEADS, Pixels, decode, gathered, joined, settle, votes
 from knotgym.rendering.picture import DEFAULT, bead_colours
@@ -88,7 +89,7 @@ class Reader(nn.Module):
         are, (READINGS,), the likeliest first.
         """
         seen = look(picture)
-        with torch.no_grad():
+        with inference(torch):
             vertices, likely = self.joined([seen])
         order = torch.argsort(-likely[0], stable=True)
         return self.follow(picture, vertices[0, order].double().numpy()), (
@@ -103,7 +104,7 @@ class Reader(nn.Module):
         `moves` as in `corrected`.
         """
         seen = [look(picture)] * len(foreseen)
-        with torch.no_grad():
+        with inference(torch):
             vertices = self.corrected(seen, foreseen, moves).double().numpy()
         _settle_all(vertices, picture)
         return vertices

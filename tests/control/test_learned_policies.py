@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from knotgym.control.learned_policies import load_model
 from knotgym.control.policies import InvalidPolicy, PolicyConfig, make_policy
 from knotgym.episode_batch import EpisodeBatch
 from knotgym.tasks import TaskConfig
@@ -81,6 +82,21 @@ class TestTorchScript:
         actions, seen = chosen(tmp_path / "model.pt", states_path, observation)
         wanted = [expected(observation) for observation in seen]
         assert np.allclose(actions, wanted, atol=1e-6) and np.abs(actions).max() > 0
+
+    def test_runs_on_one_thread(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+        import torch
+
+        threads, model = list[int](), torch.nn.Identity()
+        model.register_forward_hook(lambda *_: threads.append(torch.get_num_threads()))
+        monkeypatch.setattr(torch.jit, "load", lambda *_, **__: model)
+        (tmp_path / "model.pt").write_bytes(b"")
+        before = torch.get_num_threads()
+        torch.set_num_threads(3)
+        try:
+            load_model(tmp_path / "model.pt")(np.zeros((2, 6), dtype=np.float32))
+            assert threads == [1] and torch.get_num_threads() == 3
+        finally:
+            torch.set_num_threads(before)
 
 
 class TestOnnx:

@@ -59,6 +59,29 @@ def test_the_same_pictures_and_seed_give_the_same_actions(learner: Path, shown: 
     assert np.array_equal(actions(learner, shown), actions(learner, shown))
 
 
+def test_its_networks_run_on_one_thread(
+    learner: Path, shown: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import torch
+
+    from knotgym.learn.bead_network import BeadNetwork
+
+    threads, forward = [], BeadNetwork.forward
+
+    def counted(network: BeadNetwork, told: torch.Tensor) -> torch.Tensor:
+        threads.append(torch.get_num_threads())
+        return forward(network, told)
+
+    monkeypatch.setattr(BeadNetwork, "forward", counted)
+    before = torch.get_num_threads()
+    torch.set_num_threads(3)
+    try:
+        actions(learner, shown)
+        assert set(threads) == {1} and torch.get_num_threads() == 3
+    finally:
+        torch.set_num_threads(before)
+
+
 def test_pictures_that_it_did_not_learn_from_are_refused(learner: Path) -> None:
     policy = make_policy(PolicyConfig(policy=str(learner)))
     other: Any = PicturesAlone(TaskConfig(task="tie", camera="perspective"), [])
