@@ -27,11 +27,11 @@ episodes (random 256): they are beside ours for scale, not like for like.
 d3rlpy, OGBench and `sb3-ppo-state` the vertices of the rope and of the goal's exemplar; `random`
 nothing, it draws its actions. Those of d3rlpy and OGBench were trained once each, for all their
 cells, on the suite's expert and noisy expert at tie and convert, nx 2 and 3 (4,600 episodes);
-`d3rlpy-bc-dagger` besides on 96 episodes that `d3rlpy-bc` played and the expert labelled: the one
-row that isn't of offline data alone. [What holds them down](learning.md#learners-by-libraries).
-`pretrained` was trained once, on episodes of `scripted`. Those of
-Stable-Baselines3 were trained online, one for each cell, for 1,048,576 steps of states and 20,480
-of pictures, [with the paper's settings](baselines.md). Of several trainings all seconds are told.
+`d3rlpy-bc-dagger` besides on 96 episodes that `d3rlpy-bc` played and the expert labelled, so not on
+offline data alone. [What holds them down](learning.md#learners-by-libraries). `pretrained` was
+trained once, on episodes of `scripted`. Those of Stable-Baselines3 were trained online, one for
+each cell, for 1,048,576 steps of states and 20,480 of pictures, [with the paper's
+settings](baselines.md). Of several trainings all seconds are told.
 """
 
 

@@ -18,6 +18,7 @@ from knotgym.datasets.states import read_states, shipped, write_states
 from knotgym.generate.states.archive import Archive
 
 from ..scripts import ROOT, run_script
+from ..small_job import knotgym
 
 FOLDER = ROOT / "benchmarks"
 MODULES = {
@@ -311,6 +312,17 @@ def test_a_search_of_one_round_makes_a_table_of_transitions(tmp_path: Path) -> N
 def test_memory_is_measured_at_every_stage(tmp_path: Path) -> None:
     stages = figures("memory", tmp_path, "--frames", 5100)["stages"]
     assert len(stages) == 7 and all(stage["peak_mb"] > 0 for stage in stages.values())
+
+
+@pytest.mark.slow
+@with_torch
+def test_what_can_be_told_of_actions_is_measured(tmp_path: Path) -> None:
+    collected = ("--task", "tie", "--nx", 2, "--policy", "scripted", "--episodes", 3)
+    kept = ("--horizon", 6, "--observation", "state", "--id", "knotgym/few-v0")
+    assert knotgym("collect", *collected, *kept, "--workers", 1, "--out", tmp_path / "few") == 0
+    played = tmp_path / "few" / "knotgym" / "few-v0"
+    told = figures("imitation", tmp_path, played, "--steps", 3)
+    assert told.keys() == {"fitted", "held out"} and told["held out"]["rows"] > 0
 
 
 @pytest.mark.slow
