@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from knotgym.cli.options import QuietOption
+from knotgym.cli.options import OverwriteOption, QuietOption
 from knotgym.runs.progress import Progress
 
 dataset_app = typer.Typer(no_args_is_help=True, help="Look at, check and convert datasets.")
@@ -42,6 +42,7 @@ def gallery(
     path: PathOrId,
     out: Annotated[Path, typer.Option(help="PNG to write.")] = Path("gallery.png"),
     columns: Annotated[int, typer.Option(min=1, help="Pictures in a row.")] = 8,
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Draw a contact sheet, each picture with its code.
@@ -49,11 +50,9 @@ def gallery(
     Of all states; of pictures, or of the ends of episodes, the first 64.
     """
     with Progress(quiet, lines=False) as progress:
-        from knotgym.atomic_files import require_writable
         from knotgym.cli.inspection import gallery as draw
 
-        require_writable(out)
-        progress.say(f"{out}: {draw(path, out, columns)}")
+        progress.say(f"{out}: {draw(path, out, columns, overwrite)}")
 
 
 @dataset_app.command()
@@ -109,6 +108,7 @@ def merge(
         str,
         typer.Option("--id", help="Make a Minari dataset of this id, such as knotgym/all-v0."),
     ] = "",
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Put shards of one run, or datasets of one kind, together.
@@ -126,17 +126,14 @@ def merge(
     if not dataset_id and out is None:
         raise typer.BadParameter("say where to: --out FILE, or --id for a Minari dataset")
     with Progress(quiet, lines=False) as progress:
-        from knotgym.atomic_files import require_writable
         from knotgym.cli.inspection import merge as put_together
         from knotgym.cli.inspection import merge_to_minari
 
-        if out is not None:
-            require_writable(out)
         progress.stage("merging")
         if dataset_id:
-            progress.say(merge_to_minari(sources, dataset_id, out, progress.stage))
+            progress.say(merge_to_minari(sources, dataset_id, out, overwrite, progress.stage))
         elif out is not None:
-            progress.say(put_together(sources, out, progress.stage))
+            progress.say(put_together(sources, out, overwrite, progress.stage))
 
 
 @dataset_app.command()
@@ -146,6 +143,7 @@ def replay(
         Path, typer.Option(help="Video to write: .gif, or .mp4 or .webm with the extra video.")
     ] = Path("replay.gif"),
     row: Annotated[int, typer.Option(min=0, help="Which state or episode.")] = 0,
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Act out how a state or an episode came to be, check it bit for bit, and film it.
@@ -153,17 +151,16 @@ def replay(
     The pull is an arrow, and both codes stand below.
     """
     with Progress(quiet, lines=False) as progress:
-        from knotgym.atomic_files import require_writable
         from knotgym.cli.inspection import film
 
-        require_writable(out)
-        progress.say(f"{out}: {film(path, row, out, progress)}")
+        progress.say(f"{out}: {film(path, row, out, overwrite, progress)}")
 
 
 @dataset_app.command()
 def page(
     path: PathOrId,
     out: Annotated[Path, typer.Option(help="HTML file to write.")] = Path("page.html"),
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Write one HTML file to browse a dataset in, without a network.
@@ -171,12 +168,10 @@ def page(
     States turn in three dimensions, episodes play; 10 MB at most, large sets are sampled.
     """
     with Progress(quiet, lines=False) as progress:
-        from knotgym.atomic_files import require_writable
         from knotgym.cli.inspection import page as write
 
-        require_writable(out)
         progress.stage("writing the page")
-        progress.say(f"{out}: {write(path, out)}")
+        progress.say(f"{out}: {write(path, out, overwrite)}")
 
 
 @dataset_app.command()
@@ -200,13 +195,12 @@ def export(
             )
         ),
     ] = "compact",
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Convert a dataset to another form, or to a folder to upload."""
     with Progress(quiet, lines=False) as progress:
-        from knotgym.atomic_files import require_writable
         from knotgym.cli.inspection import export as convert
 
-        require_writable(out)
         progress.stage("exporting")
-        progress.say(f"{out}: {convert(path, out, to, progress.stage)}")
+        progress.say(f"{out}: {convert(path, out, to, overwrite, progress.stage)}")

@@ -9,9 +9,17 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from knotgym.cli.options import QuietOption, ResumeOption, SettingsOption, with_settings
+from knotgym.cli.options import (
+    OverwriteOption,
+    QuietOption,
+    RestartOption,
+    ResumeOption,
+    SettingsOption,
+    with_settings,
+)
 from knotgym.errors import KnotgymError
 from knotgym.runs.progress import Progress
+from knotgym.runs.run_options import Existing
 
 
 class MissingLearn(KnotgymError, ImportError):
@@ -30,6 +38,8 @@ def train(
         int, typer.Option(help="Of everything; the same seed and data give the same weights.")
     ] = 0,
     resume: ResumeOption = False,
+    restart: RestartOption = False,
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Train a learner that sees pictures alone; `knotgym evaluate --policy FOLDER` measures it."""
@@ -44,4 +54,4 @@ def train(
         from knotgym.learn.training import train as run
 
         config = with_settings(TrainConfig(steps=steps, seed=seed), settings)
-        run(data, out, config, resume=resume, progress=progress)
+        run(data, out, config, existing=Existing(resume=resume, restart=restart, overwrite=overwrite), progress=progress)

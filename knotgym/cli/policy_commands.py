@@ -23,8 +23,10 @@ from knotgym.cli.options import (
     ObservationOption,
     PoliciesOption,
     PolicyOption,
+    OverwriteOption,
     QuietOption,
     ResetNoiseOption,
+    RestartOption,
     ResumeOption,
     SchedulerOption,
     SeedOption,
@@ -43,6 +45,7 @@ from knotgym.cli.options import (
     words,
 )
 from knotgym.runs.progress import Progress
+from knotgym.runs.run_options import Existing
 
 if TYPE_CHECKING:
     from knotgym.control.policies import PolicyConfig
@@ -117,6 +120,8 @@ def collect(
     settings: SettingsOption = None,
     shard: ShardOption = "",
     resume: ResumeOption = False,
+    restart: RestartOption = False,
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Play a policy's episodes and write them as a Minari dataset.
@@ -132,11 +137,12 @@ def collect(
         knotgym collect --task tie --policy pretrained --labels expert --budget 2000
     """
     with Progress(quiet) as progress:
-        from knotgym.generate.episodes.collect import CollectConfig, distinct_id
+        from knotgym.generate.episodes.collect import CollectConfig, distinct_id, require_collectable
         from knotgym.generate.episodes.collect import collect as run
         from knotgym.tasks import TaskConfig
 
-        options, crossings = run_options(engine, scheduler, workers, shard, resume, quiet), nx
+        existing = Existing(resume=resume, restart=restart, overwrite=overwrite)
+        options, crossings = run_options(engine, scheduler, workers, shard, existing, quiet), nx
         if dataset_id and len(numbers(crossings)) > 1:
             raise typer.BadParameter(
                 f"--id names one dataset, and --nx {nx} makes {len(numbers(crossings))}: leave out"
@@ -179,8 +185,11 @@ def collect(
             )
             for one in tasks
         ]
+        configs = [with_settings(config, settings) for config in configs]
+        for config in configs:  # all of them before the first is played
+            require_collectable(config, out, options)
         for config in configs:
-            run(with_settings(config, settings), out, options, progress=progress)
+            run(config, out, options, progress=progress)
 
 
 def evaluate(
@@ -228,6 +237,8 @@ def evaluate(
     seed: SeedOption = 0,
     workers: WorkersOption = 0,
     resume: ResumeOption = False,
+    restart: RestartOption = False,
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Measure success rates, with 95 % intervals.
@@ -279,7 +290,7 @@ def evaluate(
             quiet=quiet,
             console=progress.console,
             progress=progress,
-            resume=resume,
+            existing=Existing(resume=resume, restart=restart, overwrite=overwrite),
         )
 
 

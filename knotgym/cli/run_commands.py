@@ -10,7 +10,9 @@ import typer
 from knotgym.cli.options import (
     EngineOption,
     NxOption,
+    OverwriteOption,
     QuietOption,
+    RestartOption,
     ResumeOption,
     SchedulerOption,
     SeedOption,
@@ -26,6 +28,7 @@ from knotgym.cli.options import (
     with_settings,
 )
 from knotgym.runs.progress import Progress
+from knotgym.runs.run_options import Existing
 
 _CHOICE, _SEARCH, _SPLITS = "Which states", "The search", "Splits"
 
@@ -142,6 +145,8 @@ def generate(
     settings: SettingsOption = None,
     shard: ShardOption = "",
     resume: ResumeOption = False,
+    restart: RestartOption = False,
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Make rope states, split into train and test.
@@ -169,7 +174,8 @@ def generate(
         from knotgym.generate.states.state_recipe import generate as run
         from knotgym.topology.knot_table import UNKNOT, diagram_of
 
-        options = run_options(engine, scheduler, workers, shard, resume, quiet)
+        existing = Existing(resume=resume, restart=restart, overwrite=overwrite)
+        options = run_options(engine, scheduler, workers, shard, existing, quiet)
         if source not in ("play", "random-walk", "drawing"):
             raise typer.BadParameter(f"--source takes play, random-walk or drawing, got {source!r}")
         if codes is not None and source != "drawing":
@@ -285,6 +291,8 @@ def images(
     settings: SettingsOption = None,
     shard: ShardOption = "",
     resume: ResumeOption = False,
+    restart: RestartOption = False,
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Make labelled pictures.
@@ -303,7 +311,8 @@ def images(
         from knotgym.generate.images.images_config import ImagesConfig
         from knotgym.rendering.appearance import VARIED, AppearanceConfig
 
-        options = run_options(engine, scheduler, workers, shard, resume, quiet)
+        existing = Existing(resume=resume, restart=restart, overwrite=overwrite)
+        options = run_options(engine, scheduler, workers, shard, existing, quiet)
         sizes = size.split(",")
         if not all(pixels.strip().isdecimal() for pixels in sizes):
             raise typer.BadParameter(f"--size takes pixels such as 128 or 64,128, got {size!r}")

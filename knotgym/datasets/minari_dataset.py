@@ -25,7 +25,7 @@ from typing import Any
 import gymnasium
 
 import knotgym
-from knotgym.atomic_files import atomic_write, sha256
+from knotgym.atomic_files import atomic_write, require_output, sha256
 from knotgym.configuration import as_json
 from knotgym.datasets.episode_reader import Count, EpisodeReader, InvalidEpisodeFile, uncounted
 from knotgym.datasets.episode_writer import merge_episodes
@@ -111,14 +111,11 @@ def publish(
         The dataset's folder.
 
     Raises:
-        InvalidEpisodeFile: as `merge_episodes`; or there is a dataset of this id, or nothing is to
-            be stored.
+        InvalidEpisodeFile: as `merge_episodes`; or nothing is to be stored.
+        Occupied: there is a dataset of this id, and `overwrite` isn't asked for.
     """
     folder = Path(out or minari_root()) / metadata.dataset_id
-    if folder.exists() and not overwrite:
-        raise InvalidEpisodeFile(
-            f"there is a dataset at {folder}: take another id or version, or ask to overwrite it"
-        )
+    require_output(folder, folder=True, overwrite=overwrite)
     first = EpisodeReader(sources[0]) if sources else None
     if first is not None and store is None and first.stored == "none":
         store = first.task.observation
@@ -126,7 +123,7 @@ def publish(
         raise InvalidEpisodeFile(
             "a Minari dataset has observations; the compact form is a file, see `compact`"
         )
-    with atomic_write(folder) as temporary:
+    with atomic_write(folder, overwrite=overwrite) as temporary:
         data = temporary / "data"
         data.mkdir(parents=True)
         merge_episodes(
@@ -155,14 +152,21 @@ def publish(
     return folder
 
 
+def dataset_files(data: Path) -> list[Path]:
+    """The files in a dataset's `data` that are its own; whatever else lies there is none of it."""
+    named = ("main_data.hdf5", "metadata.json", "states.h5", "collection.json")
+    return [data / name for name in named if os.path.lexists(data / name)]
+
+
 def _carry(states: str | os.PathLike[str], target: Path) -> None:
     """Put a state file into a dataset: the same bytes on the disk once, where it lets us.
 
-    A link and not a reference, so that a dataset that is moved or copied has its states with it.
-    Files of ours are replaced, never changed.
+    A hard link and not a reference, so that a dataset that is moved or copied has its states with
+    it; of a symbolic link, which hard links don't follow, its target. Files of ours are replaced,
+    never changed.
     """
     try:
-        os.link(states, target)
+        os.link(os.path.realpath(states), target)
     except OSError:  # another disk, or one without links
         shutil.copyfile(states, target)
 
@@ -172,6 +176,8 @@ def merge_datasets(
     dataset_id: str,
     out: str | os.PathLike[str] | None = None,
     count: Count = uncounted,
+    *,
+    overwrite: bool = False,
 ) -> Path:
     """Put datasets of one task and split together into another, nothing encoded again.
 
@@ -182,12 +188,14 @@ def merge_datasets(
         dataset_id: of the dataset to make.
         out: the root under which Minari would find it; None for Minari's own.
         count: told before each episode.
+        overwrite: replace a dataset of this id.
 
     Returns:
         The dataset's folder.
 
     Raises:
-        InvalidEpisodeFile: they don't go together, or there is a dataset of this id.
+        InvalidEpisodeFile: they don't go together.
+        Occupied: there is a dataset of this id, and `overwrite` isn't asked for.
     """
     readers = [EpisodeReader(source) for source in sources]
     for name in ("split", "states"):
@@ -232,6 +240,7 @@ def merge_datasets(
         states=carried,
         task=task,
         count=count,
+        overwrite=overwrite,
     )
 
 
@@ -244,20 +253,28 @@ def _states_digest(reader: EpisodeReader) -> str:
     return sha256(path)
 
 
-def compact(source: Any, target: str | os.PathLike[str], count: Count = uncounted) -> None:
+def compact(
+    source: Any,
+    target: str | os.PathLike[str],
+    count: Count = uncounted,
+    *,
+    overwrite: bool = False,
+) -> None:
     """Write the compact form of a dataset: episodes and metadata without observations, one file.
 
     `publish([target], metadata_of(target))` makes the dataset again. `count` is told before each
     episode.
     """
+    require_output(target, folder=False, overwrite=overwrite)
     metadata = metadata_of(source)
-    merge_episodes(
-        [source],
-        target,
-        store="none",
-        attributes={} if metadata is None else {"metadata": json.dumps(asdict(metadata))},
-        count=count,
-    )
+    with atomic_write(target, overwrite=overwrite) as temporary:
+        merge_episodes(
+            [source],
+            temporary,
+            store="none",
+            attributes={} if metadata is None else {"metadata": json.dumps(asdict(metadata))},
+            count=count,
+        )
 
 
 def metadata_of(source: Any) -> MinariMetadata | None:

@@ -34,7 +34,7 @@ from knotgym.runs.engine import CHECKPOINT, Batch, run
 from knotgym.runs.executors import InProcess
 from knotgym.runs.progress import Progress, Status, compile_first, duration, tell_if_long
 from knotgym.runs.run_options import RunOptions
-from knotgym.runs.staging import staging_folder
+from knotgym.runs.staging import Occupied, staging_folder
 from knotgym.tasks import TaskConfig
 
 from ..small_job import knotgym, typed
@@ -340,7 +340,7 @@ class Empty:
         return "nothing"
 
 
-def test_resume_on_nothing_and_a_run_over_what_is_left_say_so(
+def test_resume_on_nothing_says_so_and_a_run_over_what_is_left_needs_a_word(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     out, options = tmp_path / "a", RunOptions(workers=1)
@@ -349,8 +349,9 @@ def test_resume_on_nothing_and_a_run_over_what_is_left_say_so(
     staging_folder(out).mkdir()
     out.joinpath("manifest.json").rename(staging_folder(out) / "request.json")
     out.rmdir()
-    run(Empty(), out, options)
-    assert "what an interrupted run left goes" in capfd.readouterr().out
+    with pytest.raises(Occupied, match="--resume goes on from it, --restart throws it away"):
+        run(Empty(), out, options)
+    run(Empty(), out, replace(options, restart=True))
     assert list(tmp_path.iterdir()) == [out]  # and nothing hidden
 
 

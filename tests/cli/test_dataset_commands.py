@@ -449,4 +449,4 @@ def test_a_file_that_is_there_is_not_written_over(
     mine.write_text("mine")
     assert knotgym("dataset", command, curated / WAYS, "--out", mine) == 2
     (line,) = capfd.readouterr().err.splitlines()
-    assert f"{mine} is there already" in line and mine.read_text() == "mine"
+    assert f"{mine} exists already" in line and mine.read_text() == "mine"

@@ -392,12 +392,15 @@ def test_resumed_it_ends_in_the_same_bytes_as_an_unbroken_run_and_quiet_says_not
 
 
 @pytest.mark.slow  # test_commands has it of the engine, and what a run tells
-def test_without_resume_it_begins_anew_and_tells_in_plain_lines(
+def test_with_restart_it_begins_anew_and_tells_in_plain_lines(
     killed: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     shutil.copytree(killed.parent / ".nx0-1.partial", tmp_path / ".a.partial")
     assert (
-        knotgym("generate", "--nx", 0, "--count", 1, "--workers", 1, "--out", tmp_path / "a") == 0
+        knotgym(
+            "generate", *("--nx", 0, "--count", 1, "--workers", 1), "--out", tmp_path / "a", "--restart"
+        )
+        == 0
     )
     assert (
         len(read_states(tmp_path / "a" / "states.h5")) == 1
@@ -488,7 +491,8 @@ def test_a_folder_that_is_there_is_not_touched(
     for more in ((), ("--resume",)):
         assert knotgym("generate", *WANTED, "--out", tmp_path / "a", *more) == 2
         assert said(capfd) == [
-            f"knotgym: {tmp_path / 'a'} is there already; choose another --out, or remove it"
+            f"knotgym: {tmp_path / 'a'} exists already; --overwrite replaces it, or choose another"
+            " --out"
         ]
     assert [path.name for path in tmp_path.rglob("*")] == ["a", "mine.txt"]
 

@@ -85,7 +85,7 @@ def test_ogbench_files_hold_every_state_once(dataset: Path, tmp_path: Path) -> N
             assert {*held} == {*right}
             assert all(np.array_equal(held[key], right[key]) for key in right)
             assert held["actions"].dtype == np.float32
-    with pytest.raises(NothingToExport, match="is there already; choose another --out"):
+    with pytest.raises(Occupied, match="exists already"):
         export(dataset, tmp_path, "ogbench")
 
 

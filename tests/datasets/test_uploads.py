@@ -78,7 +78,7 @@ def test_what_is_there_is_left_alone(
     curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], form: str
 ) -> None:
     assert knotgym("dataset", "export", curated, "--to", form, "--out", tmp_path) == 2
-    assert "is there already" in capfd.readouterr().err and not list(tmp_path.iterdir())
+    assert "exists already" in capfd.readouterr().err and not list(tmp_path.iterdir())
 
 
 def test_minaris_folder_is_a_repository_of_the_same_bytes(curated: Path, minari_root: Path) -> None:

@@ -22,8 +22,8 @@ from knotgym.generate.episodes.evaluate import (
 )
 from knotgym.runs.executors import InProcess
 from knotgym.runs.intervals import wilson
-from knotgym.runs.run_options import InvalidRun
-from knotgym.runs.staging import staging_folder
+from knotgym.runs.run_options import Existing, InvalidRun
+from knotgym.runs.staging import Occupied, staging_folder
 from knotgym.tasks import InvalidSetting, TaskConfig
 
 
@@ -217,8 +217,9 @@ def test_a_mistake_is_one_line_and_status_2(
 # Interrupted, and gone on with.
 
 
-def to_file(made: EvaluateConfig, out: Path, resume: bool = False) -> None:
-    run(made, workers=1, out=out, video=None, quiet=True, console=Console(), resume=resume)
+def to_file(made: EvaluateConfig, out: Path, **words: bool) -> None:
+    existing = Existing(**words)
+    run(made, workers=1, out=out, video=None, quiet=True, console=Console(), existing=existing)
 
 
 def counted_pieces(monkeypatch: pytest.MonkeyPatch, most: int) -> list[object]:
@@ -263,13 +264,15 @@ def test_an_evaluation_of_other_settings_is_not_gone_on_with(
 ) -> None:
     with pytest.raises(InvalidRun, match="config.seed is 0 there and 1 here"):
         to_file(config(states_path, episodes=17, seed=1), interrupted, resume=True)
-    to_file(config(states_path, episodes=1), interrupted)  # begun anew, what was left goes
+    with pytest.raises(Occupied, match="--resume goes on from it, --restart throws it away"):
+        to_file(config(states_path, episodes=1), interrupted)
+    to_file(config(states_path, episodes=1), interrupted, restart=True)
     with pytest.raises(InvalidRun, match="settings.episodes is 1 there and 2 here"):
         to_file(config(states_path, episodes=2), interrupted, resume=True)
     interrupted.write_text('{"version": 1}')
     with pytest.raises(InvalidRun, match="isn't an evaluation"):
         to_file(config(states_path, episodes=2), interrupted, resume=True)
-    with pytest.raises(InvalidEvaluation, match="--resume goes on with the evaluation of an --out"):
+    with pytest.raises(InvalidEvaluation, match="--resume and --restart are about"):
         run(
             config(states_path),
             workers=1,
@@ -277,7 +280,7 @@ def test_an_evaluation_of_other_settings_is_not_gone_on_with(
             video=None,
             quiet=True,
             console=Console(),
-            resume=True,
+            existing=Existing(resume=True),
         )
 
 
@@ -295,5 +298,5 @@ def test_what_was_played_is_not_gone_on_from_once_it_is_spoilt(
 ) -> None:
     for spoilt in ("{}", '{"0": [[1]]}', "no JSON"):
         (staging_folder(interrupted) / "played.json").write_text(spoilt)
-        with pytest.raises(InvalidRun, match="is damaged; start without --resume"):
+        with pytest.raises(InvalidRun, match="is damaged; --restart begins anew"):
             to_file(config(states_path, episodes=17), interrupted, resume=True)

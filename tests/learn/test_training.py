@@ -79,14 +79,7 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
 def test_a_folder_in_use_is_refused(
     episodes: Path, learner: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert "holds something already" in refused(capsys, "--data", episodes, "--out", learner)
-
-
-def test_resuming_nothing_is_refused(
-    episodes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    said = refused(capsys, "--data", episodes, "--out", tmp_path / "new", "--resume")
-    assert "no training under way" in said
+    assert "exists already" in refused(capsys, "--data", episodes, "--out", learner)
 
 
 def test_a_missing_set_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -150,13 +143,13 @@ def test_changed_arrays_are_not_gone_on_with(tmp_path: Path) -> None:
     path = tmp_path / training.UNDER_WAY
     (tmp_path / training.REQUEST).write_text("{}")
     training._keep(tmp_path, {"rope": torch.from_numpy(FIRST_GUESS), "fit": torch.ones(2)})
-    assert training._begin(tmp_path, {}, resume=True).keys() == {"rope", "fit"}
+    assert training._begin(tmp_path, {}).keys() == {"rope", "fit"}
     raw = bytearray(path.read_bytes())
     raw[-50] ^= 1
     path.write_bytes(raw)
     with pytest.raises(training.InvalidTraining, match="its checksum differs"):
-        training._begin(tmp_path, {}, resume=True)
+        training._begin(tmp_path, {})
     path.unlink()
     os.mkfifo(path)
     with pytest.raises(training.InvalidTraining, match="isn't a regular file"):
-        training._begin(tmp_path, {}, resume=True)
+        training._begin(tmp_path, {})

@@ -330,12 +330,12 @@ def test_side_by_side_gives_the_same_transcripts(states_path: str, tmp_path: Pat
                 3,
                 out,
                 side_by_side=count,
-                resume=False,
+                existing=Existing(),
                 progress=Progress(quiet=True),
             )
             texts.append((out / "transcripts.jsonl").read_text())
         with pytest.raises(InvalidRun, match="at least 1"):
-            run(own, play, 1, out, side_by_side=0, resume=False, progress=Progress(True))  # type: ignore[arg-type]
+            run(own, play, 1, out, side_by_side=0, progress=Progress(True))  # type: ignore[arg-type]
     assert texts[0] == texts[1]
 
 

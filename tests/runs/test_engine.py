@@ -8,6 +8,7 @@ import os
 import shutil
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -156,9 +157,11 @@ def test_what_does_not_say_what_it_is_of_is_not_gone_on_with(
         os.mkfifo(request)
     elif harm != "missing":
         request.write_text(text.replace("squares", "cubes") if harm == "another" else text[:-9])
-    with pytest.raises(InvalidRun, match="start without --resume"):
+    with pytest.raises(InvalidRun, match="--restart"):
         made(tmp_path / "a", RESUMED)
-    assert made(tmp_path / "a") == "[0, 1, 4, 9]"
+    with pytest.raises(Occupied, match="--resume goes on from it, --restart throws it away"):
+        made(tmp_path / "a")
+    assert made(tmp_path / "a", replace(QUIET, restart=True)) == "[0, 1, 4, 9]"
 
 
 def test_a_run_that_was_killed_at_once_leaves_nothing_in_the_way(tmp_path: Path) -> None:

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import knotgym
-from knotgym.atomic_files import atomic_write
+from knotgym.atomic_files import atomic_write, copy_file, require_output
 from knotgym.datasets.cards.citation import BIBTEX, TO_CITE, citation_file
 from knotgym.datasets.cards.state_card import table
 from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
@@ -63,17 +62,23 @@ class ToUpload(NamedTuple):
     pictures: Path | None = None
 
 
-def to_huggingface(source: ToUpload, out: str | os.PathLike[str], count: Count = uncounted) -> None:
+def to_huggingface(
+    source: ToUpload,
+    out: str | os.PathLike[str],
+    count: Count = uncounted,
+    *,
+    overwrite: bool = False,
+) -> None:
     """Write the folder, whole or not at all; `count` is told before each episode.
 
     Raises:
-        NothingToExport: there is no row, or `out` is there.
+        NothingToExport: there is no row.
+        Occupied: `out` exists, and `overwrite` isn't asked for.
         MissingArrow: pyarrow isn't installed.
     """
-    if Path(out).exists():
-        raise NothingToExport(f"{out} is there already; choose another --out, or remove it")
+    require_output(out, folder=True, overwrite=overwrite)
     arrow()
-    with atomic_write(out) as folder:
+    with atomic_write(out, overwrite=overwrite) as folder:
         folder.mkdir()
         files = [file for file in _written(source, folder, count) if file.rows]
         if not files:
@@ -104,7 +109,7 @@ def _written(source: ToUpload, folder: Path, count: Count) -> Iterator[FileObjec
         for path in shards(source.pictures):
             place = f"data/pictures/{path.name}"
             (folder / place).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(path, folder / place)
+            copy_file(path, folder / place)
             rows = arrow("pyarrow.parquet").ParquetFile(path).metadata.num_rows
             yield FileObject("pictures", path.name.split("-")[0], place, rows, columns)
         _picture_gallery(source.pictures, folder / "gallery.png")

@@ -11,20 +11,20 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from knotgym.atomic_files import atomic_write
+from knotgym.atomic_files import atomic_write, copy_file, require_no_links, require_output
 from knotgym.configuration import read_json
 from knotgym.datasets.cards.citation import TO_CITE, citation_file
 from knotgym.datasets.cards.state_card import table
 from knotgym.datasets.episode_reader import EpisodeReader, episode_file
 from knotgym.datasets.exports.forms import NothingToExport
 from knotgym.datasets.gallery import contact_sheet, write_png
+from knotgym.datasets.minari_dataset import dataset_files
 from knotgym.datasets.states import leads_out
 from knotgym.rendering.picture import draw
 
@@ -40,19 +40,22 @@ _ROWS = (
 )
 
 
-def to_minari(datasets: Sequence[Path], out: str | os.PathLike[str]) -> None:
+def to_minari(
+    datasets: Sequence[Path], out: str | os.PathLike[str], *, overwrite: bool = False
+) -> None:
     """Write the folder, whole or not at all.
 
     Raises:
-        NothingToExport: one is no Minari dataset, two have one id or no common first word, or `out`
-            is there.
+        NothingToExport: one is no Minari dataset, or two have one id or no common first word.
+        LinkedFile: a dataset's file is a link.
+        Occupied: `out` exists, and `overwrite` isn't asked for.
     """
-    if Path(out).exists():
-        raise NothingToExport(f"{out} is there already; choose another --out, or remove it")
+    require_output(out, folder=True, overwrite=overwrite)
     entries: dict[str, dict[str, Any]] = {}
     sources: dict[str, Path] = {}
     for dataset in datasets:
         data = episode_file(dataset).parent
+        require_no_links(Path(dataset), dataset_files(data))
         try:
             said = read_json(data / "metadata.json")
             name, _ = str(said["dataset_id"]), (said["total_episodes"], said["total_steps"])
@@ -71,10 +74,12 @@ def to_minari(datasets: Sequence[Path], out: str | os.PathLike[str]) -> None:
             "a repository holds ids that begin with one word, as knotgym/tie-nx2/expert-v0; these"
             f" are {', '.join(sources)}"
         )
-    with atomic_write(out) as root:
+    with atomic_write(out, overwrite=overwrite) as root:
         repository = root / words.pop()
         for name, data in sources.items():
-            shutil.copytree(data, root / name / "data")
+            (root / name / "data").mkdir(parents=True)
+            for file in dataset_files(data):
+                copy_file(file, root / name / "data" / file.name)
         namespace = {"description": "Closed ropes in MuJoCo, goals that are Gauss codes."}
         listed = {**namespace, "datasets": sorted(sources), "namespaces": []}
         _write(repository / "namespace_metadata.json", json.dumps(listed))

@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from knotgym.atomic_files import sha256
+from knotgym.atomic_files import require_output, sha256
 from knotgym.configuration import as_json, differences
 from knotgym.control.expert import Expert
 from knotgym.control.policies import PolicyConfig, make_policy
@@ -31,6 +31,7 @@ from knotgym.runs.engine import Batch, run
 from knotgym.runs.progress import Progress, Status, tell_if_long
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.sealed_json import read_sealed, write_sealed
+from knotgym.runs.staging import require_no_interrupted_run
 from knotgym.tasks import TaskConfig
 
 REPORT = "collection.json"
@@ -198,13 +199,28 @@ def collect(
         Occupied, InvalidRun: as of `runs.engine.run`.
         InvalidCollection: no episode is left to keep.
     """
-    root = Path(out) if out is not None else minari_root()
-    folder = options.shard.folder(root / config.dataset_id)
+    folder = _folder(config, out, options)
     recipe = EpisodeRecipe(config, options)
     if progress is not None:
         spent = config.core_seconds * len(recipe.numbers)
         tell_if_long(progress, spent, options.workers)
     return run(recipe, folder, options, progress)
+
+
+def require_collectable(config: CollectConfig, out: Path | None, options: RunOptions) -> None:
+    """Refuse a collection whose folder exists or was begun, unless it was said what becomes of it.
+
+    Raises:
+        Occupied: it is so.
+    """
+    folder = _folder(config, out, options)
+    if not options.resume:
+        require_output(folder, folder=True, overwrite=options.overwrite)
+    require_no_interrupted_run(folder, options)
+
+
+def _folder(config: CollectConfig, out: Path | None, options: RunOptions) -> Path:
+    return options.shard.folder((out or minari_root()) / config.dataset_id)
 
 
 class EpisodeRecipe:

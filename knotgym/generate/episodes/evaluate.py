@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 import knotgym
-from knotgym.atomic_files import atomic_write, require_writable
+from knotgym.atomic_files import Occupied, atomic_write, require_output
 from knotgym.configuration import as_json, read_json
 from knotgym.control.learned_policies import is_learner, learner_card
 from knotgym.control.policies import PolicyConfig, make_policy
@@ -37,7 +37,8 @@ from knotgym.runs.executors import executor
 from knotgym.runs.intervals import wilson
 from knotgym.runs.pools import Pool
 from knotgym.runs.progress import Progress, compile_first, tell_if_long
-from knotgym.runs.run_options import InvalidRun
+from knotgym.runs.run_options import Existing, InvalidRun
+from knotgym.runs.staging import may_be_finished
 from knotgym.runs.tables import narrow_table
 from knotgym.tasks import TaskConfig
 
@@ -271,45 +272,51 @@ def run(
     quiet: bool,
     console: Console,
     progress: Progress | None = None,
-    resume: bool = False,
+    existing: Existing = Existing(),
 ) -> list[Result]:
     """Evaluate, show, and write what was asked for.
 
-    With `resume` it goes on with what an evaluation of the same settings left beside `out` when it
-    was interrupted; one that is finished is shown.
+    With `existing.resume` it goes on from what an interrupted evaluation of the same settings left
+    beside `out`; one that is finished is shown.
 
     Raises:
-        InvalidEvaluation: fewer than 0 workers, or `resume` without `out`.
+        InvalidEvaluation: fewer than 0 workers, or to resume or restart is asked for without `out`.
         InvalidRun: what is to be resumed is of another evaluation, or damaged.
-        Occupied: another process is evaluating into `out`.
+        Occupied: `out` or `video` exists, an interrupted evaluation left work, or another process
+            is evaluating into `out`.
         Unwritable: nothing can be written where `out` or `video` are.
         UnknownFilm: the video is of no kind that can be written here.
         InvalidSetting: the state file lacks what a task needs.
     """
     if workers < 0:
         raise InvalidEvaluation(f"workers must be at least 0, got {workers}")
-    if resume and out is None:
-        raise InvalidEvaluation("--resume goes on with the evaluation of an --out; name it")
+    if out is None and (existing.resume or existing.restart):
+        raise InvalidEvaluation("--resume and --restart are about the evaluation of an --out; name it")
     if video is not None:
         from knotgym.rendering.video import require_film, write_film
 
         require_film(video)
         config = config if config.filmed else replace(config, filmed=2)
-    for path in (out, video):
-        if path is not None:
-            require_writable(path)
     for policy in config.policies:
         make_policy(policy)  # refuses what isn't there before any work is done
     for _, task in config.setups():
         state_origins(task)  # so does this
-    if resume and out is not None and out.exists() and video is None:
-        results = _finished(out, config)
+    done = None if out is None else _done_already(out, config, existing)
+    if done is not None:
+        if video is not None and not video.exists():
+            raise Occupied(
+                f"{out} is finished already, but the film {video} isn't there; --overwrite makes"
+                " both anew"
+            )
         if not quiet:
-            show(results, console)
+            show(done, console)
             console.print(f"{out} is finished already", soft_wrap=True, highlight=False)
-        return results
+        return done
+    for path in (out, video):
+        if path is not None:
+            require_output(path, folder=False, overwrite=existing.overwrite)
     progress = Progress(quiet=True) if progress is None else progress
-    with kept_beside(out, request(config), resume, progress) as unfinished:
+    with kept_beside(out, request(config), existing, progress) as unfinished:
         spent = sum(policy.core_seconds for policy, _ in config.setups()) * config.episodes
         tell_if_long(progress, spent, workers)
         compile_first(progress)
@@ -317,19 +324,36 @@ def run(
             results, films = evaluate(config, pool, progress, unfinished)
         if not quiet:
             show(results, console)
+        if video is not None:  # before `out`, which says that all is done
+            frames = [frame for episode in films for frame in film(episode, config.task)]
+            with atomic_write(video, overwrite=existing.overwrite) as temporary:
+                write_film(temporary, frames)
         if out is not None:
-            with atomic_write(out) as temporary:
+            with atomic_write(out, overwrite=existing.overwrite) as temporary:
                 told = json.dumps(report(config, results), indent=1) + "\n"
                 temporary.write_text(told, encoding="utf-8")
     if out is not None and not quiet:
         told = f"{out}: {len(results)} results of {config.episodes} episodes each"
         console.print(told, soft_wrap=True, highlight=False)
-    if video is not None:
-        frames = [frame for episode in films for frame in film(episode, config.task)]
-        write_film(video, frames)
-        if not quiet:
-            console.print(f"{video}: {len(films)} episodes", soft_wrap=True, highlight=False)
+    if video is not None and not quiet:
+        console.print(f"{video}: {len(films)} episodes", soft_wrap=True, highlight=False)
     return results
+
+
+def _done_already(out: Path, config: EvaluateConfig, existing: Existing) -> list[Result] | None:
+    """The results at `out` if a resumed evaluation takes them as its own; None if it is to play.
+
+    Raises:
+        InvalidRun: the file is of another evaluation, and is not to be overwritten.
+    """
+    if not may_be_finished(out, existing) or not out.is_file():
+        return None
+    try:
+        return _finished(out, config)
+    except InvalidRun:
+        if existing.overwrite:
+            return None
+        raise
 
 
 def _finished(out: Path, config: EvaluateConfig) -> list[Result]:

@@ -16,9 +16,9 @@ from knotgym.atomic_files import atomic_write, sha256
 from knotgym.configuration import as_json
 from knotgym.control.learned_policies import is_learner, learner_card
 from knotgym.datasets.states import ships, states_file
-from knotgym.runs.engine import REQUEST, require_nothing_else_left, whole_request
+from knotgym.runs.engine import REQUEST, require_startable, whole_request
 from knotgym.runs.progress import Progress
-from knotgym.runs.run_options import InvalidRun
+from knotgym.runs.run_options import Existing, InvalidRun
 from knotgym.runs.sealed_json import read_sealed, write_sealed
 from knotgym.runs.shards import Shard
 from knotgym.runs.staging import staging
@@ -68,24 +68,24 @@ class Unfinished:
 
 @contextmanager
 def kept_beside(
-    out: Path | None, asked: dict[str, Any], resume: bool, progress: Progress
+    out: Path | None, asked: dict[str, Any], existing: Existing, progress: Progress
 ) -> Iterator[Unfinished]:
     """What was played of an evaluation that will write `out`; gone when it is written,
     or when nothing was played.
 
     Raises:
         InvalidRun: what is there to resume is of another evaluation, or damaged.
-        Occupied: another process is at it.
+        Occupied: another process is at it, or an interrupted evaluation left work unasked for.
     """
     if out is None:
         yield Unfinished()
         return
-    require_nothing_else_left(out, asked, resume, (), progress)
-    with staging(out, resume) as folder:
+    require_startable(out, asked, existing, (), progress)
+    with staging(out, existing) as folder:
         try:
             unfinished = Unfinished(folder / _PLAYED)
         except (TypeError, ValueError) as error:
-            raise InvalidRun(f"{folder / _PLAYED} is damaged; start without --resume") from error
+            raise InvalidRun(f"{folder / _PLAYED} is damaged; --restart begins anew") from error
         with atomic_write(folder / REQUEST) as temporary:
             temporary.write_text(json.dumps(asked, indent=1, sort_keys=True), encoding="utf-8")
         try:
