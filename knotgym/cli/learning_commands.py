@@ -54,4 +54,10 @@ def train(
         from knotgym.learn.training import train as run
 
         config = with_settings(TrainConfig(steps=steps, seed=seed), settings)
-        run(data, out, config, existing=Existing(resume=resume, restart=restart, overwrite=overwrite), progress=progress)
+        run(
+            data,
+            out,
+            config,
+            existing=Existing(resume=resume, restart=restart, overwrite=overwrite),
+            progress=progress,
+        )

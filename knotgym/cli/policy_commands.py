@@ -21,9 +21,9 @@ from knotgym.cli.options import (
     NoiseOption,
     NxOption,
     ObservationOption,
+    OverwriteOption,
     PoliciesOption,
     PolicyOption,
-    OverwriteOption,
     QuietOption,
     ResetNoiseOption,
     RestartOption,
@@ -137,7 +137,11 @@ def collect(
         knotgym collect --task tie --policy pretrained --labels expert --budget 2000
     """
     with Progress(quiet) as progress:
-        from knotgym.generate.episodes.collect import CollectConfig, distinct_id, require_collectable
+        from knotgym.generate.episodes.collect import (
+            CollectConfig,
+            distinct_id,
+            require_collectable,
+        )
         from knotgym.generate.episodes.collect import collect as run
         from knotgym.tasks import TaskConfig
 

@@ -102,9 +102,7 @@ def shard_folder_of(source: str) -> ShardFolder | None:
     return None
 
 
-def merge_shards(
-    folders: Sequence[ShardFolder], out: Path, *, overwrite: bool = False
-) -> Path:
+def merge_shards(folders: Sequence[ShardFolder], out: Path, *, overwrite: bool = False) -> Path:
     """Put all the shards of a run together.
 
     Args:

@@ -32,8 +32,15 @@ from knotgym.learn.reader_training import ReaderTraining
 from knotgym.learn.rope_model import FIRST_GUESS, Dynamics
 from knotgym.learn.training_data import TrainingData, read_training_data
 from knotgym.runs.progress import Progress, Status
-from knotgym.runs.run_options import Existing
-from knotgym.runs.staging import discard, has_work, may_be_finished, require_no_interrupted_run, staging, staging_folder
+from knotgym.runs.run_options import REFUSE_EXISTING, Existing
+from knotgym.runs.staging import (
+    discard,
+    has_work,
+    may_be_finished,
+    require_no_interrupted_run,
+    staging,
+    staging_folder,
+)
 from knotgym.streams import Stream, generator
 
 UNDER_WAY, REQUEST = "training.safetensors", "training.json"
@@ -81,7 +88,7 @@ def train(
     out: Path,
     config: TrainConfig,
     *,
-    existing: Existing = Existing(),
+    existing: Existing = REFUSE_EXISTING,
     quiet: bool = False,
     progress: Progress | None = None,
 ) -> Learned:

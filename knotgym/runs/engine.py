@@ -260,9 +260,7 @@ def require_same(
         )
 
 
-def differing(
-    there: dict[str, Any], asked: dict[str, Any], flexible: tuple[str, ...]
-) -> list[str]:
+def differing(there: dict[str, Any], asked: dict[str, Any], flexible: tuple[str, ...]) -> list[str]:
     """In what two requests differ, but for the fields of the configuration named `flexible`."""
     return [
         difference

@@ -41,6 +41,9 @@ class Existing:
             )
 
 
+REFUSE_EXISTING = Existing()
+
+
 @dataclass(frozen=True, kw_only=True)
 class RunOptions(Existing):
     """How a run is done. Nothing here but the shard changes a byte of what is made.

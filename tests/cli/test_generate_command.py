@@ -398,7 +398,11 @@ def test_with_restart_it_begins_anew_and_tells_in_plain_lines(
     shutil.copytree(killed.parent / ".nx0-1.partial", tmp_path / ".a.partial")
     assert (
         knotgym(
-            "generate", *("--nx", 0, "--count", 1, "--workers", 1), "--out", tmp_path / "a", "--restart"
+            "generate",
+            *("--nx", 0, "--count", 1, "--workers", 1),
+            "--out",
+            tmp_path / "a",
+            "--restart",
         )
         == 0
     )

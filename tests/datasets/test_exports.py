@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from knotgym.atomic_files import Occupied
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import replay
 from knotgym.datasets.episode_writer import EpisodeWriter

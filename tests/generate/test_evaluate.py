@@ -272,7 +272,7 @@ def test_an_evaluation_of_other_settings_is_not_gone_on_with(
     interrupted.write_text('{"version": 1}')
     with pytest.raises(InvalidRun, match="isn't an evaluation"):
         to_file(config(states_path, episodes=2), interrupted, resume=True)
-    with pytest.raises(InvalidEvaluation, match="--resume and --restart are about"):
+    with pytest.raises(InvalidEvaluation, match="--resume and --restart need the --out"):
         run(
             config(states_path),
             workers=1,

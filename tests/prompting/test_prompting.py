@@ -26,7 +26,7 @@ from knotgym.prompting.transcripts import InvalidTranscript, read_transcripts
 from knotgym.rendering.appearance import AppearanceConfig
 from knotgym.rope import Rope
 from knotgym.runs.progress import Progress
-from knotgym.runs.run_options import InvalidRun
+from knotgym.runs.run_options import Existing, InvalidRun
 from knotgym.tasks import TaskConfig
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
@@ -335,7 +335,7 @@ def test_side_by_side_gives_the_same_transcripts(states_path: str, tmp_path: Pat
             )
             texts.append((out / "transcripts.jsonl").read_text())
         with pytest.raises(InvalidRun, match="at least 1"):
-            run(own, play, 1, out, side_by_side=0, progress=Progress(True))  # type: ignore[arg-type]
+            run(own, play, 1, out, side_by_side=0, existing=Existing(), progress=Progress(True))  # type: ignore[arg-type]
     assert texts[0] == texts[1]
 
 

@@ -37,7 +37,7 @@ from knotgym.runs.executors import executor
 from knotgym.runs.intervals import wilson
 from knotgym.runs.pools import Pool
 from knotgym.runs.progress import Progress, compile_first, tell_if_long
-from knotgym.runs.run_options import Existing, InvalidRun
+from knotgym.runs.run_options import REFUSE_EXISTING, Existing, InvalidRun
 from knotgym.runs.staging import may_be_finished
 from knotgym.runs.tables import narrow_table
 from knotgym.tasks import TaskConfig
@@ -272,7 +272,7 @@ def run(
     quiet: bool,
     console: Console,
     progress: Progress | None = None,
-    existing: Existing = Existing(),
+    existing: Existing = REFUSE_EXISTING,
 ) -> list[Result]:
     """Evaluate, show, and write what was asked for.
 
@@ -291,7 +291,9 @@ def run(
     if workers < 0:
         raise InvalidEvaluation(f"workers must be at least 0, got {workers}")
     if out is None and (existing.resume or existing.restart):
-        raise InvalidEvaluation("--resume and --restart are about the evaluation of an --out; name it")
+        raise InvalidEvaluation(
+            "--resume and --restart are about the evaluation of an --out; name it"
+        )
     if video is not None:
         from knotgym.rendering.video import require_film, write_film
 
