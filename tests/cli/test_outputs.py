@@ -32,7 +32,7 @@ class Command(NamedTuple):
     """A command, and what it writes.
 
     Attributes:
-        words: with {out}, {states} and {episodes}.
+        words: with {out}, {states}, {episodes} and {none}, a file of no settings.
         output: below the folder named `out`; a name with a suffix is a file.
         stages: whether it can be interrupted and resumed.
         library: that it needs.
@@ -46,8 +46,10 @@ class Command(NamedTuple):
 
 COMMANDS = {
     "generate": Command("generate --nx 0 --count 1 --workers 1 --out {out}/a", "a", True),
-    "walk": Command("generate --nx 0 --source random-walk --count 1 --out {out}/a", "a", True),
-    "draw": Command("generate --nx 0 --source drawing --count 1 --out {out}/a", "a", True),
+    "walk": Command(
+        "generate --nx 0 --source random-walk --out {out}/a --settings {none}", "a", True
+    ),
+    "draw": Command("generate --nx 0 --source drawing --out {out}/a --settings {none}", "a", True),
     "images": Command("images --nx 0 --count 1 --out {out}/a", "a", True, "pyarrow"),
     "collect": Command(f"collect --policy random --id {ID} --out {{out}}", ID, True),
     "suite": Command("suite --task tie --nx 2 --policies random --out {out}", ID, True),
@@ -89,7 +91,13 @@ def typed(tmp_path: Path, states_path: str, episodes: Path) -> Type:
 
     def type_it(name: str, *more: str) -> int:
         pytest.importorskip(COMMANDS[name].library)
-        places = {"out": tmp_path / "out", "states": states_path, "episodes": episodes}
+        (tmp_path / "none.json").write_text("{}")
+        places = {
+            "out": tmp_path / "out",
+            "states": states_path,
+            "episodes": episodes,
+            "none": tmp_path / "none.json",
+        }
         words = [word.format(**places) for word in COMMANDS[name].words.split()]
         return knotgym(*words, "--quiet", *more)
 
@@ -120,7 +128,7 @@ def everything(folder: Path) -> dict[str, str]:
     """All below a folder: texts of files, ends of links."""
     found = {}
     for path in sorted(folder.rglob("*")):
-        if path.name != "lock":
+        if path.name not in ("lock", "none.json"):
             whole = f"-> {os.readlink(path)}" if path.is_symlink() else ""
             text = path.read_text() if path.is_file() else ""
             found[str(path.relative_to(folder))] = whole or text

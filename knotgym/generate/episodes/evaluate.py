@@ -303,13 +303,8 @@ def run(
         make_policy(policy)  # refuses what isn't there before any work is done
     for _, task in config.setups():
         state_origins(task)  # so does this
-    done = None if out is None else _done_already(out, config, existing)
+    done = None if out is None else _done_already(out, video, config, existing)
     if done is not None:
-        if video is not None and not video.exists():
-            raise Occupied(
-                f"{out} is finished already, but the film {video} isn't there; --overwrite makes"
-                " both anew"
-            )
         if not quiet:
             show(done, console)
             console.print(f"{out} is finished already", soft_wrap=True, highlight=False)
@@ -342,20 +337,29 @@ def run(
     return results
 
 
-def _done_already(out: Path, config: EvaluateConfig, existing: Existing) -> list[Result] | None:
+def _done_already(
+    out: Path, video: Path | None, config: EvaluateConfig, existing: Existing
+) -> list[Result] | None:
     """The results at `out` if a resumed evaluation takes them as its own; None if it is to play.
 
     Raises:
         InvalidRun: the file is of another evaluation, and is not to be overwritten.
+        Occupied: it is finished, but its film isn't there.
     """
     if not may_be_finished(out, existing) or not out.is_file():
         return None
     try:
-        return _finished(out, config)
+        results = _finished(out, config)
     except InvalidRun:
         if existing.overwrite:
             return None
         raise
+    if video is not None and not video.exists():
+        raise Occupied(
+            f"{out} is finished already, but the film {video} isn't there; --overwrite alone makes"
+            " both anew"
+        )
+    return results
 
 
 def _finished(out: Path, config: EvaluateConfig) -> list[Result]:
