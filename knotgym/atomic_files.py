@@ -168,7 +168,7 @@ def require_own(path: Path, error: type[KnotgymError] = Occupied) -> None:
     """
     try:
         found = os.lstat(path)
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return
     if stat.S_ISLNK(found.st_mode):
         raise error(f"{path} is a link, and is never followed; remove it")

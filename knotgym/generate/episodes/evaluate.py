@@ -291,9 +291,7 @@ def run(
     if workers < 0:
         raise InvalidEvaluation(f"workers must be at least 0, got {workers}")
     if out is None and (existing.resume or existing.restart):
-        raise InvalidEvaluation(
-            "--resume and --restart are about the evaluation of an --out; name it"
-        )
+        raise InvalidEvaluation("--resume and --restart need the --out of the evaluation; name it")
     if video is not None:
         from knotgym.rendering.video import require_film, write_film
 
