@@ -80,7 +80,6 @@ def run(
         finally:
             stop.set()
             kept.close()
-            chat.close()
         result = _finish(out, settings, [done[number] for number in range(count)])
         shutil.rmtree(folder, ignore_errors=True)
     return result
