@@ -298,10 +298,7 @@ def run(
     for path in (out, video):
         if path is not None:
             require_writable(path)
-    for policy in config.policies:
-        make_policy(policy)  # refuses what isn't there before any work is done
-    for _, task in config.setups():
-        state_origins(task)  # so does this
+    _require_playable(config)
     if resume and out is not None and out.exists() and video is None:
         results = _finished(out, config)
         if not quiet:
@@ -330,6 +327,14 @@ def run(
         if not quiet:
             console.print(f"{video}: {len(films)} episodes", soft_wrap=True, highlight=False)
     return results
+
+
+def _require_playable(config: EvaluateConfig) -> None:
+    """Refuse a policy or task that isn't there, or a policy that can't act in a task."""
+    acting = {one.policy: make_policy(one) for one in config.policies}
+    for policy, task in config.setups():
+        acting[policy.policy].suited(task)
+        state_origins(task)
 
 
 def _finished(out: Path, config: EvaluateConfig) -> list[Result]:
