@@ -23,7 +23,14 @@ import numpy as np
 
 import knotgym
 from knotgym.atomic_files import atomic_write
-from knotgym.datasets.cards.citation import BIBTEX, TO_CITE, citation_file
+from knotgym.datasets.cards.citation import (
+    BIBTEX,
+    TO_CITE,
+    citation_file,
+    code_span,
+    plain,
+    yaml_string,
+)
 from knotgym.datasets.cards.state_card import table
 from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
 from knotgym.datasets.exports.croissant import FileObject, croissant
@@ -156,7 +163,7 @@ def _card(title: str, description: str, folder: Path, files: Sequence[FileObject
     configs = list(dict.fromkeys(file.config for file in files))
     total = sum(file.rows for file in files)
     size = next((name for most, name in _SIZES if total < most), "1M<n<10M")
-    yield from ("---", "license: cc-by-4.0", f"pretty_name: {json.dumps(title)}")
+    yield from ("---", "license: cc-by-4.0", f"pretty_name: {yaml_string(title)}")
     yield "tags: [knot-theory, gauss-code, mujoco, spatial-reasoning, reinforcement-learning]"
     yield from ("task_categories: [reinforcement-learning, image-to-text]", "language: [en]")
     yield from (f"size_categories: [{json.dumps(size)}]", "configs:")
@@ -170,7 +177,7 @@ def _card(title: str, description: str, folder: Path, files: Sequence[FileObject
     yield "dataset_info:"
     for config in configs:
         yield from _info(folder, config, [file for file in files if file.config == config])
-    yield from ("---", "", f"# {title}", "", description, "")
+    yield from ("---", "", f"# {plain(title)}", "", description, "")
     if (folder / "gallery.png").is_file():
         yield from ("![the rope, picture by picture](gallery.png)", "")
     yield from ("```python", "from datasets import load_dataset", "")
@@ -180,7 +187,7 @@ def _card(title: str, description: str, folder: Path, files: Sequence[FileObject
         yield from (f"## {config}", "")
         counts = [(file.split, file.rows) for file in files if file.config == config]
         yield from (*table(("split", "rows"), counts), "")
-        rows = [(f"`{one.name}`", _kind(one), one.unit, one.doc) for one in columns]
+        rows = [(code_span(one.name), _kind(one), plain(one.unit), one.doc) for one in columns]
         yield from (*table(("column", "type", "unit", "holds"), rows), "")
     yield from TO_CITE
     yield from ("## Licence", "", "[CC-BY-4.0](https://creativecommons.org/licenses/by/4.0/)", "")
