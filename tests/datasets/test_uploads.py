@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from knotgym.datasets.cards.citation import citation_file
+from knotgym.datasets.exports.forms import NothingToExport
 from knotgym.datasets.exports.huggingface_export import ToUpload, to_huggingface
 from knotgym.datasets.states import read_states
 from knotgym.generate.episodes.suite_scores import score_tables
@@ -107,6 +108,13 @@ def test_cards_show_a_hostile_name_as_text(curated: Path, tmp_path: Path) -> Non
     assert harmless(body)
     (title,) = [one for one in citation_file(HOSTILE).splitlines() if one.startswith("title: ")]
     assert json.loads(title.partition(": ")[2]).startswith("knotgym: <img")
+
+
+@needs_arrow
+def test_a_shard_s_name_writes_no_yaml(tmp_path: Path) -> None:
+    (tmp_path / "train\n  path: x-0.parquet").write_bytes(b"")
+    with pytest.raises(NothingToExport, match="must begin with a split"):
+        to_huggingface(ToUpload("pictures", pictures=tmp_path), tmp_path / "hub")
 
 
 def test_tables_of_scores_show_a_hostile_policy_as_text() -> None:

@@ -62,8 +62,8 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         f"# Rope states with {', '.join(facts['nx'])} crossings",
         "",
         f"{len(states)} configurations of a closed rope in MuJoCo (knot type"
-        f" {plain(report['knot'])}), each labelled with its Gauss code, made by `knotgym generate` {report['version']}"
-        f" (MuJoCo {report['mujoco']}) with seed {config['seed']}. {_holds(report)}"
+        f" {plain(report['knot'])}), each labelled with its Gauss code, made by"
+        f" `knotgym generate` {report['version']} (MuJoCo {report['mujoco']}) with seed {config['seed']}. {_holds(report)}"
         " `gallery.png` shows all states, `manifest.json` lists checksums, configuration and"
         " counts. `knotgym dataset verify` recomputes every label and replays every trajectory.",
         "",

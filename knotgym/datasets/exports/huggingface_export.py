@@ -47,7 +47,7 @@ from knotgym.datasets.exports.parquet_tables import (
 from knotgym.datasets.gallery import contact_sheet, write_gallery, write_png
 from knotgym.datasets.image_table import arrow, decode, file_stem, read_rows, shards
 from knotgym.datasets.page.page_data import dataset_name
-from knotgym.datasets.splits import STATE_SPLITS
+from knotgym.datasets.splits import IMAGE_SPLITS, STATE_SPLITS
 from knotgym.datasets.states import read_states
 
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (10**6, "100K<n<1M"))
@@ -109,11 +109,17 @@ def _written(source: ToUpload, folder: Path, count: Count) -> Iterator[FileObjec
     if source.pictures is not None:
         columns = picture_columns()
         for path in shards(source.pictures):
+            split = path.name.split("-")[0]
+            if split not in map(file_stem, IMAGE_SPLITS):
+                raise NothingToExport(
+                    f"{path.name} must begin with a split, as train-00000-of-00001.parquet; there"
+                    f" are {', '.join(map(file_stem, IMAGE_SPLITS))}"
+                )
             place = f"data/pictures/{path.name}"
             (folder / place).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(path, folder / place)
             rows = arrow("pyarrow.parquet").ParquetFile(path).metadata.num_rows
-            yield FileObject("pictures", path.name.split("-")[0], place, rows, columns)
+            yield FileObject("pictures", split, place, rows, columns)
         _picture_gallery(source.pictures, folder / "gallery.png")
     if source.states is not None:
         states = read_states(source.states)
