@@ -137,7 +137,7 @@ def collect(
 
         knotgym collect --task tie --nx 3 --policy expert --episodes 200
 
-        knotgym collect --task unknot --nx 2-4 --policy mine:act --observation state
+        knotgym collect --task unknot --nx 2-4 --policy mine:act
 
         knotgym collect --task tie --policy pretrained --labels expert --budget 2000
     """

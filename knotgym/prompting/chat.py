@@ -18,9 +18,9 @@ import time
 import urllib.error
 import urllib.request
 from collections import Counter
-from collections.abc import Mapping
 from concurrent.futures import Future
 from dataclasses import dataclass
+from email.message import Message
 from email.utils import parsedate_to_datetime
 from http.client import HTTPException
 from typing import Any, NamedTuple
@@ -247,7 +247,7 @@ class Chat:
                 return _Attempt(reason="timeout")
             return _Attempt(reason="connection", said=self._short(one_line(error)))
 
-    def _refused(self, status: int, headers: Mapping[str, str], body: str) -> _Attempt:
+    def _refused(self, status: int, headers: Message, body: str) -> _Attempt:
         said = self._short(_complaint(body))
         if status in _RETRIED or status >= 500:
             wait = retry_after(headers.get("retry-after"))

@@ -93,8 +93,13 @@ def test_a_model_that_states_its_observations_gets_those(
 
 def test_a_model_of_stacked_pictures_gets_them_stacked(states_path: str) -> None:
     seen = []
-    model = Model(lambda batch: seen.append(batch.shape) or np.zeros((1, 6)), {"": (16, 16, 6)})
-    rollout(small(states_path, "pixels"), ModelPolicy(model, "m"), [0], 0)
+
+    def act(batch: Any) -> Any:
+        seen.append(batch.shape)
+        return np.zeros((1, 6))
+
+    policy = ModelPolicy(Model(act, {"": (16, 16, 6)}), "m")
+    rollout(small(states_path, "pixels"), policy, [0], 0)
     assert seen == [(1, 16, 16, 6)] * 2
 
 
@@ -237,7 +242,7 @@ class TestStableBaselines3:
     ) -> None:
         from stable_baselines3 import PPO
 
-        settings = {"nx": 2, "states": states_path, "image_size": 64}
+        settings: dict[str, Any] = {"nx": 2, "states": states_path, "image_size": 64}
         env = gym.make("knotgym/Unknot-v0", observation=observation, **settings)
         PPO(network, env, device="cpu", n_steps=8, batch_size=8).save(tmp_path / "model.zip")
         policy = make_policy(PolicyConfig(policy=f"{tmp_path}/model.zip"))

@@ -306,7 +306,11 @@ def test_half_a_surrogate_pair_doesn_t_end_a_run(states_path: str, tmp_path: Pat
     with server.serving():
         own = config(server.url, states_path, "stateful")
         for resume in (False, True):
-            arguments = {"side_by_side": 1, "resume": resume, "progress": Progress(quiet=True)}
+            arguments: dict[str, Any] = {
+                "side_by_side": 1,
+                "resume": resume,
+                "progress": Progress(quiet=True),
+            }
             try:
                 run(own, lambda number, ask: play(own, number, ask), 2, tmp_path / "r", **arguments)
             except Unanswered:

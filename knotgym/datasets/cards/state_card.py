@@ -63,7 +63,8 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         "",
         f"{len(states)} configurations of a closed rope in MuJoCo (knot type"
         f" {plain(report['knot'])}), each labelled with its Gauss code, made by"
-        f" `knotgym generate` {report['version']} (MuJoCo {report['mujoco']}) with seed {config['seed']}. {_holds(report)}"
+        f" `knotgym generate` {report['version']} (MuJoCo {report['mujoco']}) with seed"
+        f" {config['seed']}. {_holds(report)}"
         " `gallery.png` shows all states, `manifest.json` lists checksums, configuration and"
         " counts. `knotgym dataset verify` recomputes every label and replays every trajectory.",
         "",
