@@ -234,8 +234,7 @@ def test_a_function_sees_the_same_in_collect_as_in_evaluate(
         with pytest.raises(SystemExit) as left:
             main([*command.split(), *words.split()])
         assert left.value.code == 0
-    with EpisodeReader(tmp_path / "there" / "a" / "b-v0") as reader:
-        assert reader.stored == "both"
+    assert EpisodeReader(tmp_path / "there" / "a" / "b-v0").stored == "both"
 
 
 @pytest.mark.parametrize(
