@@ -5,6 +5,7 @@ with Gymnasium, and for OGBench knotgym/tie-nx2-v0 and the like (`adapters.ogben
 The names below are imported when they are first used.
 """
 
+import os
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING
 
@@ -22,6 +23,10 @@ if TYPE_CHECKING:
     from knotgym.topology.crossings import InvalidPoints, label
     from knotgym.topology.gauss import GaussCode, InvalidGaussCode
 else:
+    # numba takes its cache folder, whose files are unpickled, from a .numba_config.yaml in the
+    # current folder unless this is set; "" is its own default
+    os.environ.setdefault("NUMBA_CACHE_DIR", "")
+
     from knotgym.lazy_exports import lazy_exports
 
     __getattr__, __dir__ = lazy_exports(

@@ -20,7 +20,6 @@ from knotgym.cli.options import (
     MaxGoalsOption,
     NoiseOption,
     NxOption,
-    ObservationOption,
     OverwriteOption,
     PoliciesOption,
     PolicyOption,
@@ -90,7 +89,18 @@ def collect(
         ),
     ] = "",
     states: StatesOption = None,
-    observation: ObservationOption = "both",
+    observation: Annotated[
+        str | None,
+        option(
+            "--observation",
+            help=(
+                "Stored, and seen by your functions and .pt models: pixels, state, both or"
+                " symbolic. A .zip or .onnx model sees what it was trained on."
+            ),
+            group=ENVIRONMENT,
+            show_default="both is stored, state is seen",
+        ),
+    ] = None,
     max_goals: MaxGoalsOption = None,
     image_size: ImageSizeOption = 128,
     views: ViewsOption = "top",
@@ -132,7 +142,7 @@ def collect(
 
         knotgym collect --task tie --nx 3 --policy expert --episodes 200
 
-        knotgym collect --task unknot --nx 2-4 --policy mine:act --observation state
+        knotgym collect --task unknot --nx 2-4 --policy mine:act
 
         knotgym collect --task tie --policy pretrained --labels expert --budget 2000
     """
@@ -159,7 +169,7 @@ def collect(
                 nx=one,
                 split=split,
                 states=None if states is None else str(states),
-                observation=observation,
+                observation=observation or "both",
                 max_goals=max_goals,
                 image_size=image_size,
                 views=listed(views),
@@ -181,6 +191,7 @@ def collect(
                 keep_failed=keep_failed,
                 attempts=attempts,
                 labels=labels,
+                seen="" if observation else "state",
                 dataset_id=dataset_id
                 or distinct_id(one, acting, seed, attempts=attempts, labels=labels),
                 author=tuple(author or ()),
@@ -222,7 +233,10 @@ def evaluate(
         str,
         option(
             "--observation",
-            help="What models and functions see: pixels, state, both or symbolic.",
+            help=(
+                "What your functions and .pt models see: pixels, state, both or symbolic. A .zip or"
+                " .onnx model sees what it was trained on."
+            ),
             group=ENVIRONMENT,
         ),
     ] = "state",

@@ -75,7 +75,7 @@ def prompt(
         option("--completion-price", help="Of a million completion tokens.", group=_MODEL),
     ] = None,
     timeout: Annotated[
-        float, option("--timeout", help="Seconds until an answer counts as lost.", group=_MODEL)
+        float, option("--timeout", help="Seconds that an attempt may take in all.", group=_MODEL)
     ] = 120.0,
     attempts: Annotated[
         int, option("--attempts", help="Of each question, before the run stops.", group=_MODEL)
@@ -144,7 +144,7 @@ def prompt(
     """Put a vision-language model to episodes, or to reading codes off pictures.
 
     Each episode's transcript is a line of transcripts.jsonl; result.json holds what they count up
-    to. Needs the extra prompt.
+    to.
 
     Examples:
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import copy
 import importlib
+import importlib.util
 import inspect
 import os
 import sys
@@ -85,20 +86,35 @@ class OwnPolicy(UnplannedPolicy):
 
 
 def load_own(module: str, name: str) -> Any:
-    """What a module calls `name`.
+    """Import a module and return what it calls `name`.
+
+    A module that isn't installed is looked for in the current folder. That folder is on the path
+    only during this import: the module imports its neighbours at its top, not later.
 
     Raises:
         InvalidPolicy: there is no such thing, or the module raises.
     """
-    if os.getcwd() not in sys.path:
-        # a user's file lies where the command is typed; last, so that it hides nothing
-        sys.path.append(os.getcwd())
     try:
-        return getattr(importlib.import_module(module), name)
+        with _current_folder(module.partition(".")[0]):
+            return getattr(importlib.import_module(module), name)
     except (ImportError, AttributeError, SyntaxError) as error:
         raise InvalidPolicy(f"no policy {module}:{name}: {error}") from error
     except Exception as error:
         raise _said(f"{module}:{name}", error) from error
+
+
+@contextmanager
+def _current_folder(package: str) -> Iterator[None]:
+    """Search the current folder too, last, if Python finds no such package elsewhere."""
+    if package in sys.modules or importlib.util.find_spec(package) is not None:
+        yield
+        return
+    searched = list(sys.path)
+    sys.path.append(os.getcwd())
+    try:
+        yield
+    finally:
+        sys.path[:] = searched
 
 
 @contextmanager

@@ -91,14 +91,14 @@ def rollout(
     """Play episodes side by side.
 
     Args:
-        task: the environment.
+        task: the environment; the policy may take another observation of it.
         policy: who acts.
         numbers: which episodes of the run, at least one.
         seed: of the run.
         attempt: the policy draws otherwise in each; the episodes begin alike.
         labeller: asked at every state what it would do, which changes nothing.
     """
-    episodes = EpisodeBatch(task, len(numbers))
+    episodes = EpisodeBatch(policy.suited(task), len(numbers))
     tracks = []
     for index, number in enumerate(numbers):
         episodes.begin(index, np.random.default_rng(episode_seed(seed, number)))

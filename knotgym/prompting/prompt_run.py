@@ -82,7 +82,6 @@ def run(
         finally:
             stop.set()
             kept.close()
-            chat.close()
         transcripts = [done[number] for number in range(count)]
         result = _finish(out, settings, transcripts, existing.overwrite)
         shutil.rmtree(folder, ignore_errors=True)

@@ -1,7 +1,8 @@
 """Work on a Dask cluster; imported only when one is asked for.
 
 Workers read and write the files of a run themselves, so they must see its folder under the same
-path: start them anywhere on one shared file system. They must have this version of knotgym. A
+path: start them anywhere on one shared file system, with PYTHONSAFEPATH=1 unless all that lies in
+the folder where they start may be imported. They must have this version of knotgym. A
 worker that dies costs the pieces it was at: Dask gives them to others, who make the same bytes.
 """
 
@@ -9,6 +10,7 @@ from __future__ import annotations
 
 import logging
 import os
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -161,6 +163,7 @@ def _call(function: Callable[[Any], Any], piece: Any, folder: str, about: tuple[
         )
     with _one_at_a_time:
         if os.getcwd() != folder:
+            sys.path[:] = filter(None, sys.path)  # "" would import from the run's folder
             os.chdir(folder)  # relative paths are the run's
         cv2.setNumThreads(1)
         return function(piece)

@@ -155,7 +155,7 @@ from typer.testing import CliRunner
 from knotgym.cli.main import app
 from knotgym.runs.progress import Progress
 
-HEAVY = ("mujoco", "numba", "cv2", "h5py", "minari", "torch", "pyarrow", "openai")
+HEAVY = ("mujoco", "numba", "cv2", "h5py", "minari", "torch", "pyarrow")
 early = {}
 
 def enter(progress):

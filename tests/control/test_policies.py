@@ -19,6 +19,7 @@ from knotgym.control.policies import (
     policy_names,
     register_policy,
 )
+from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.episode_batch import EpisodeBatch
 from knotgym.tasks import TaskConfig
 
@@ -218,6 +219,22 @@ def test_a_function_is_found_in_the_folder_where_the_command_is_typed(
         )
     assert left.value.code == 0
     assert json.loads((tmp_path / "result.json").read_text())["episodes"] == 9
+
+
+def test_a_function_sees_the_same_in_collect_as_in_evaluate(
+    states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "sees_state.py").write_text(
+        "def act(observation):\n    assert observation.shape == (600,)\n    return [0] * 6\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    words = "--task unknot --nx 1 --policy sees_state:act --horizon 2 --episodes 1 --workers 1"
+    words += f" --states {states_path} --quiet --image-size 16"
+    for command in ("evaluate --split train", "collect --out there --id a/b-v0"):
+        with pytest.raises(SystemExit) as left:
+            main([*command.split(), *words.split()])
+        assert left.value.code == 0
+    assert EpisodeReader(tmp_path / "there" / "a" / "b-v0").stored == "both"
 
 
 @pytest.mark.parametrize(

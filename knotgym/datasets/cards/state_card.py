@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.datasets.cards.citation import TO_CITE
+from knotgym.datasets.cards.citation import TO_CITE, code_span, plain
 from knotgym.datasets.splits import STATE_SPLITS
 from knotgym.datasets.spread import spread_of
 from knotgym.datasets.state_schema import COLUMNS, DRAWING, RANDOM_WALK
@@ -61,9 +61,10 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         "",
         f"# Rope states with {', '.join(facts['nx'])} crossings",
         "",
-        f"{len(states)} configurations of a closed rope in MuJoCo (knot type {report['knot']}),"
-        f" each labelled with its Gauss code, made by `knotgym generate` {report['version']}"
-        f" (MuJoCo {report['mujoco']}) with seed {config['seed']}. {_holds(report)}"
+        f"{len(states)} configurations of a closed rope in MuJoCo (knot type"
+        f" {plain(report['knot'])}), each labelled with its Gauss code, made by"
+        f" `knotgym generate` {report['version']} (MuJoCo {report['mujoco']}) with seed"
+        f" {config['seed']}. {_holds(report)}"
         " `gallery.png` shows all states, `manifest.json` lists checksums, configuration and"
         " counts. `knotgym dataset verify` recomputes every label and replays every trajectory.",
         "",
@@ -78,7 +79,11 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         *table(
             ("measure", "unit", "min", "median", "max"),
             [
-                (name, spread["unit"], *(f"{spread[key]:.3g}" for key in ("min", "median", "max")))
+                (
+                    plain(name),
+                    plain(spread["unit"]),
+                    *(f"{spread[key]:.3g}" for key in ("min", "median", "max")),
+                )
                 for name, spread in facts["quality"].items()
             ],
         ),
@@ -96,7 +101,7 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         *table(
             ("nx", "reason", "candidates"),
             [
-                (nx, reason, count)
+                (nx, plain(reason), count)
                 for nx, reasons in report["rejected"].items()
                 for reason, count in most_first(reasons)
             ],
@@ -107,7 +112,10 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         "",
         *table(
             ("column", "type", "unit", "holds"),
-            [(f"`{one.name}`", one.kind, one.unit, one.doc) for one in columns_of(states)],
+            [
+                (code_span(one.name), one.kind, plain(one.unit), one.doc)
+                for one in columns_of(states)
+            ],
         ),
         "",
         *TO_CITE,

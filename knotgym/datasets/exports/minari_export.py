@@ -19,7 +19,7 @@ import numpy as np
 
 from knotgym.atomic_files import atomic_write, copy_file, require_no_links, require_output
 from knotgym.configuration import read_json
-from knotgym.datasets.cards.citation import TO_CITE, citation_file
+from knotgym.datasets.cards.citation import TO_CITE, citation_file, plain
 from knotgym.datasets.cards.state_card import table
 from knotgym.datasets.episode_reader import EpisodeReader, episode_file
 from knotgym.datasets.exports.forms import NothingToExport
@@ -102,9 +102,12 @@ def _gallery(datasets: Sequence[Path], out: Path) -> None:
         write_png(out, contact_sheet(np.stack([one for one, _ in shown]), captions))
 
 
+_LISTED = ("total_episodes", "total_steps", "algorithm_name")  # of a dataset's metadata
+
+
 def _card(repository: str, entries: dict[str, dict[str, Any]]) -> list[str]:
     rows = [
-        (name, said["total_episodes"], said["total_steps"], said.get("algorithm_name", ""))
+        tuple(map(plain, (name, *(said.get(key, "") for key in _LISTED))))
         for name, said in sorted(entries.items())
     ]
     return [
@@ -114,7 +117,7 @@ def _card(repository: str, entries: dict[str, dict[str, Any]]) -> list[str]:
         "task_categories: [reinforcement-learning]",
         "---",
         "",
-        f"# Minari datasets: {repository}",
+        f"# Minari datasets: {plain(repository)}",
         "",
         "Trajectories of a closed rope in MuJoCo; goals are Gauss codes. With"
         " `MINARI_REMOTE=hf://USER`:",

@@ -32,7 +32,7 @@ from knotgym.runs.progress import Progress, Status, tell_if_long
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.sealed_json import read_sealed, write_sealed
 from knotgym.runs.staging import require_no_interrupted_run
-from knotgym.tasks import TaskConfig
+from knotgym.tasks import OBSERVATIONS, TaskConfig
 
 REPORT = "collection.json"
 LABELS = ("", "expert")
@@ -58,6 +58,8 @@ class CollectConfig:
         labels: "expert": at every state it is asked for its action, `Episode.expert_action`, with
             the policy's planner and its whole budget for each; "" for none.
         episodes_per_file: of a run under way; doesn't show in the dataset.
+        seen: the observation that functions and models get that don't state their own; "" for the
+            stored one.
         dataset_id: of Minari; "" for knotgym/tie-nx3/expert-v0 and the like, of the test split
             knotgym/tie-nx3/expert-test-v0.
         author, author_email, code_permalink: for Minari's metadata.
@@ -71,6 +73,7 @@ class CollectConfig:
     attempts: int = 1
     labels: str = ""
     episodes_per_file: int = 4
+    seen: str = ""
     dataset_id: str = ""
     author: tuple[str, ...] = ()
     author_email: tuple[str, ...] = ()
@@ -82,6 +85,8 @@ class CollectConfig:
         for name in ("episodes", "episodes_per_file", "attempts"):
             if getattr(self, name) < 1:
                 raise InvalidCollection(f"{name} must be at least 1, got {getattr(self, name)}")
+        if self.seen not in ("", *OBSERVATIONS):
+            raise InvalidCollection(f"seen must be of {', '.join(OBSERVATIONS)}, got {self.seen!r}")
         if self.seed < 0:
             raise InvalidCollection(f"seed must be at least 0, got {self.seed}")
         if not self.dataset_id:
@@ -93,6 +98,11 @@ class CollectConfig:
         """What an episode costs, as `PolicyConfig.core_seconds`."""
         labelling = 40.0 if self.labels else 0.0
         return self.attempts * (self.policy.core_seconds + labelling)
+
+    @property
+    def seen_task(self) -> TaskConfig:
+        """The environment as the policy is given it."""
+        return replace(self.task, observation=self.seen or self.task.observation)
 
     @property
     def stored_task(self) -> TaskConfig:
@@ -231,7 +241,7 @@ class EpisodeRecipe:
     flexible: tuple[str, ...] = ()
 
     def __init__(self, config: CollectConfig, options: RunOptions) -> None:
-        make_policy(config.policy)  # refuses what isn't there before any work is done
+        make_policy(config.policy).suited(config.seen_task)  # refuses before any work is done
         _metadata(config, Tally())  # refuses a bad id
         if not ships(config.task.states):
             read_states(states_file(config.task.states), images=False)
@@ -379,10 +389,10 @@ def _best_of_attempts(config: CollectConfig, numbers: range) -> list[Rollout]:
     """
     policy = make_policy(config.policy)
     labeller = Expert(config.policy.planner) if config.labels else None
-    best = rollout(config.task, policy, numbers, config.seed, labeller=labeller)
+    best = rollout(config.seen_task, policy, numbers, config.seed, labeller=labeller)
     for attempt in range(1, config.attempts):
         again = rollout(
-            config.task, policy, numbers, config.seed, attempt=attempt, labeller=labeller
+            config.seen_task, policy, numbers, config.seed, attempt=attempt, labeller=labeller
         )
         for row, (old, new) in enumerate(zip(best, again, strict=True)):
             shorter = len(new.episode) < len(old.episode)

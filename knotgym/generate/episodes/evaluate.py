@@ -297,10 +297,7 @@ def run(
 
         require_film(video)
         config = config if config.filmed else replace(config, filmed=2)
-    for policy in config.policies:
-        make_policy(policy)  # refuses what isn't there before any work is done
-    for _, task in config.setups():
-        state_origins(task)  # so does this
+    _require_playable(config)
     done = None if out is None else _done_already(out, video, config, existing)
     if done is not None:
         if not quiet:
@@ -358,6 +355,14 @@ def _done_already(
             " both anew"
         )
     return results
+
+
+def _require_playable(config: EvaluateConfig) -> None:
+    """Refuse a policy or task that isn't there, or a policy that can't act in a task."""
+    acting = {one.policy: make_policy(one) for one in config.policies}
+    for policy, task in config.setups():
+        acting[policy.policy].suited(task)
+        state_origins(task)
 
 
 def _finished(out: Path, config: EvaluateConfig) -> list[Result]:

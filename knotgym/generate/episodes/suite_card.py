@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from knotgym.datasets.cards.citation import TO_CITE
+from knotgym.datasets.cards.citation import TO_CITE, code_span, plain
 from knotgym.datasets.cards.state_card import table
 from knotgym.generate.episodes.suite_scores import score_tables
 
@@ -97,9 +97,9 @@ def suite_card(report: Mapping[str, Any], references: Mapping[str, Any]) -> str:
 def _rows(sets: Mapping[str, Any]) -> Iterator[tuple[object, ...]]:
     for name, one in sorted(sets.items()):
         yield (
-            f"`{name}`",
-            one["states"],
-            one["policy"],
+            code_span(name),
+            plain(one["states"]),
+            plain(one["policy"]),
             one["seed"],
             one["episodes"],
             one["steps"],

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.configuration import as_json, read_json
+from knotgym.datasets.cards.citation import plain
 from knotgym.datasets.cards.state_card import table
 from knotgym.errors import KnotgymError, one_line
 from knotgym.runs.intervals import wilson
@@ -83,9 +84,14 @@ def score_tables(rows: Sequence[Mapping[str, Any]], heading: str = "##") -> list
             cells = {(row["task"], row["nx"]): row for row in own if row["policy"] == policy}
             told = [_cell(cells[setup]) if setup in cells else "" for setup in setups]
             trained = {row["training"].get("seconds") for row in cells.values()} - {None}
-            body.append((policy, *told, "; ".join(map(_seconds, sorted(trained)))))
+            body.append((plain(policy), *told, "; ".join(map(_seconds, sorted(trained)))))
         body += [(f"*{policy}, published*", *told, "") for policy, told in PUBLISHED.items()]
-        lines += ["", f"{heading} States {states}, {split} split", "", *table(head, body)]
+        lines += [
+            "",
+            f"{heading} States {plain(states)}, {plain(split)} split",
+            "",
+            *table(head, body),
+        ]
     return lines
 
 
