@@ -55,8 +55,8 @@ class Stream(IntEnum):
     IMAGE_APPEARANCE = 22  # row
     IMAGE_GRAIN = 23  # the noise of one picture, whose seed is stored
     EXPERT_LABEL = 24  # number of the episode, step: the plan that labels it
-    EVALUATION_EPISODE = 25  # number of the episode: the seed of its environment, where it is scored
-    EVALUATION_POLICY = 26  # number of the episode: draws of the policy, where it is scored
+    EVALUATION_EPISODE = 25  # number of the episode: the seed of its environment, scored
+    EVALUATION_POLICY = 26  # number of the episode: draws of the policy, scored
     INTERVAL = 27  # bootstraps of confidence intervals
     RANDOM_WALK = 30  # rope: all its actions, see `actions.drawn_actions`
     RANDOM_WALK_NOISE = 31  # rope, step: noise survival of the state saved there

@@ -106,7 +106,12 @@ def test_a_learner_s_training_stands_beside_its_scores(tmp_path: Path) -> None:
 
 
 def test_outcomes_that_are_no_columns_are_refused(tmp_path: Path) -> None:
-    for name, values in {"goal": [0], "success": [2] * 4, "start": [-1] * 4, "steps": "1234"}.items():
+    for name, values in {
+        "goal": [0],
+        "success": [2] * 4,
+        "start": [-1] * 4,
+        "steps": "1234",
+    }.items():
         path = told(tmp_path / name, 1, 2, 4)
         changed(path, "results", 0, "outcomes", name, value=values)
         with pytest.raises(InvalidScores, match="outcomes aren't columns"):

@@ -10,7 +10,7 @@ from typing import Any
 from knotgym.atomic_files import sha256
 from knotgym.configuration import differences
 from knotgym.control.policies import PolicyConfig, policy_digests
-from knotgym.datasets.states import ships, shipped, states_file
+from knotgym.datasets.states import shipped, ships, states_file
 from knotgym.episode_batch import SHIPPED, state_origins
 from knotgym.runs.engine import whole_request
 from knotgym.runs.run_options import InvalidRun

@@ -28,6 +28,7 @@ PUBLISHED = {
 LINE = ("policy", "settings", "policy_sha256", "code_sha256", "versions")
 CELL = ("states", "states_sha256", "split", "task", "nx")
 _APART = ("task", "nx", "split", "states")  # fields of a task that are columns of their own
+_OUTCOMES = ("start", "goal", "success", "steps")
 _PLAIN = {
     "task": as_json(EvaluateConfig(policies=(PolicyConfig(),)).task),
     "policy": as_json(PolicyConfig()),
@@ -100,7 +101,9 @@ def score_tables(rows: Sequence[Mapping[str, Any]], heading: str = "##") -> list
                 (policy, settings, files[:8], code[:8], *told)
                 + ("; ".join(map(_seconds, sorted(trained))),)
             )
-        body += [(f"*{policy}, published*", "", "", "", *told, "") for policy, told in PUBLISHED.items()]
+        body += [
+            (f"*{policy}, published*", "", "", "", *told, "") for policy, told in PUBLISHED.items()
+        ]
         lines += ["", f"{heading} States {states} ({digest[:8]}), {split} split", ""]
         lines += table(head, body)
     return lines
@@ -135,7 +138,9 @@ def _rows(told: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
             "seeds": [asked["seed"]],
             "rules": task,
             "training": training,
-            "outcomes": {name: one["outcomes"][name] for name in ("start", "goal", "success", "steps")},
+            "outcomes": {
+                name: one["outcomes"][name] for name in ("start", "goal", "success", "steps")
+            },
             **{name: _number(one[name]) for name in ("planned_actions", "planning_seconds")},
         }
         for name in (*LINE, *CELL):
