@@ -3,8 +3,8 @@
     python benchmarks/training_curves.py ppo-tie ppo-unknot --out docs/ppo-training
 
 Success, explored as in training, over the environment's steps, a line for each folder, with
-Wilson's 95 % interval, which is for the states trained on. Rows of `curve.json` are counted together, --window steps of them. Writes
-OUT.svg, and OUT.json with the rows behind it.
+Wilson's 95 % interval, which is for the states trained on. Rows of `curve.json` are counted
+together, --window steps of them. Writes OUT.svg, and OUT.json with the rows behind it.
 """
 
 from __future__ import annotations
