@@ -70,8 +70,7 @@ def cluster_interval(
     sides = [np.unique(np.asarray(labels), return_inverse=True)[1] for labels in (starts, goals)]
     counts = [int(side.max()) + 1 for side in sides]
     if rate in (0.0, 1.0):
-        trials = max(counts)
-        return wilson(rate * trials, trials)
+        return wilson(rate * max(counts), max(counts))
     rng = generator(Stream.INTERVAL, 0)
     variances = [_variance(outcome, side, rng) for side in sides]
     within = rate * (1 - rate) / n

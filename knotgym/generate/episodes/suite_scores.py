@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -209,7 +208,7 @@ def _digest(files: Mapping[str, str]) -> str:
 
 
 def _number(value: Any) -> Any:
-    if not isinstance(value, Real) or not -1e300 < value < 1e300:
+    if not isinstance(value, int | float) or not -1e300 < value < 1e300:
         raise InvalidScores(f"{value!r} is no number")
     return value
 
