@@ -68,10 +68,10 @@ the states of the smaller side. Where all episodes succeed, or none, each state 
 counts as one trial. A side with one state adds nothing: the interval then holds for that state
 alone. `knotgym/runs/intervals.py` has the references.
 
-On simulated cells (20 starts, 9 or 20 goals; random effects on the log odds with standard deviations
-of 0 to 2 for starts and half of it for goals) the interval holds the true rate in 93 to 99 % of
-cells; Wilson's interval of independent episodes in 53 to 97 %, least where states differ most:
-`pytest -m slow tests/runs/test_intervals.py`.
+On simulated cells (20 starts, 9 or 20 goals; random effects on the log odds with standard
+deviations of 0 to 2 for starts and half of it for goals) the interval holds the true rate in 93 to
+99 % of cells; Wilson's interval of independent episodes in 53 to 97 %, least where states differ
+most: `pytest -m slow tests/runs/test_intervals.py`.
 """
 Row = dict[str, Any]
 

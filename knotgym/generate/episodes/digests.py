@@ -4,6 +4,7 @@ counted together unless they are the same.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from typing import Any
 
@@ -44,7 +45,10 @@ def digests(source: dict[str, Any]) -> dict[str, Any]:
     fingerprint of the `rope`.
     """
     whole = whole_request({"source": source}, Shard())
-    return {**source, "versions": whole["versions"], "rope": whole["rope"]}
+    told = {**source, "versions": whole["versions"], "rope": whole["rope"]}
+    # in one order, so that a run and its merged shards are the same bytes
+    ordered: dict[str, Any] = json.loads(json.dumps(told, sort_keys=True))
+    return ordered
 
 
 def require_unchanged(before: dict[str, Any], now: dict[str, Any]) -> None:
