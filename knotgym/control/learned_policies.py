@@ -198,6 +198,13 @@ def learner_card(place: str) -> dict[str, Any]:
     return card
 
 
+def learner_files(place: str) -> dict[str, Path]:
+    """The files of a learner's folder, by their names."""
+    checkpoint = importlib.import_module("knotgym.learn.checkpoint")
+    folder: Path = checkpoint.policy_folder(place)
+    return {name: folder / name for name in (checkpoint.CARD, checkpoint.WEIGHTS)}
+
+
 def _stable_baselines3(path: Path, algorithm: str) -> Model:
     algorithms = _library("stable_baselines3", path)
     name = algorithm or "PPO"

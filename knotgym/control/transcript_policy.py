@@ -29,7 +29,7 @@ class TranscriptPolicy(UnplannedPolicy):
         super().__init__(f"prompt:{name}")
         self._transcripts: dict[float, Mapping[str, Any]] = {}
         for one in transcripts:
-            own = generator(Stream.POLICY, one["config"]["seed"], one["number"])
+            own = generator(Stream.EVALUATION_POLICY, one["config"]["seed"], one["number"])
             self._transcripts[own.random()] = one
         self._actions: dict[int, NDArray[np.float32]] = {}
 

@@ -17,7 +17,7 @@ import os
 import re
 import shutil
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -50,6 +50,8 @@ class MinariMetadata:
             `minari.get_normalized_score`.
         num_episodes_average_score: episodes those means were taken over.
         eval_split: the states that the evaluation environment draws from.
+        digests: of the policy, states, code and rope that made it, see `episodes.digests`; of
+            merged datasets by their ids.
 
     Raises:
         InvalidEpisodeFile: Minari would not take the id, or only one of the two scores is given.
@@ -65,6 +67,7 @@ class MinariMetadata:
     ref_max_score: float | None = None
     num_episodes_average_score: int | None = None
     eval_split: str = "test"
+    digests: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if _ID.fullmatch(self.dataset_id) is None:
@@ -227,6 +230,7 @@ def merge_datasets(
         author=tuple({name for one in said for name in one.author}),
         author_email=tuple({name for one in said for name in one.author_email}),
         eval_split=said[0].eval_split if said else "test",
+        digests={one.dataset_id: one.digests for one in said if one.digests},
         **same,
     )
     for reader in readers:
@@ -300,7 +304,7 @@ def minari_entries(metadata: MinariMetadata, task: TaskConfig) -> dict[str, Any]
     given = {
         name: value
         for name, value in asdict(metadata).items()
-        if name != "eval_split" and value not in (None, ())
+        if name != "eval_split" and value not in (None, (), {})
     }
     here = [] if "+" in knotgym.__version__ else [f"knotgym>={knotgym.__version__}"]
     return {

@@ -8,12 +8,14 @@ asked for the very same; what differs is refused by name.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -207,13 +209,27 @@ def whole_request(asked: dict[str, Any], shard: Shard) -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Versions of all whose change could change a byte."""
+    """Versions of all whose change could change a byte; `code` tells two states of one version of
+    this package apart.
+    """
     return {
         "knotgym": knotgym.__version__,
+        "code": _code_sha256(),
         "mujoco": mujoco.__version__,
         "numpy": np.__version__,
         "opencv": cv2.__version__,
     }
+
+
+@cache
+def _code_sha256() -> str:
+    """SHA-256 of this package's modules, less the commands, which only print and pass on."""
+    root, digest = Path(knotgym.__file__).parent, hashlib.sha256()
+    modules = {path.relative_to(root).as_posix(): path for path in root.rglob("*.py")}
+    for name in sorted(modules):
+        if not name.startswith("cli/"):
+            digest.update(f"{name}\0".encode() + modules[name].read_bytes() + b"\0")
+    return digest.hexdigest()
 
 
 def request_of(folder: Path) -> dict[str, Any] | None:

@@ -26,6 +26,7 @@ from knotgym.datasets.machine import machine
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
 from knotgym.datasets.states import minari_root, read_states, ships, states_file
 from knotgym.errors import KnotgymError
+from knotgym.generate.episodes.digests import digests, require_unchanged, sources
 from knotgym.rope import RopeConfig
 from knotgym.runs.engine import Batch, run
 from knotgym.runs.progress import Progress, Status, tell_if_long
@@ -80,6 +81,11 @@ class CollectConfig:
     code_permalink: str | None = None
 
     def __post_init__(self) -> None:
+        if self.policy.policy.startswith("prompt:"):
+            raise InvalidCollection(
+                "transcripts are of episodes of an evaluation, which no dataset holds; give"
+                f" knotgym evaluate --policy {self.policy.policy}"
+            )
         if self.labels not in LABELS:
             raise InvalidCollection(f"labels must be expert or empty, got {self.labels!r}")
         for name in ("episodes", "episodes_per_file", "attempts"):
@@ -255,9 +261,7 @@ class EpisodeRecipe:
             )
 
     def request(self) -> dict[str, Any]:
-        carried = self.config.task.states
-        source = {"states": None if ships(carried) else sha256(states_file(carried))}
-        return {"config": as_json(self.config), "source": source}
+        return {"config": as_json(self.config), "source": sources_of(self.config)}
 
     def begin(self) -> None:
         pass
@@ -292,6 +296,7 @@ class EpisodeRecipe:
         return Status(self.tally.played, len(self.numbers), "episodes", facts, even=True)
 
     def finish(self, folder: Path, request: dict[str, Any]) -> Path:
+        require_unchanged(request["source"], sources_of(self.config))
         paths = [file.path for file in self.files]
         if self.shard.is_whole:
             return write_whole(self.config, paths, self.tally, folder, request)
@@ -312,9 +317,15 @@ class EpisodeRecipe:
         )
 
 
+def sources_of(config: CollectConfig) -> dict[str, Any]:
+    """Digests of the policies, an expert that labels included, and states of a collection."""
+    labeller = [replace(config.policy, policy="expert")] if config.labels else []
+    return sources([config.policy, *labeller], [config.task])
+
+
 def write_whole(
     config: CollectConfig,
-    sources: Sequence[Path],
+    files: Sequence[Path],
     tally: Tally,
     root: Path,
     request: dict[str, Any],
@@ -334,7 +345,8 @@ def write_whole(
             " nothing is left to write"
         )
     carried = None if ships(config.task.states) else states_file(config.task.states)
-    made = publish(sources, _metadata(config, tally), root, concatenate=concatenate, states=carried)
+    metadata = replace(_metadata(config, tally), digests=digests(request["source"]))
+    made = publish(files, metadata, root, concatenate=concatenate, states=carried)
     _report(made / "data" / REPORT, request, tally, machines=machines)
     return made
 

@@ -21,10 +21,11 @@ chirality) is the goal's:
 
     knotgym evaluate --policy LEARNER --task unknot,tie,convert --nx 2-4 --out FILE.json
 
-once as it is, and once with `--states random-walk`. Success rates are told with Wilson's 95 %
-interval. Files that lie in the folder `evaluations` beside this card show in its table of results
-when `knotgym suite --resume` is run again. Rows that used more than these sets (more episodes, or
-the simulator) say so."""
+once as it is, and once with `--states random-walk`. Episodes of an evaluation are never those of
+the sets, whatever the seed. Success rates have 95 % intervals from a bootstrap over start and goal
+states (`knotgym.runs.intervals.cluster_interval`). Files in the folder `evaluations` beside this
+card show in its table of results when `knotgym suite --resume` is run again. Rows that used more
+than these sets (more episodes, or the simulator) say so."""
 
 
 def suite_card(report: Mapping[str, Any], references: Mapping[str, Any]) -> str:
