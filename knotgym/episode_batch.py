@@ -49,6 +49,9 @@ class EpisodeBatch:
         held: int (count,), consecutive steps the goal has been shown.
         failed: bool (count,), the simulation blew up in the last step.
         origins: float64 (count, 3), metres, where each rope's centre was at reset.
+        beads: int (count,), pulled in the last step; -1 at reset.
+        forces: float64 (count, 3), newtons, applied to them in the last step.
+        applied_shares: float64 (count,), of the forces asked for, see `Simulation.step`.
     """
 
     def __init__(self, config: TaskConfig, count: int = 1, threads: int = 1) -> None:
@@ -70,6 +73,7 @@ class EpisodeBatch:
         self.origins = np.zeros((count, 3))
         self.beads = np.full(count, -1, dtype=np.int64)
         self.forces = np.zeros((count, 3))
+        self.applied_shares = np.ones(count)
 
     def rows(self, side: str) -> NDArray[np.int64]:
         """The rows of the state file that the "start" or the "goal" is drawn from."""
@@ -113,7 +117,7 @@ class EpisodeBatch:
         self.goals[index] = GaussCode.parse(str(goal_states.gauss_code[goal]))
         self.steps[index] = self.held[index] = 0
         self.failed[index] = False
-        self.beads[index], self.forces[index] = -1, 0.0
+        self.beads[index], self.forces[index], self.applied_shares[index] = -1, 0.0, 1.0
 
     def step(self, actions: ArrayLike, ids: NDArray[np.int64]) -> Outcome:
         """Take one action in each episode of `ids`; see `reward` for what it pays.
@@ -121,8 +125,10 @@ class EpisodeBatch:
         A rope whose simulation blew up stays where it was, is truncated, and `failed` says so.
         """
         simulation = self.simulation
-        self.beads[ids], self.forces[ids] = simulation.read_actions(actions, ids)
-        self.failed[ids] = ~simulation.step(self.beads[ids], self.forces[ids], ids)
+        self.beads[ids], asked = simulation.read_actions(actions, ids)
+        self.failed[ids] = ~simulation.step(self.beads[ids], asked, ids)
+        self.applied_shares[ids] = simulation.applied_shares[ids]
+        self.forces[ids] = self.applied_shares[ids, None] * asked
         for index, code in zip(ids, label_many(simulation.points[ids]), strict=True):
             self.codes[index] = code
         reached = np.array(
@@ -204,6 +210,7 @@ class EpisodeBatch:
             **self._came_from,
             "bead": int(self.beads[index]),
             "force": self.forces[index].copy(),
+            "applied_share": float(self.applied_shares[index]),
         }
         if not self.config.numeric_infos:
             return told

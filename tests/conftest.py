@@ -10,7 +10,7 @@ import pytest
 from hypothesis import settings
 from numpy.typing import NDArray
 
-from knotgym.datasets.states import States, write_states
+from knotgym.datasets.states import States, read_states, shipped, write_states
 from knotgym.generate.states.archive import Archive
 from knotgym.generate.states.search import SearchConfig, advance, new_archive
 from knotgym.rendering.picture import draw
@@ -144,3 +144,17 @@ def killed_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 def killed(killed_run: tuple[Path, str]) -> Path:
     """Where it was killed. Only ever read."""
     return killed_run[0]
+
+
+def rough_play(row: int) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+    """Where a rope is laid, float64 (nq,), and full pulls, float32 (T, 6); the last is eased.
+
+    Args:
+        row: 9, eased to half the force at last; or 29, to none.
+    """
+    states = read_states(shipped(), images=False)
+    rng = np.random.default_rng(0)
+    start = rng.choice(np.flatnonzero(states.nx >= 2), 64)[row]
+    actions = rng.uniform(-1, 1, ({9: 5, 29: 9}[row], 64, 6)).astype(np.float32)[:, row]
+    actions[:, 3:] = np.sign(actions[:, 3:])
+    return states.qpos[start], actions

@@ -33,6 +33,7 @@ from knotgym.quality import UNITS, Quality
 from knotgym.rendering.picture import draw_many
 from knotgym.reward import success_at_last
 from knotgym.rope import RopeConfig
+from knotgym.simulation_pool import simulation_of
 from knotgym.streams import Stream, generator
 from knotgym.tasks import TaskConfig
 from knotgym.topology.crossings import label_many
@@ -255,6 +256,7 @@ def episode_of(candidate: Candidate) -> Episode:
     steps, codes = len(candidate.actions), label_many(candidate.points)
     shown = np.array([code.matches(candidate.code) for code in codes])
     beads, forces = steps_taken(candidate.actions, candidate.points, RopeConfig())
+    shares = _applied_shares(candidate)
     outcome = success_at_last(steps)
     return Episode(
         start_qpos=candidate.start_qpos,
@@ -268,13 +270,25 @@ def episode_of(candidate: Candidate) -> Episode:
         gauss_code_chiral=np.array([code.chiral for code in codes]),
         crossings=np.array([code.nx for code in codes], dtype=np.int64),
         bead=beads,
-        force=forces,
+        force=shares[:, None] * forces,
+        applied_share=shares,
         is_success=np.concatenate([[False], outcome.terminated]),
         simulation_failed=np.zeros(steps + 1, dtype=bool),
         goal_gauss_code=str(candidate.code),
         policy=POLICY,
         hold=int(np.argmin(shown[:0:-1])) if not shown[1:].all() else steps,
     )
+
+
+def _applied_shares(candidate: Candidate) -> NDArray[np.float64]:
+    """The share of its force that led to each state of a candidate, float64 (T + 1,), 1 first."""
+    simulation = simulation_of(1, RopeConfig())
+    simulation.lay(candidate.start_qpos[None])
+    shares = [1.0]
+    for action in candidate.actions:
+        simulation.act(action[None])
+        shares.append(float(simulation.applied_shares[0]))
+    return np.array(shares)
 
 
 def _padded(candidate: Candidate, longest: int) -> np.ndarray:
