@@ -1,17 +1,23 @@
 """Splits: which rows are for training, and how states are dealt out to train and test.
 
-No two rows anywhere are near-duplicates (`near_duplicates`), so none straddle splits.
+Rows that a symmetry of the rope brings near each other (`near_duplicates`) are of one split.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.datasets.near_duplicates import families, nearest
 from knotgym.tasks import SPLITS
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.symmetry import diagram_form
+
+if TYPE_CHECKING:
+    from knotgym.datasets.states import States
 
 STATE_SPLITS = SPLITS
 # of pictures; test-code shows codes that only it and test-nx show, test-nx more crossings
@@ -50,3 +56,41 @@ def split(
     trained_by = np.floor(np.arange(len(walk) + 1) * train_share + 0.5)
     assigned[np.array(walk, dtype=np.int64)[np.diff(trained_by) > 0]] = "train"
     return assigned
+
+
+def kept_together(assigned: NDArray[np.str_], points: NDArray[np.float64]) -> NDArray[np.str_]:
+    """The same splits, but near-duplicates are all of the split of the first of them.
+
+    Args:
+        assigned: str (n,).
+        points: float64 (n, beads, 3), metres.
+    """
+    _, first, family = np.unique(families(points), return_index=True, return_inverse=True)
+    return assigned[first][family]
+
+
+def overlap(states: States, nx: int) -> dict[str, Any]:
+    """What the test states of an nx share with train, JSON-able.
+
+    Returns:
+        "test_states"; of them, "code_in_train": those whose code, without chirality, a train state
+        of the same nx shows; "diagram_in_train": those whose code one shows up to symmetry
+        (`topology.symmetry.diagram_form`); and "nearest", metres: the least distance of any to any
+        train state of the file, at the best symmetry (`near_duplicates`), None without both.
+    """
+    train, test = (states.rows(nx, split) for split in STATE_SPLITS)
+    codes = {
+        name: [GaussCode.parse(text) for text in states.gauss_code[rows].tolist()]
+        for name, rows in (("train", train), ("test", test))
+    }
+    known, diagrams = set(codes["train"]), {diagram_form(code) for code in codes["train"]}
+    every = np.flatnonzero(states.split == "train")
+    near = len(test) and len(every)
+    return {
+        "test_states": len(test),
+        "code_in_train": sum(code in known for code in codes["test"]),
+        "diagram_in_train": sum(diagram_form(code) in diagrams for code in codes["test"]),
+        "nearest": (
+            float(nearest(states.points[test], states.points[every])[0].min()) if near else None
+        ),
+    }

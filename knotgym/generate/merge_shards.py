@@ -34,7 +34,7 @@ from knotgym.datasets.image_table import (
 )
 from knotgym.datasets.machine import distinct
 from knotgym.datasets.near_duplicates import apart
-from knotgym.datasets.splits import IMAGE_SPLITS, STATE_SPLITS, split
+from knotgym.datasets.splits import IMAGE_SPLITS, STATE_SPLITS, kept_together, split
 from knotgym.datasets.state_schema import DRAWING
 from knotgym.datasets.states import (
     States,
@@ -271,7 +271,7 @@ def _split_anew(states: States, config: dict[str, Any]) -> States:
         splits[mine] = split(codes, config["split_by"], config["train_share"], rng)
     return replace(
         states,
-        split=splits,
+        split=kept_together(splits, states.points),
         attributes={**states.attributes, "config": json.dumps(config, sort_keys=True)},
     )
 

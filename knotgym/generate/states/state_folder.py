@@ -24,7 +24,7 @@ from knotgym.datasets.episode_writer import EpisodeWriter
 from knotgym.datasets.gallery import write_gallery
 from knotgym.datasets.machine import machine
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
-from knotgym.datasets.splits import STATE_SPLITS, split
+from knotgym.datasets.splits import STATE_SPLITS, kept_together, split
 from knotgym.datasets.states import States, demonstrations_id, write_states
 from knotgym.datasets.trajectory import Episode
 from knotgym.generate.states.candidates import Candidate
@@ -61,6 +61,7 @@ def states_of(run: CurationRun) -> States:
         ).tolist()
     points = np.stack([candidate.points[-1] for _, candidate in candidates])
     crossings = np.array([nx for nx, _ in candidates], dtype=np.int64)
+    dealt = kept_together(np.array(splits), points)
     return States(
         qpos=np.stack([candidate.qpos for _, candidate in candidates]),
         points=points,
@@ -69,7 +70,7 @@ def states_of(run: CurationRun) -> States:
         gauss_code_chiral=np.array([candidate.code.chiral for _, candidate in candidates]),
         knot=np.array([knot_type(candidate.code) for _, candidate in candidates]),
         nx=crossings,
-        split=np.array(splits),
+        split=dealt,
         quality={
             field.name: np.array(
                 [getattr(candidate.quality, field.name) for _, candidate in candidates]
@@ -85,7 +86,7 @@ def states_of(run: CurationRun) -> States:
             ),
             "seed": np.array([candidate.seed for _, candidate in candidates], dtype=np.int64),
             "policy": np.array([POLICY] * len(candidates)),
-            **demonstrations_of(crossings, np.array(splits), run.knot),
+            **demonstrations_of(crossings, dealt, run.knot),
             "step": np.array(
                 [len(candidate.actions) for _, candidate in candidates], dtype=np.int64
             ),
