@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from knotgym.datasets.splits import fitting_tasks, start_nx
 from knotgym.datasets.states import States, read_states, shipped, ships, states_file
 from knotgym.rendering.observations import (
     SYMBOLS,
@@ -32,6 +33,7 @@ from knotgym.simulation import Simulation
 from knotgym.tasks import InvalidSetting, TaskConfig
 from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.knots import UNKNOT
 from knotgym.towing import TowBound, centres, distances_towed
 
 OWN, SHIPPED = "own", "shipped"  # the state file asked for, or the one that ships
@@ -59,8 +61,9 @@ class EpisodeBatch:
         self.count = count
         self.simulation = Simulation(count, Rope(config.rope), threads)
         self._picture = picture_config(config)
-        starts, goals = _side(config, config.start_nx), _side(config, config.goal_nx)
+        starts, goals = _sides(config)
         self._starts, self._goals = starts.states, goals.states
+        self._start_nx = starts.nx
         self._came_from = {"start_states": starts.origin, "goal_states": goals.origin}
         self._goal_images: dict[int, NDArray[np.uint8]] = {}
         self.codes = [GaussCode(())] * count
@@ -78,7 +81,7 @@ class EpisodeBatch:
     def rows(self, side: str) -> NDArray[np.int64]:
         """The rows of the state file that the "start" or the "goal" is drawn from."""
         if side == "start":
-            return self._starts.rows(self.config.start_nx, self.config.split)
+            return self._starts.rows(self._start_nx, self.config.split)
         return self._goals.rows(self.config.goal_nx, self.config.split)[: self.config.max_goals]
 
     def begin(
@@ -94,7 +97,10 @@ class EpisodeBatch:
         """
         wanted = dict(options or {})
         start, start_states = self._choose(wanted.pop("start", None), self._starts, "start", rng)
-        goal, goal_states = self._choose(wanted.pop("goal", None), self._goals, "goal", rng)
+        avoided = start_states.gauss_code[start] if self._start_nx == self.config.goal_nx else None
+        goal, goal_states = self._choose(
+            wanted.pop("goal", None), self._goals, "goal", rng, avoided
+        )
         if wanted:
             raise InvalidSetting(
                 f"no reset option {', '.join(map(repr, wanted))}; there is start, goal"
@@ -227,10 +233,17 @@ class EpisodeBatch:
         return stacked(seen) if self.config.layout == "stacked" else seen
 
     def _choose(
-        self, row: object, side: States, name: str, rng: np.random.Generator
+        self,
+        row: object,
+        side: States,
+        name: str,
+        rng: np.random.Generator,
+        avoided: str | None = None,
     ) -> tuple[int, States]:
-        nx = self.config.start_nx if name == "start" else self.config.goal_nx
+        nx = self._start_nx if name == "start" else self.config.goal_nx
         rows = self.rows(name)
+        if avoided is not None:  # the code of the start, which no goal may show
+            rows = rows[side.gauss_code[rows] != avoided]
         # drawn even if unused: the noise that follows doesn't depend on options
         drawn = int(rows[rng.integers(len(rows))])
         if row is None:
@@ -248,10 +261,11 @@ class EpisodeBatch:
 
 
 class _TaskSide(NamedTuple):
-    """The states that a side of a task draws from, and whose they are: OWN or SHIPPED."""
+    """What a side of a task draws from: states, whose they are (OWN or SHIPPED), and their nx."""
 
     states: States
     origin: str
+    nx: int
 
 
 def state_origins(config: TaskConfig) -> dict[str, str]:
@@ -260,30 +274,62 @@ def state_origins(config: TaskConfig) -> dict[str, str]:
     Raises:
         InvalidSetting: they cannot be had.
     """
-    return {
-        "start": _side(config, config.start_nx).origin,
-        "goal": _side(config, config.goal_nx).origin,
-    }
+    starts, goals = _sides(config)
+    return {"start": starts.origin, "goal": goals.origin}
 
 
-def _side(config: TaskConfig, nx: int) -> _TaskSide:
-    """The states that a side of the task draws from.
+def _sides(config: TaskConfig) -> tuple[_TaskSide, _TaskSide]:
+    """The states that a task's starts, and those that its goals, are drawn from.
 
-    They come from the file asked for. Plain loops alone come from the one that ships, where that
-    file has none of either split.
+    They come from the file asked for; plain loops, and they alone, from the set that ships where
+    that file has none of either split.
+
+    Raises:
+        InvalidSetting: there are none, or no rope can be pulled from a start to a goal.
     """
-    path, origin = states_file(config.states), SHIPPED if ships(config.states) else OWN
-    states = _of_our_rope(path)
+    path = states_file(config.states)
+    own = _of_our_rope(path)
+    starts, goals = (_side(config, path, own, nx) for nx in (start_nx(config, own), config.goal_nx))
+    knots = [
+        sorted(set(side.states.knot[side.states.rows(side.nx, config.split)].tolist()))
+        for side in (starts, goals)
+    ]
+    if len({*knots[0], *knots[1]}) > 1:
+        raise InvalidSetting(
+            f"task {config.task!r} with nx = {config.nx} would start as {', '.join(knots[0])} and"
+            f" end as {', '.join(knots[1])}, and no pull changes the knot type; {_fit(config, own)}"
+        )
+    codes = goals.states.gauss_code[goals.states.rows(goals.nx, config.split)[: config.max_goals]]
+    if starts.nx == goals.nx and len(set(codes.tolist())) < 2:
+        raise InvalidSetting(
+            f"a tie to nx = {goals.nx} starts at the least diagram of {knots[0][0]} in {path},"
+            f" which shows its only goal's code already; {_fit(config, own)}"
+        )
+    return starts, goals
+
+
+def _side(config: TaskConfig, path: Path, own: States, nx: int) -> _TaskSide:
+    """The states with nx crossings that a side of the task draws from."""
+    states, origin = own, SHIPPED if ships(config.states) else OWN
     if nx == 0 and not (states.nx == 0).any():
         path, origin = shipped(), SHIPPED
         states = _of_our_rope(path)
     if not len(states.rows(nx, config.split)):
+        knotted = set(own.knot.tolist()) not in (set(), {UNKNOT})
         raise InvalidSetting(
             f"no states with nx = {nx} in split {config.split!r} of {path}, asked for by task"
-            f" {config.task!r} with nx = {config.nx}; it has {_contents(states)}. Make some:"
-            f" knotgym-generate --nx {nx}"
+            f" {config.task!r} with nx = {config.nx}; it has {_contents(states)}."
+            f" {_fit(config, own) if knotted else f'Make some: knotgym-generate --nx {nx}'}"
         )
-    return _TaskSide(states, origin)
+    return _TaskSide(states, origin, nx)
+
+
+def _fit(config: TaskConfig, own: States) -> str:
+    """Which tasks go with the states of a file."""
+    knots = sorted(set(own.knot.tolist()))
+    if len(knots) > 1:
+        return f"these states are {', '.join(knots)}: keep one type, with knotgym dataset select"
+    return f"tasks that fit these states of {knots[0]}: {fitting_tasks(own, config.split)}"
 
 
 def _of_our_rope(path: Path) -> States:

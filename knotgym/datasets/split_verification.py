@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.near_duplicates import NEAR, distances
-from knotgym.datasets.splits import STATE_SPLITS
+from knotgym.datasets.splits import STATE_SPLITS, start_nx
 from knotgym.datasets.states import States, read_states, shipped
 from knotgym.errors import KnotgymError
 from knotgym.rope import Rope
@@ -162,7 +162,7 @@ def _sides(reader: EpisodeReader) -> dict[str, States]:
     read = [read_states(path, images=False) for path in files]
     return {
         name: next((states for states in read if len(states.rows(nx, task.split))), read[0])
-        for name, nx in (("start", task.start_nx), ("goal", task.goal_nx))
+        for name, nx in (("start", start_nx(task, read[0])), ("goal", task.goal_nx))
     }
 
 

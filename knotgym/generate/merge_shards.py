@@ -227,7 +227,7 @@ def _states(ordered: Sequence[ShardFolder], report: dict[str, Any], folder: Path
     ]
     for nx, name in product(sorted(set(merged.nx.tolist())), STATE_SPLITS):
         mine = merged.rows(nx, name).tolist()
-        if not mine:
+        if not mine or not merged.source["dataset"][mine[0]]:
             continue
         sources = [
             Chosen(dataset, [int(chosen.source["trajectory"][row]) for row in rows])

@@ -37,7 +37,7 @@ from knotgym.simulation_pool import simulation_of
 from knotgym.streams import Stream, generator
 from knotgym.tasks import TaskConfig
 from knotgym.topology.crossings import label_many
-from knotgym.topology.knots import knot_type
+from knotgym.topology.knots import UNKNOT, knot_type
 
 HORIZON = 200  # actions, longer than any way
 # the archive's action sequences, carried over by a symmetry, followed by a random walk, opened up
@@ -105,7 +105,8 @@ def demonstrations_of(
 ) -> dict[str, NDArray[Any]]:
     """The columns that say which demonstration leads to each state.
 
-    Each nx and split has a dataset, its episodes in the order of the states.
+    Each nx and split has a dataset, its episodes in the order of the states; "" of a state that
+    has none.
 
     Args:
         nx: int64 (n,), of the states.
@@ -116,7 +117,8 @@ def demonstrations_of(
         "dataset", str (n,), and "trajectory", int64 (n,), the episode there.
     """
     ids = [
-        demonstrations_id(*one, knot=knot) for one in zip(nx.tolist(), splits.tolist(), strict=True)
+        demonstrations_id(*one, knot=knot) if _demonstrated(one[0], nx.tolist(), knot) else ""
+        for one in zip(nx.tolist(), splits.tolist(), strict=True)
     ]
     return {
         "dataset": np.array(ids, dtype=np.str_),
@@ -124,6 +126,13 @@ def demonstrations_of(
             [ids[:row].count(one) for row, one in enumerate(ids)], dtype=np.int64
         ),
     }
+
+
+def _demonstrated(nx: int, every: Sequence[int], knot: str) -> bool:
+    """Whether states with nx crossings have demonstrations: those of a knot begin at its least
+    diagram, so the states of fewest crossings have none.
+    """
+    return knot == UNKNOT or nx > min(every)
 
 
 def report_of(run: CurationRun) -> dict[str, Any]:
@@ -192,7 +201,7 @@ def write_trajectories(run: CurationRun, states: States, folder: Path, carried: 
     for nx, name in product(run.config.nx, STATE_SPLITS):
         splits = states.split[states.nx == nx].tolist()
         candidates = list(compress(run.chosen(nx), [one == name for one in splits]))
-        if not candidates:
+        if not candidates or not _demonstrated(nx, run.config.nx, run.knot):
             continue
         shard = folder / f"nx{nx}.h5"
         with EpisodeWriter(shard, demonstration_task(nx, name, run.knot)) as writer:
