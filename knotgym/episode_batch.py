@@ -30,7 +30,7 @@ from knotgym.reset_noise import start_qpos
 from knotgym.reward import Outcome
 from knotgym.rope import Array, Rope, RopeConfig
 from knotgym.simulation import Simulation
-from knotgym.tasks import InvalidSetting, TaskConfig
+from knotgym.tasks import CODE_SPLITS, InvalidSetting, TaskConfig
 from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import UNKNOT
@@ -64,6 +64,10 @@ class EpisodeBatch:
         starts, goals = _sides(config)
         self._starts, self._goals = starts.states, goals.states
         self._start_nx = starts.nx
+        self._rows = {
+            "start": starts.states.rows(starts.nx, config.split),
+            "goal": goals.states.rows(goals.nx, config.split)[: config.max_goals],
+        }
         self._came_from = {"start_states": starts.origin, "goal_states": goals.origin}
         self._goal_images: dict[int, NDArray[np.uint8]] = {}
         self.codes = [GaussCode(())] * count
@@ -80,9 +84,7 @@ class EpisodeBatch:
 
     def rows(self, side: str) -> NDArray[np.int64]:
         """The rows of the state file that the "start" or the "goal" is drawn from."""
-        if side == "start":
-            return self._starts.rows(self._start_nx, self.config.split)
-        return self._goals.rows(self.config.goal_nx, self.config.split)[: self.config.max_goals]
+        return self._rows[side]
 
     def begin(
         self, index: int, rng: np.random.Generator, options: dict[str, Any] | None = None
@@ -315,6 +317,11 @@ def _side(config: TaskConfig, path: Path, own: States, nx: int) -> _TaskSide:
         path, origin = shipped(), SHIPPED
         states = _of_our_rope(path)
     if not len(states.rows(nx, config.split)):
+        if config.split in CODE_SPLITS and len(states.rows(nx, config.split[:-5])):
+            raise InvalidSetting(
+                f"split {config.split!r} has no state with nx = {nx} of {path}: too few diagrams are"
+                " shown to hold one out; give split 'train' or 'test'"
+            )
         knotted = set(own.knot.tolist()) not in (set(), {UNKNOT})
         raise InvalidSetting(
             f"no states with nx = {nx} in split {config.split!r} of {path}, asked for by task"

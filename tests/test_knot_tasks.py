@@ -94,3 +94,18 @@ def test_verification_finds_an_episode_between_knots_and_one_that_starts_reached
         episode, goal_points=episode.points[0], goal_gauss_code=str(episode.gauss_code[0])
     )
     assert "starts in its goal's code" in episode_faults(reached, env.config, Rope())
+
+
+@pytest.mark.parametrize("task", ["unknot", "tie", "convert"])
+def test_tasks_draw_from_the_splits_by_code(task: str) -> None:
+    states = read_states(shipped(), images=False)
+    env = KnotEnv(task, nx=3, split="test-code", observation="symbolic")
+    side = "start" if task == "unknot" else "goal"
+    assert np.array_equal(env.episodes.rows(side), states.rows(3, "test-code"))
+
+
+def test_a_split_by_code_without_codes_to_hold_out_is_refused(path: str, trefoils: States) -> None:
+    with pytest.raises(InvalidSetting, match="give an nx of at least 2"):
+        KnotEnv("unknot", nx=1, split="train-code")
+    with pytest.raises(InvalidSetting, match="too few diagrams"):
+        made("tie", path, nx=3, split="test-code")

@@ -1,6 +1,7 @@
 """Splits: which rows are for training, and how states are dealt out to train and test.
 
-Rows that a symmetry of the rope brings near each other (`near_duplicates`) are of one split.
+Rows that a symmetry of the rope brings near each other (`near_duplicates`) are of one split. What
+splits of a state file by code are, `States.rows` says.
 """
 
 from __future__ import annotations
