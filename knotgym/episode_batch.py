@@ -319,8 +319,8 @@ def _side(config: TaskConfig, path: Path, own: States, nx: int) -> _TaskSide:
     if not len(states.rows(nx, config.split)):
         if config.split in CODE_SPLITS and len(states.rows(nx, config.split[:-5])):
             raise InvalidSetting(
-                f"split {config.split!r} has no state with nx = {nx} of {path}: too few diagrams are"
-                " shown to hold one out; give split 'train' or 'test'"
+                f"split {config.split!r} has no state with nx = {nx} of {path}: too few diagrams"
+                " are shown to hold one out; give split 'train' or 'test'"
             )
         knotted = set(own.knot.tolist()) not in (set(), {UNKNOT})
         raise InvalidSetting(

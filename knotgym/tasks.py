@@ -67,8 +67,8 @@ class TaskConfig:
     Attributes:
         task: "unknot", "tie" or "convert".
         nx: crossings of the tangled side; convert starts at nx - 1.
-        split: rows of the state file to draw from: "train" or "test"; or, sharing no code even up to
-            symmetry, "train-code" and "test-code", parts of those two.
+        split: rows of the state file to draw from: "train" or "test"; or "train-code" and
+            "test-code", parts of those two that share no code even up to symmetry.
         states: "readable" (the same as None), "random-walk" or "hard-unknots", sets that ship,
             see `datasets.states.shipped`; or path of a state file, or of the run that made it, or
             id of a Minari dataset that carries one. Plain loops, and they alone, come from the
