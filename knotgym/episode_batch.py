@@ -33,7 +33,7 @@ from knotgym.simulation import Simulation
 from knotgym.tasks import CODE_SPLITS, InvalidSetting, TaskConfig
 from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import UNKNOT
+from knotgym.topology.knot_table import UNKNOT
 from knotgym.towing import TowBound, centres, distances_towed
 
 OWN, SHIPPED = "own", "shipped"  # the state file asked for, or the one that ships

@@ -17,6 +17,8 @@ from knotgym.rope import Rope
 from knotgym.tasks import InvalidSetting
 from knotgym.topology.gauss import GaussCode
 
+from .small_job import knotgym
+
 
 @pytest.fixture
 def path(trefoils: States, tmp_path: Path) -> str:
@@ -67,6 +69,13 @@ def test_what_no_pull_reaches_is_refused_with_the_tasks_that_fit(
 def test_gymnasium_refuses_it_too(path: str) -> None:
     with pytest.raises(InvalidSetting, match="no pull changes the knot type"):
         gym.make("knotgym/Unknot-v0", nx=3, states=path)
+
+
+def test_evaluation_refuses_it_in_one_line(path: str, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("--task", "unknot", "--nx", 3, "--policy", "random", "--episodes", 2)
+    assert knotgym("evaluate", *words, "--states", path) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "start as 3_1 and end as 0_1" in line and "tie with nx = 3, 4" in line
 
 
 def test_a_file_of_two_knots_is_refused(trefoils: States, tmp_path: Path) -> None:

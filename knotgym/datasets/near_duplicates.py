@@ -17,7 +17,7 @@ symmetry, and so most pairs are ruled out by a product of matrices.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +74,13 @@ class Spectra(NamedTuple):
                 both = np.abs(np.fft.ifft(seen * flat, axis=1)) + z
                 best = np.maximum(best, both.max(axis=1))
         return self._distances(self.square, others.square, best)
+
+    def turned_distances(self, others: Spectra) -> Array:
+        """The `distances` of the one row to all rows of others: float64 (len(others),), metres."""
+        # Parseval again: agreement bead by bead is agreement frequency by frequency
+        flat = np.abs(others.flat @ self.flat[0].conj())
+        agreement = flat + (others.upright @ self.upright[0].conj()).real
+        return self._distances(self.square, others.square, agreement / self.flat.shape[1])
 
     def taken(self, rows: NDArray[np.integer]) -> Spectra:
         """Some rows, in that order."""
@@ -213,6 +220,6 @@ def distances(points: Array, others: Array) -> Array:
     return np.asarray(np.sqrt(square / len(points)))
 
 
-def _negated(spectra: NDArray[np.generic]) -> NDArray[np.generic]:
+def _negated(spectra: NDArray[Any]) -> NDArray[Any]:
     """Spectra (n, beads) at the negative frequencies: those of the ropes walked the other way."""
     return np.roll(spectra[:, ::-1], 1, axis=1)

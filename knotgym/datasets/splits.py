@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from knotgym.datasets.near_duplicates import families, nearest
 from knotgym.tasks import SPLITS, TaskConfig
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import UNKNOT
+from knotgym.topology.knot_table import UNKNOT
 from knotgym.topology.symmetry import diagram_form
 
 if TYPE_CHECKING:

@@ -28,7 +28,8 @@ from knotgym.runs.shards import Shard
 from knotgym.streams import Stream, derived_seed, generator, key
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import UNKNOT, codes_of, knot_type
+from knotgym.topology.knot_table import UNKNOT
+from knotgym.topology.knots import codes_of, knot_type
 
 
 @dataclass

@@ -37,7 +37,8 @@ from knotgym.simulation_pool import simulation_of
 from knotgym.streams import Stream, generator
 from knotgym.tasks import TaskConfig
 from knotgym.topology.crossings import label_many
-from knotgym.topology.knots import UNKNOT, knot_type
+from knotgym.topology.knot_table import UNKNOT
+from knotgym.topology.knots import knot_type
 
 HORIZON = 200  # actions, longer than any way
 # the archive's action sequences, carried over by a symmetry, followed by a random walk, opened up
