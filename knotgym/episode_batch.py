@@ -86,6 +86,15 @@ class EpisodeBatch:
         """The rows of the state file that the "start" or the "goal" is drawn from."""
         return self._rows[side]
 
+    def goal_rows(self, start: int) -> NDArray[np.int64]:
+        """The rows that the goal of an episode from a start row is drawn from: no goal shows the
+        start's code.
+        """
+        rows = self._rows["goal"]
+        if self._start_nx != self.config.goal_nx:
+            return rows
+        return rows[self._goals.gauss_code[rows] != self._starts.gauss_code[start]]
+
     def begin(
         self, index: int, rng: np.random.Generator, options: dict[str, Any] | None = None
     ) -> None:
@@ -98,22 +107,19 @@ class EpisodeBatch:
                 refused.
         """
         wanted = dict(options or {})
-        start, start_states = self._choose(wanted.pop("start", None), self._starts, "start", rng)
-        avoided = start_states.gauss_code[start] if self._start_nx == self.config.goal_nx else None
-        goal, goal_states = self._choose(
-            wanted.pop("goal", None), self._goals, "goal", rng, avoided
-        )
+        start = self._choose(wanted.pop("start", None), self.rows("start"), "start", rng)
+        goal = self._choose(wanted.pop("goal", None), self.goal_rows(start), "goal", rng)
         if wanted:
             raise InvalidSetting(
                 f"no reset option {', '.join(map(repr, wanted))}; there is start, goal"
             )
         self.start_row[index], self.goal_row[index] = start, goal
-        code = GaussCode.parse(str(start_states.gauss_code_chiral[start]))
+        code = GaussCode.parse(str(self._starts.gauss_code_chiral[start]))
         self.simulation.lay(
             start_qpos(
                 self.simulation.rope,
-                start_states.qpos[start],
-                start_states.points[start],
+                self._starts.qpos[start],
+                self._starts.points[start],
                 code,
                 self.config.reset_noise,
                 rng,
@@ -122,7 +128,7 @@ class EpisodeBatch:
         )
         self.origins[index] = centres(self.simulation.points[[index]])[0]
         self.codes[index] = code
-        self.goals[index] = GaussCode.parse(str(goal_states.gauss_code[goal]))
+        self.goals[index] = GaussCode.parse(str(self._goals.gauss_code[goal]))
         self.steps[index] = self.held[index] = 0
         self.failed[index] = False
         self.beads[index], self.forces[index], self.applied_shares[index] = -1, 0.0, 1.0
@@ -235,21 +241,13 @@ class EpisodeBatch:
         return stacked(seen) if self.config.layout == "stacked" else seen
 
     def _choose(
-        self,
-        row: object,
-        side: States,
-        name: str,
-        rng: np.random.Generator,
-        avoided: str | None = None,
-    ) -> tuple[int, States]:
+        self, row: object, rows: NDArray[np.int64], name: str, rng: np.random.Generator
+    ) -> int:
         nx = self._start_nx if name == "start" else self.config.goal_nx
-        rows = self.rows(name)
-        if avoided is not None:  # the code of the start, which no goal may show
-            rows = rows[side.gauss_code[rows] != avoided]
         # drawn even if unused: the noise that follows doesn't depend on options
         drawn = int(rows[rng.integers(len(rows))])
         if row is None:
-            return drawn, side
+            return drawn
         if isinstance(row, np.ndarray) and not row.ndim:  # as numeric infos say it
             row = row.item()
         if isinstance(row, bool) or not isinstance(row, (int, np.integer)) or row not in rows:
@@ -259,7 +257,7 @@ class EpisodeBatch:
                 f"{name} must be a row with nx = {nx} of the {self.config.split} split{first}:"
                 f" {_few(rows)}; got {row!r}"
             )
-        return int(row), side
+        return int(row)
 
 
 class _TaskSide(NamedTuple):

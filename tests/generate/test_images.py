@@ -32,13 +32,13 @@ from knotgym.datasets.image_table import (
     write_rows,
 )
 from knotgym.datasets.image_verification import image_faults, row_faults
-from knotgym.datasets.near_duplicates import NEAR, distances
+from knotgym.datasets.near_duplicates import NEAR, distances, families
 from knotgym.datasets.splits import IMAGE_SPLITS
 from knotgym.difficulty import grade
 from knotgym.generate.images import image_recipe
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig, quotas
-from knotgym.generate.images.seed_states import NoSeedStates, families, seed_states
+from knotgym.generate.images.seed_states import NoSeedStates, seed_states
 from knotgym.generate.images.selection import _options
 from knotgym.loaders import MissingExtra
 from knotgym.loaders import images as load
