@@ -115,7 +115,9 @@ def overlap_faults(states: States, said: Mapping[str, Any], where: str) -> Itera
     """What is said wrongly of what train and test share (`splits.overlap`), by nx, in a file."""
     for nx in sorted(set(states.nx.tolist())):
         told = said.get(str(nx))
-        for name, right in overlap(states, nx).items() if isinstance(told, dict) else ():
+        if not isinstance(told, dict):
+            continue
+        for name, right in overlap(states, nx).items():
             stored = told.get(name)
             if isinstance(right, float) and isinstance(stored, float):
                 wrong = not abs(stored - right) < 1e-6  # metres; other processors round otherwise
