@@ -60,15 +60,30 @@ def split(
     return assigned
 
 
-def kept_together(assigned: NDArray[np.str_], points: NDArray[np.float64]) -> NDArray[np.str_]:
+def kept_together(
+    assigned: NDArray[np.str_], points: NDArray[np.float64], codes: Sequence[GaussCode]
+) -> NDArray[np.str_]:
     """The same splits, but near-duplicates are all of the split of the first of them.
+
+    For each state that is moved so, one that has no near-duplicate goes the other way, of the same
+    code or else of the same nx, where there is one: splits keep their sizes.
 
     Args:
         assigned: str (n,).
         points: float64 (n, beads, 3), metres.
+        codes: of the states.
     """
-    _, first, family = np.unique(families(points), return_index=True, return_inverse=True)
-    return assigned[first][family]
+    dealt, family = assigned.copy(), families(points)
+    alone = np.bincount(family)[family] == 1
+    first = np.unique(family, return_index=True)[1][family]
+    for row in np.flatnonzero(dealt != dealt[first]):
+        others = np.flatnonzero(alone & (dealt == dealt[first[row]])).tolist()
+        same = [other for other in others if codes[other].matches(codes[row])]
+        same += [other for other in others if codes[other].nx == codes[row].nx]
+        for other in same[:1]:
+            dealt[other] = dealt[row]
+        dealt[row] = dealt[first[row]]
+    return dealt
 
 
 def overlap(states: States, nx: int) -> dict[str, Any]:

@@ -271,7 +271,9 @@ def _split_anew(states: States, config: dict[str, Any]) -> States:
         splits[mine] = split(codes, config["split_by"], config["train_share"], rng)
     return replace(
         states,
-        split=kept_together(splits, states.points),
+        split=kept_together(
+            splits, states.points, [GaussCode.parse(text) for text in states.gauss_code]
+        ),
         attributes={**states.attributes, "config": json.dumps(config, sort_keys=True)},
     )
 

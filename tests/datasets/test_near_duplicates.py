@@ -14,6 +14,7 @@ from knotgym.datasets.near_duplicates import (
 )
 from knotgym.datasets.splits import kept_together
 from knotgym.datasets.states import read_states, shipped
+from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry
 
 STATES = read_states(shipped(), images=False).points[40:70]
@@ -67,7 +68,13 @@ def test_pairs_are_found_once_and_families_are_kept_in_one_split() -> None:
     assert [(i, j) for i, j, _ in pairs_within(points)] == [(1, 4), (1, 5), (4, 5)]
     assert families(points).tolist() == [0, 1, 2, 3, 1, 1]
     assigned = np.array(["train", "test", "test", "train", "train", "test"])
-    assert kept_together(assigned, points).tolist() == [
+    codes = [GaussCode()] * 3 + [GaussCode.parse("1+,1-")] * 3
+    # the fifth follows the second; the third goes the other way if it has the same nx
+    assert kept_together(assigned, points, [GaussCode()] * 6).tolist() == [
+        *("train", "test", "train", "train"),
+        *("test", "test"),
+    ]
+    assert kept_together(assigned, points, codes).tolist() == [
         *("train", "test", "test", "train"),
         *("test", "test"),
     ]

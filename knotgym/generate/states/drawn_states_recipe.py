@@ -251,7 +251,7 @@ class DrawnStatesRecipe:
             gauss_code_chiral=columns["code"],
             knot=np.array([knot_type(one.code) for one in rows]),
             nx=np.array([one.code.nx for one in rows], dtype=np.int64),
-            split=kept_together(np.array(splits), columns["points"]),
+            split=kept_together(np.array(splits), columns["points"], [one.code for one in rows]),
             quality={
                 field.name: np.array([getattr(one.quality, field.name) for one in rows])
                 for field in fields(Quality)

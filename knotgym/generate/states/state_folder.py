@@ -62,7 +62,8 @@ def states_of(run: CurationRun) -> States:
         ).tolist()
     points = np.stack([candidate.points[-1] for _, candidate in candidates])
     crossings = np.array([nx for nx, _ in candidates], dtype=np.int64)
-    dealt = kept_together(np.array(splits), points)
+    codes = [candidate.code for _, candidate in candidates]
+    dealt = kept_together(np.array(splits), points, codes)
     return States(
         qpos=np.stack([candidate.qpos for _, candidate in candidates]),
         points=points,
