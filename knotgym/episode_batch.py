@@ -320,11 +320,16 @@ def _side(config: TaskConfig, path: Path, own: States, nx: int) -> _TaskSide:
                 f"split {config.split!r} has no state with nx = {nx} of {path}: too few diagrams"
                 " are shown to hold one out; give split 'train' or 'test'"
             )
-        knotted = set(own.knot.tolist()) not in (set(), {UNKNOT})
+        if set(own.knot.tolist()) not in (set(), {UNKNOT}):
+            advice = _fit(config, own)
+        elif there := sorted(set(states.split[states.nx == nx].tolist())):
+            advice = f"Give split {' or '.join(map(repr, there))}"
+        else:
+            advice = f"Make some: knotgym-generate --nx {nx}"
         raise InvalidSetting(
             f"no states with nx = {nx} in split {config.split!r} of {path}, asked for by task"
             f" {config.task!r} with nx = {config.nx}; it has {_contents(states)}."
-            f" {_fit(config, own) if knotted else f'Make some: knotgym-generate --nx {nx}'}"
+            f" {advice}"
         )
     return _TaskSide(states, origin, nx)
 

@@ -7,6 +7,8 @@ import pytest
 
 import knotgym
 from knotgym.datasets.states import States, read_states, shipped
+from knotgym.env import KnotEnv
+from knotgym.tasks import InvalidSetting
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import is_unknot
 from knotgym.topology.reidemeister import without_bigons
@@ -54,3 +56,8 @@ def test_the_unknot_task_begins_with_one(nx: int) -> None:
     )
     info = env.reset(seed=0)[1]
     assert GaussCode.parse(info["gauss_code"]).nx == nx and info["goal_gauss_code"] == ""
+
+
+def test_their_missing_train_split_is_refused_with_the_one_there_is() -> None:
+    with pytest.raises(InvalidSetting, match="Give split 'test'$"):
+        KnotEnv("unknot", nx=7, states="hard-unknots")
