@@ -76,7 +76,7 @@ def kept_together(
     dealt, family = assigned.copy(), families(points)
     alone = np.bincount(family)[family] == 1
     first = np.unique(family, return_index=True)[1][family]
-    for row in np.flatnonzero(dealt != dealt[first]):
+    for row in np.flatnonzero(dealt != dealt[first]).tolist():
         others = np.flatnonzero(alone & (dealt == dealt[first[row]])).tolist()
         same = [other for other in others if codes[other].matches(codes[row])]
         same += [other for other in others if codes[other].nx == codes[row].nx]
