@@ -50,6 +50,7 @@ def pulled_about(rng: np.random.Generator) -> list[Episode]:
                 crossings=np.array([code.nx for code in codes]),
                 bead=np.full(STEPS + 1, -1),
                 force=np.zeros((STEPS + 1, 3)),
+                applied_share=np.ones(STEPS + 1),
                 is_success=np.zeros(STEPS + 1, dtype=bool),
                 simulation_failed=np.zeros(STEPS + 1, dtype=bool),
                 goal_gauss_code="",

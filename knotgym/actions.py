@@ -67,7 +67,7 @@ def steps_taken(
         rope: what it is.
 
     Returns:
-        beads int64 (T + 1,), -1 first; forces float64 (T + 1, 3), newtons, 0 first.
+        beads int64 (T + 1,), -1 first; the forces asked for, float64 (T + 1, 3), newtons, 0 first.
     """
     beads, forces = decode_actions(actions, points[:-1], rope)
     return np.concatenate([[-1], beads]), np.concatenate([np.zeros((1, 3)), forces])

@@ -30,7 +30,8 @@ _BLOWN_UP = [
 
 ROUNDING = 1e-6  # beyond 1 is float32's, of who rescales actions, and is taken for 1
 
-EASED = (0.5, 0.25, 0.0)  # shares of the force that a step which opens the rope is tried again with
+# Shares of the force that a step is tried with: in full, then less while it opens the rope.
+SHARES = (1.0, 0.5, 0.25, 0.0)
 
 Ids = Sequence[int] | NDArray[np.int64] | None
 
@@ -51,6 +52,8 @@ class Simulation:
         count: how many.
         points: float64 (count, beads, 3), metres, as of the last call; the simulation's own memory,
             copy what you keep.
+        applied_shares: float64 (count,), the share of its force that each rope's last step applied:
+            1 in full, less where it was eased, 0 where the rope stayed where it was.
         steps_taken: actions taken so far, all ropes together.
     """
 
@@ -65,6 +68,7 @@ class Simulation:
         self._qpos: Array = self._batch.bind("qpos")
         self._xfrc: Array = self._batch.bind("xfrc_applied")
         self.points: Array = self.rope.points(self._qpos)
+        self.applied_shares: Array = np.ones(count)
         self.steps_taken = 0
 
     def __getstate__(self) -> dict[str, Any]:
@@ -112,8 +116,9 @@ class Simulation:
         """Apply a force to one bead of each rope for one action, frame_skip integrator steps.
 
         A step that would open the rope where its sub-chains meet wider than a bead is made again
-        with EASED times the force (the closures are soft, and a fold at one of them can hold it
-        open by millimetres); if all fail, the rope stays.
+        with the next of SHARES times the force (the closures are soft, and a fold at one of them
+        can hold it open by millimetres); if all fail, the rope stays. `applied_shares` says which
+        share it was.
 
         Args:
             beads: int (len(ids),), each acted on at its centre of mass.
@@ -130,9 +135,12 @@ class Simulation:
         before = self._batch.state[where].copy()
         whole = np.ones(len(where), dtype=bool)
         left = np.arange(len(where))  # of `where`, those still to be stepped
-        for share in (1.0, *EASED):
+        self.applied_shares[where] = 0.0
+        for share in SHARES:
             broken, gaps = self._integrate(where[left], bodies[left], share * full[left])
-            back = left[broken | ~(gaps < 2 * self.rope.config.radius)]
+            fails = broken | ~(gaps < 2 * self.rope.config.radius)
+            back = left[fails]
+            self.applied_shares[where[left[~fails]]] = share
             whole[left[broken]] = False
             if not len(back):
                 break

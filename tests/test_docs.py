@@ -31,6 +31,9 @@ from knotgym.cli.main import app
 from knotgym.control import transition_counts
 from knotgym.control.learned_policies import load_model
 from knotgym.datasets import episode_reader, image_table, states
+from knotgym.datasets.cards.state_card import overlap_rows
+from knotgym.datasets.states import SHIPPED, shipped
+from knotgym.datasets.verification import OVERLAPS
 from knotgym.generate.states import archive
 from knotgym.generate.states.archive import Archive
 from knotgym.quality_limits import UNITS
@@ -458,3 +461,12 @@ def test_every_extra_is_named_by_readme() -> None:
         if name != "check" and f"`{name}`" not in text and f"[{name}]" not in text  # CI's own
     ]
     assert missing == []
+
+
+def test_what_train_and_test_share_is_as_computed() -> None:
+    said = [line for line in (DOCS / "environment.md").read_text().splitlines() if "| `" in line]
+    for name, file in SHIPPED.items():
+        shared = json.loads((shipped().parent / OVERLAPS).read_text())[file]
+        counts = {nx: {"overlap": found} for nx, found in shared.items()}
+        for row in overlap_rows(counts):
+            assert f"| `{name}` | {' | '.join(row)} |" in said

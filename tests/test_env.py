@@ -29,6 +29,8 @@ from knotgym.tasks import InvalidSetting, TaskConfig
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 
+from .conftest import rough_play
+
 TASKS = ("unknot", "tie", "convert")
 MODES = ("pixels", "state", "both", "symbolic")
 IDLE = np.zeros(6, dtype=np.float32)
@@ -45,6 +47,7 @@ INFO = {
     "goal_states",
     "bead",
     "force",
+    "applied_share",
 }
 
 Make = Callable[..., KnotEnv]
@@ -350,6 +353,21 @@ def test_info_tells_the_pull(make: Make) -> None:
     action = env.episodes.simulation.actions([17], [[0.1, -0.2, 0.05]])[0]
     info = env.step(action)[4]
     assert info["bead"] == 17 and np.allclose(info["force"], [0.1, -0.2, 0.05])
+
+
+@pytest.mark.parametrize(("row", "share"), [(9, 0.5), (29, 0.0)])
+def test_info_tells_the_force_that_an_eased_step_applied(
+    make: Make, row: int, share: float
+) -> None:
+    qpos, actions = rough_play(row)
+    env = make("tie")
+    assert env.reset(seed=0)[1]["applied_share"] == 1.0
+    env.episodes.simulation.lay(qpos[None])
+    for action in actions:
+        info = env.step(action)[4]
+    asked = env.episodes.simulation.max_force * actions[-1, 3:].astype(np.float64)
+    assert info["applied_share"] == share and np.array_equal(info["force"], share * asked)
+    assert env.reset(seed=0)[1]["applied_share"] == 1.0
 
 
 def test_what_an_agent_gets_is_its_own(make: Make) -> None:

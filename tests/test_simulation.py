@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from knotgym.rope import Rope, RopeConfig
 from knotgym.simulation import InvalidAction, Simulation
 
-from .conftest import curled
+from .conftest import curled, rough_play
 
 
 def moved(simulation: Simulation, steps: int, seed: int = 0) -> NDArray[np.float64]:
@@ -251,6 +251,27 @@ def test_a_torn_rope_is_told(rope: Rope) -> None:
     )
     simulation.lay(qpos[None])
     assert simulation.act(np.zeros((1, 6))).tolist() == [False]
+
+
+@pytest.mark.parametrize(("row", "share"), [(9, 0.5), (29, 0.0)])
+def test_an_eased_step_says_which_share_of_the_force_it_applied(row: int, share: float) -> None:
+    qpos, actions = rough_play(row)
+    simulation, other = Simulation(1), Simulation(1)
+    for one in (simulation, other):
+        one.lay(qpos[None])
+    for action in actions:
+        beads, asked = other.read_actions(action[None])
+        simulation.act(action[None])
+        other.step(beads, simulation.applied_shares[:, None] * asked)
+        assert np.array_equal(simulation.states(), other.states())
+    assert simulation.applied_shares.tolist() == [share]
+
+
+def test_a_rope_that_blows_up_had_no_force_applied(rope: Rope) -> None:
+    simulation = Simulation(2, rope)
+    blown_up(simulation, 0, np.nan)
+    assert simulation.act(np.zeros((2, 6))).tolist() == [False, True]
+    assert simulation.applied_shares.tolist() == [0.0, 1.0]
 
 
 def turned_alike(here: Rope, there: Rope, qpos: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -55,7 +55,7 @@ def collect(
     nx: NxOption = "2",
     policy: PolicyOption = "expert",
     episodes: Annotated[int, typer.Option(help="Played, for each nx.")] = 200,
-    split: Annotated[str, typer.Option(help="train or test.")] = "train",
+    split: Annotated[str, typer.Option(help="train, test, train-code or test-code.")] = "train",
     keep_failed: Annotated[
         bool,
         typer.Option(
@@ -216,7 +216,9 @@ def evaluate(
     ] = "2",
     policy: PoliciesOption = None,
     episodes: Annotated[int, typer.Option(help="For each policy, task, split and nx.")] = 256,
-    split: Annotated[str, typer.Option(help="train, test, or both with a comma.")] = "test",
+    split: Annotated[
+        str, typer.Option(help="train, test, train-code, test-code; several with commas.")
+    ] = "test",
     out: Annotated[Path | None, typer.Option(help="JSON to write.")] = None,
     video: Annotated[
         Path | None,

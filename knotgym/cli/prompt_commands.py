@@ -93,7 +93,7 @@ def prompt(
     episodes: Annotated[int, typer.Option(help="Or pictures, the first of the split.")] = 100,
     split: Annotated[
         str,
-        typer.Option(help="By default train, as published; of pictures test."),
+        typer.Option(help="As of evaluate; by default train, as published; of pictures test."),
     ] = "",
     window: Annotated[
         int,

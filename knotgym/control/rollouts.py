@@ -175,6 +175,7 @@ def _episode(track: _Track, policy: str, seed: int) -> Episode:
         crossings=column("crossings", np.int64),
         bead=column("bead", np.int64),
         force=column("force", np.float64),
+        applied_share=column("applied_share", np.float64),
         is_success=column("is_success", np.bool_),
         simulation_failed=column("simulation_failed", np.bool_),
         move=column("move", np.str_),

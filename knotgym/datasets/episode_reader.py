@@ -10,8 +10,7 @@
         observations    pixels and state, one of them, symbols,     what Minari reads; made from
                         or none                                     `infos/points`, the same bytes
 
-Everything else can be made again from `start_qpos`, `goal_points` and `infos/points`, float64. Up
-to format version 3 the three stood in a group `rope`, which readers of Minari files stumble over.
+Everything else can be made again from `start_qpos`, `goal_points` and `infos/points`, float64.
 
 `stored` is "pixels", "state", "both", "symbolic" or, in the compact form, "none".
 """
@@ -46,11 +45,7 @@ from knotgym.hdf5_files import (
 from knotgym.tasks import OBSERVATIONS, TaskConfig
 
 FORMAT = "knotgym-episodes"
-# 2: every episode's start and goal are of the task's split, and infos hold the goal's code
-# 3: pictures have the task's views and depth
-# 4: nothing in an episode but what Minari knows; before, `rope/*` stood there
-FORMAT_VERSION = 4
-READ_VERSIONS = (1, 2, 3, FORMAT_VERSION)
+FORMAT_VERSION = 5
 STORED = (*OBSERVATIONS, "none")
 TOLD_DIGEST = "attributes_sha256"  # an attribute too, see `told_digest`
 _TOLD = ("task", "rope", "stored", "versions", "metadata")
@@ -104,7 +99,6 @@ class EpisodeReader:
         stored: the observations in the file.
         rows: the k of the groups `episode_{k}` read here, in order.
         lengths: int64 (len(rows),), the T of each.
-        format_version: of the file.
     """
 
     def __init__(self, source: Any) -> None:
@@ -120,8 +114,8 @@ class EpisodeReader:
         self.path = episode_file(source)
         self._opened: tuple[int, h5py.File] | None = None
         with foreign_bytes_as(InvalidEpisodeFile, f"{self.path} isn't a whole episode file"):
-            self.format_version = check_format(
-                self.file, format=FORMAT, versions=READ_VERSIONS, error=InvalidEpisodeFile
+            check_format(
+                self.file, format=FORMAT, versions=(FORMAT_VERSION,), error=InvalidEpisodeFile
             )
             said = {
                 name: str(read_attribute(self.file, Column(name, "text", ())))
@@ -343,15 +337,11 @@ class EpisodeReader:
         return {"steps": steps, "states": steps + 1, "beads": self._beads}
 
     def _stored_points(self, index: int) -> h5py.Dataset:
-        group = self.group(index)
-        where = POINTS if self.format_version > 3 or POINTS in group else "rope/points"
-        return stored_column(group, array_column("points"), self._sizes(index), where)
+        return stored_column(self.group(index), array_column("points"), self._sizes(index), POINTS)
 
     def _array(self, index: int, name: str) -> NDArray[Any]:
         """An array of an episode, by `Episode`'s name for it."""
         group, wanted, sizes = self.group(index), array_column(name), self._sizes(index)
-        if self.format_version < 4 and f"rope/{name}" in group:
-            return read_column(group, wanted, sizes, f"rope/{name}")
         if name in ONCE:
             return np.asarray(read_attribute(group, wanted, sizes))
         return read_column(group, wanted, sizes, place(name))

@@ -33,10 +33,11 @@ from knotgym.hdf5_files import foreign_bytes_as
 from knotgym.rendering.observations import observe, picture_config
 from knotgym.reward import consecutive
 from knotgym.rope import Rope
-from knotgym.simulation import Simulation
+from knotgym.simulation import SHARES, Simulation
 from knotgym.tasks import TaskConfig
 from knotgym.topology.crossings import label, label_many
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.knots import knot_type
 from knotgym.topology.reference_labeller import pyknotid_code
 from knotgym.towing import TowBound
 
@@ -55,7 +56,8 @@ def replay(
         count: told how many steps of all of them were acted out, after each side by side.
 
     Returns:
-        For each episode the first state that comes out different in any bit, None where none does.
+        For each episode the first state that comes out different in any bit, or that another share
+        of the force led to; None where none does.
     """
     if not episodes:
         return []
@@ -71,6 +73,8 @@ def replay(
             count("steps acted out again", acted, int(lengths.sum()))
         for i in going:
             same = np.array_equal(simulation.points[i], episodes[i].points[step])
+            if step:
+                same &= simulation.applied_shares[i] == episodes[i].applied_share[step]
             if different[i] is None and not same:
                 different[i] = step
     return different
@@ -139,7 +143,7 @@ def episode_faults(episode: Episode, task: TaskConfig, rope: Rope) -> list[str]:
         "gauss_code_chiral": np.array([code.chiral for code in codes]),
         "crossings": np.array([code.nx for code in codes]),
         "bead": beads,
-        "force": forces,
+        "force": episode.applied_share[:, None] * forces,
         **_outcome(episode, codes, task),
     }
     for name, right in recomputed.items():
@@ -150,14 +154,28 @@ def episode_faults(episode: Episode, task: TaskConfig, rope: Rope) -> list[str]:
                 f"step {wrong[0]}: {name} is {stored[wrong[0]].tolist()!r}, should be"
                 f" {right[wrong[0]].tolist()!r} ({len(wrong)} such)"
             )
+    wrong = np.flatnonzero(~np.isin(episode.applied_share, SHARES))
+    if len(wrong) or episode.applied_share[0] != 1:
+        step = wrong[0] if len(wrong) else 0
+        faults.append(
+            f"step {step}: applied_share is {episode.applied_share[step]}, should be"
+            f" {', '.join(map(str, SHARES)) if step else '1.0'}"
+        )
     for what, actions in (("action", episode.actions), ("expert's action", episode.expert_action)):
         if actions is not None and np.abs(actions).max() > 1:
             faults.append(f"an {what} lies outside [-1, 1]")
-    if str(label(episode.goal_points)) != episode.goal_gauss_code:
+    goal = label(episode.goal_points)
+    if str(goal) != episode.goal_gauss_code:
         faults.append(
-            f"the goal shows {str(label(episode.goal_points))!r}, goal_gauss_code says"
-            f" {episode.goal_gauss_code!r}"
+            f"the goal shows {str(goal)!r}, goal_gauss_code says {episode.goal_gauss_code!r}"
         )
+    knots = knot_type(codes[0]), knot_type(goal)
+    if knots[0] != knots[1]:
+        faults.append(
+            f"starts as {knots[0]}, and its goal is {knots[1]}: no pull changes the knot type"
+        )
+    elif goal.nx and codes[0].matches(goal):
+        faults.append("starts in its goal's code")
     if not np.array_equal(rope.points(episode.start_qpos), episode.points[0]):
         faults.append("step 0: the rope doesn't lie where start_qpos lays it")
     if episode.relabelled and not np.array_equal(episode.goal_points, episode.points[-1]):
@@ -277,15 +295,15 @@ def _replay_faults(
             if step is not None:
                 yield (
                     f"{reader.path}, episode {reader.rows[index]}: step {step}: acted out again,"
-                    " the rope lies elsewhere"
+                    " the rope lies elsewhere, or another share of the force was applied"
                 )
 
 
 def _goal_info_faults(reader: EpisodeReader, index: int, episode: Episode) -> list[str]:
-    """Whether the goal's code stands at every state, as it does since format version 2."""
+    """Whether the goal's code stands at every state."""
     group = reader.group(index)
     if GOAL_INFO not in group:
-        return [f"{GOAL_INFO} is missing"] if reader.format_version > 1 else []
+        return [f"{GOAL_INFO} is missing"]
     if reader.goal_labels(index) == [episode.goal_gauss_code] * (len(episode) + 1):
         return []
     return [f"{GOAL_INFO} isn't {episode.goal_gauss_code!r} at every state"]

@@ -326,16 +326,13 @@ def _label(group: h5py.Group, labels: Mapping[str, Any]) -> None:
 
 def _copy(source: h5py.Group, target: h5py.Group, number: int, keep: bool) -> None:
     """Copy an episode under a new number, its observations only if they are kept."""
-    old = {name: source[f"rope/{name}"][()] for name in ONCE if f"rope/{name}" in source}
-    _label(target, {**source.attrs, **old, "id": number, "number": number})
-    for name, place_now in _members(source).items():
+    _label(target, {**source.attrs, "id": number, "number": number})
+    for name in _members(source):
         if keep or not name.startswith("observations"):
             data = stored_column(source, Column(name, "any", None), {})
             if data.dtype.kind == "O":  # its rows say where in the other file their text is
                 raise InvalidEpisodeFile(f"{source.file.filename}: {name} has no fixed length")
-            _copy_dataset(data, target, place_now)
-    if GOAL_INFO not in source:  # of format version 1
-        _write_goal(target)
+            _copy_dataset(data, target, name)
 
 
 def _copy_dataset(source: h5py.Dataset, target: h5py.Group, name: str) -> None:
@@ -356,18 +353,10 @@ def _copy_dataset(source: h5py.Dataset, target: h5py.Group, name: str) -> None:
         copied.write_direct_chunk(start, stored, mask)
 
 
-def _members(group: h5py.Group) -> dict[str, str]:
-    """The paths of all the arrays of an episode, and where they stand in this format version.
-
-    The observations are last, as when they are drawn.
-    """
+def _members(group: h5py.Group) -> list[str]:
+    """The paths of all the arrays of an episode, in order; the observations last."""
     names: list[str] = []
     group.visititems(
         lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None
     )
-    now = {
-        name: POINTS if name == "rope/points" else name
-        for name in names
-        if name not in {f"rope/{one}" for one in ONCE}
-    }
-    return dict(sorted(now.items(), key=lambda pair: (pair[1].startswith("observations"), pair[1])))
+    return sorted(names, key=lambda name: (name.startswith("observations"), name))

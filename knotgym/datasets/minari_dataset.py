@@ -31,7 +31,7 @@ from knotgym.datasets.episode_reader import Count, EpisodeReader, InvalidEpisode
 from knotgym.datasets.episode_writer import merge_episodes
 from knotgym.datasets.states import minari_root, ships
 from knotgym.hdf5_files import foreign_bytes_as
-from knotgym.tasks import TaskConfig
+from knotgym.tasks import CODE_SPLITS, SPLITS, TaskConfig
 
 _ID = re.compile(r"([-\w]+/)*[-\w]+-v\d+")
 
@@ -322,6 +322,8 @@ def minari_entries(metadata: MinariMetadata, task: TaskConfig) -> dict[str, Any]
 
 def _evaluated(task: TaskConfig, split: str) -> TaskConfig:
     """The environment to evaluate in: of another split all goals, however few were trained on."""
+    if task.split in CODE_SPLITS and split in SPLITS:
+        split += "-code"
     return replace(task, split=split, max_goals=task.max_goals if split == task.split else None)
 
 

@@ -4,8 +4,8 @@ In hindsight a code that was reached becomes the goal.
 
 states   s0  s1  s2  s3     action t leads from s[t] to s[t + 1]; no action leaves s3
 actions    a0  a1  a2       rewards, terminations and truncations go with the actions
-infos    i0  i1  i2  i3     labels of the states; bead, force and move say what led to the state,
-                            nothing led to s0; expert_action what an expert would do there
+infos    i0  i1  i2  i3     labels of the states; bead, force, applied_share and move say what led
+                            to the state, nothing led to s0; expert_action what an expert would do
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ _ARRAYS: dict[str, tuple[Any, int | None, tuple[Any, ...]]] = {
     "crossings": (np.int64, 1, ()),
     "bead": (np.int64, 1, ()),
     "force": (np.float64, 1, (3,)),
+    "applied_share": (np.float64, 1, ()),
     "is_success": (np.bool_, 1, ()),
     "simulation_failed": (np.bool_, 1, ()),
     "move": (np.str_, 1, ()),
@@ -60,6 +61,7 @@ INFOS = (
     "crossings",
     "bead",
     "force",
+    "applied_share",
     "is_success",
     "simulation_failed",
     "move",
@@ -96,8 +98,10 @@ class Episode:
         terminations, truncations: bool (T,).
         gauss_code, gauss_code_chiral: str (T + 1,).
         crossings: int64 (T + 1,).
-        bead, force: int64 (T + 1,) and float64 (T + 1, 3), newtons: the step that led
-            here, see `actions.steps_taken`.
+        bead, force: int64 (T + 1,) and float64 (T + 1, 3), newtons: which bead the step that led
+            here pulled, and the force applied to it; -1 and 0 at the start.
+        applied_share: float64 (T + 1,), of the force asked for, see `Simulation.step`; 1 at the
+            start.
         is_success, simulation_failed: bool (T + 1,), as the environment's infos.
         move: str (T + 1,), the policy's reason for the step, "" at the start; None where the policy
             gives no reasons.
@@ -128,6 +132,7 @@ class Episode:
     crossings: NDArray[np.int64]
     bead: NDArray[np.int64]
     force: NDArray[np.float64]
+    applied_share: NDArray[np.float64]
     is_success: NDArray[np.bool_]
     simulation_failed: NDArray[np.bool_]
     move: NDArray[np.str_] | None = None

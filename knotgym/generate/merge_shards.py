@@ -33,7 +33,7 @@ from knotgym.datasets.image_table import (
 )
 from knotgym.datasets.machine import distinct
 from knotgym.datasets.near_duplicates import apart
-from knotgym.datasets.splits import IMAGE_SPLITS, STATE_SPLITS, split
+from knotgym.datasets.splits import IMAGE_SPLITS, STATE_SPLITS, kept_together, split
 from knotgym.datasets.state_schema import DRAWING
 from knotgym.datasets.states import (
     States,
@@ -225,7 +225,7 @@ def _states(ordered: Sequence[ShardFolder], report: dict[str, Any], folder: Path
     ]
     for nx, name in product(sorted(set(merged.nx.tolist())), STATE_SPLITS):
         mine = merged.rows(nx, name).tolist()
-        if not mine:
+        if not mine or not merged.source["dataset"][mine[0]]:
             continue
         sources = [
             Chosen(dataset, [int(chosen.source["trajectory"][row]) for row in rows])
@@ -269,7 +269,9 @@ def _split_anew(states: States, config: dict[str, Any]) -> States:
         splits[mine] = split(codes, config["split_by"], config["train_share"], rng)
     return replace(
         states,
-        split=splits,
+        split=kept_together(
+            splits, states.points, [GaussCode.parse(text) for text in states.gauss_code]
+        ),
         attributes={**states.attributes, "config": json.dumps(config, sort_keys=True)},
     )
 

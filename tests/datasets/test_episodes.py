@@ -41,7 +41,6 @@ from knotgym.datasets.trajectory import (
 )
 from knotgym.loaders import arrays
 from knotgym.rendering.observations import stacked
-from knotgym.rendering.picture import PictureConfig
 from knotgym.tasks import TaskConfig
 
 ID = "knotgym/tie-nx2/random-v0"
@@ -327,35 +326,6 @@ def test_merging_gives_the_same_bytes_whatever_the_shards(
         assert sha(again / "data" / name) == sha(root / ID / "data" / name)
 
 
-def as_version_2(path: Path) -> Path:
-    """The same file as it was written before, `rope/*` in every episode."""
-    with h5py.File(path, "r+") as file:
-        file.attrs["format_version"] = 2
-        for name in [name for name in file if name.startswith("episode_")]:
-            group = file[name]
-            for once in ("start_qpos", "goal_points"):
-                group[f"rope/{once}"] = group.attrs[once]
-                del group.attrs[once]
-            group.move("infos/points", "rope/points")
-    return path
-
-
-def test_a_file_of_format_version_2_is_read_and_merged_into_the_same_bytes(
-    tmp_path: Path, task: TaskConfig, episodes: list[Episode]
-) -> None:
-    few = dict(enumerate(episodes[:2]))
-    new = write(tmp_path / "new.h5", task, few)
-    old = as_version_2(write(tmp_path / "old.h5", task, few))
-    reader = EpisodeReader(old)
-    assert [one.digest() for one in reader] == [one.digest() for one in episodes[:2]]
-    drawn = reader.observations(0, slice(0, 2), picture=PictureConfig(size=16))
-    assert drawn["pixels"].shape == (2, 16, 32, 3)
-    merged = [tmp_path / "from-new.h5", tmp_path / "from-old.h5"]
-    merge_episodes([new], merged[0])
-    merge_episodes([old], merged[1])
-    assert sha(merged[0]) == sha(merged[1])
-
-
 @pytest.mark.parametrize("stored", ["pixels", "both"])
 def test_stacked_pictures_are_stored_read_and_drawn_alike(
     tmp_path: Path, task: TaskConfig, episodes: list[Episode], stored: str
@@ -471,19 +441,6 @@ def test_a_truncated_file_is_refused(tmp_path: Path, root: Path) -> None:
     (tmp_path / "a.h5").write_bytes(content[: len(content) // 2])
     with pytest.raises(InvalidEpisodeFile):
         EpisodeReader(tmp_path / "a.h5")
-
-
-def test_a_file_from_before_there_were_views_has_one_and_no_depth(
-    tmp_path: Path, root: Path
-) -> None:
-    old = tmp_path / "old.h5"
-    old.write_bytes((root / ID / "data" / "main_data.hdf5").read_bytes())
-    with h5py.File(old, "a") as file:
-        said = json.loads(file.attrs["task"])
-        assert said.pop("views") == ["top"] and said.pop("depth") is False
-        file.attrs["task"], file.attrs["format_version"] = json.dumps(said), 2
-    assert EpisodeReader(old).task == EpisodeReader(root / ID).task
-    assert not any("observations" in fault for fault in verify_episodes(old, pyknotid=False))
 
 
 def test_another_format_is_refused(tmp_path: Path) -> None:
@@ -669,6 +626,8 @@ def two(
         (lambda group: group.pop("infos/goal_gauss_code"), "goal_gauss_code is missing"),
         (set_last("infos/crossings", 99), "step 12: crossings is 99"),
         (set_last("infos/bead", -7), "step 12: bead is -7"),
+        (set_last("infos/applied_share", 0.7), "step 12: applied_share is 0.7, should be 1.0, 0.5"),
+        (set_last("infos/force", 0.01), "step 12: force is"),
         (set_last("rewards", 1.0), "step 11: rewards is 1.0, should be -5.0"),
         (set_last("truncations", False), "step 11: truncations is False"),
         (set_last("infos/points", np.nan), "points holds nan at [12, "),
@@ -689,6 +648,17 @@ def test_verification_names_the_fault(two: Path, tmp_path: Path, change: Any, sa
     faults = verify_episodes(path)
     assert faults and all(f"{path}, episode 1" in fault for fault in faults)
     assert any(said in fault for fault in faults), faults
+
+
+def test_a_share_of_the_force_that_was_not_applied_is_found_by_replay(
+    tmp_path: Path, task: TaskConfig, episodes: list[Episode]
+) -> None:
+    shares = np.where(np.arange(len(episodes[0]) + 1) == 3, 0.5, 1.0)
+    eased = replace(episodes[0], applied_share=shares, force=shares[:, None] * episodes[0].force)
+    path = write(tmp_path / "a.h5", task, {0: eased})
+    assert not verify_episodes(path)
+    (fault,) = verify_episodes(path, act_out=True)
+    assert "step 3: acted out again" in fault and "another share of the force" in fault
 
 
 def test_verification_names_wrong_counts(tmp_path: Path, root: Path) -> None:

@@ -179,23 +179,6 @@ def test_a_dataset_whose_states_are_gone_cannot_be_checked(
     assert "names states that lie outside the dataset, '../elsewhere.h5'" in fault
 
 
-def test_a_dataset_of_before_that_mixes_splits_is_read_and_named(
-    curated: Path, train: list[Episode], test: list[Episode], tmp_path: Path
-) -> None:
-    reader = written(tmp_path / "old", curated, [*train, *test])
-    reader.close()
-    with h5py.File(reader.path, "a") as file:
-        file.attrs["format_version"] = 1
-        for name in file:
-            del file[name]["infos/goal_gauss_code"]
-    old = EpisodeReader(reader.path)
-    assert [one.digest() for one in old] == [one.digest() for one in (*train, *test)]
-    assert "mixes splits, of starts or goals of episodes train: 0-1; test: 2-3" in told(old)[-1]
-    merge_episodes([old.path], tmp_path / "new.h5")
-    goals = EpisodeReader(tmp_path / "new.h5").group(3)["infos/goal_gauss_code"][()]
-    assert set(goals.tolist()) == {test[1].goal_gauss_code.encode()}
-
-
 # What states say of their demonstrations.
 
 

@@ -32,13 +32,13 @@ from knotgym.datasets.image_table import (
     write_rows,
 )
 from knotgym.datasets.image_verification import image_faults, row_faults
-from knotgym.datasets.near_duplicates import NEAR, distances
+from knotgym.datasets.near_duplicates import NEAR, distances, families
 from knotgym.datasets.splits import IMAGE_SPLITS
 from knotgym.difficulty import grade
 from knotgym.generate.images import image_recipe
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig, quotas
-from knotgym.generate.images.seed_states import NoSeedStates, families, seed_states
+from knotgym.generate.images.seed_states import NoSeedStates, seed_states
 from knotgym.generate.images.selection import _options
 from knotgym.loaders import MissingExtra
 from knotgym.loaders import images as load
@@ -205,14 +205,18 @@ def test_a_leak_between_splits_is_found(
     )
 
 
+@pytest.mark.parametrize(
+    "symmetry",
+    [Symmetry(turn=1.0), Symmetry(reflect=True, turn=1.0, reverse=True, base_shift=37)],
+)
 def test_a_near_duplicate_in_another_split_is_found(
-    rows: list[dict[str, Any]], tmp_path: Path
+    rows: list[dict[str, Any]], tmp_path: Path, symmetry: Symmetry
 ) -> None:
-    """The planted row is true in every other way: a training row's rope turned, moved and shaken,
-    with labels, picture and family of its own.
+    """The planted row is true in every other way: a training row's rope moved by a symmetry and
+    shaken, with labels, picture and family of its own.
     """
     train = next(row for row in rows if row["split"] == "train" and row["nx"] == 1)
-    points = Symmetry(turn=1.0).configuration(np.array(train["points"]).reshape(-1, 3))
+    points = symmetry.configuration(np.array(train["points"]).reshape(-1, 3))
     points = points + (0.1, 0, 0) + np.random.default_rng(0).normal(0, 0.001, points.shape)
     planted = Row(points, label(points), "test", {**train["source"], "family": 10**6, "row": 10**6})
     write_rows(tmp_path / "data.parquet", [train, record(planted, AppearanceConfig())])

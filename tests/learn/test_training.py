@@ -103,6 +103,20 @@ def test_a_set_of_the_test_split_is_refused(
     assert "test split" in refused(capsys, "--data", copy, "--out", tmp_path / "new")
 
 
+def test_the_rope_is_fitted_to_the_forces_that_were_applied(episodes: Path, tmp_path: Path) -> None:
+    from knotgym.learn.training_data import STRETCH, read_training_data
+
+    copy, path = copied(episodes, tmp_path)
+    with h5py.File(path, "a") as file:
+        name = min(name for name in file if len(file[name]["actions"]) >= STRETCH)
+        group = file[name]["infos"]
+        group["force"][1], group["applied_share"][1] = group["force"][1] / 2, 0.5
+        force = group["force"][1]
+    data = read_training_data([copy])
+    assert (data.stretches.forces[0] == force).all(axis=1).any()
+    assert (data.forces == force).all(axis=1).any()
+
+
 def test_an_empty_set_is_refused(
     episodes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

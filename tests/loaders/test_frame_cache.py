@@ -58,6 +58,7 @@ def episode(rope: Rope, k: int) -> Episode:
         crossings=np.array([code.nx for code in codes]),
         bead=np.full(steps + 1, 3),
         force=np.zeros((steps + 1, 3)),
+        applied_share=np.ones(steps + 1),
         is_success=np.zeros(steps + 1, dtype=bool),
         simulation_failed=np.zeros(steps + 1, dtype=bool),
         goal_gauss_code="1+,2-,1-,2+",

@@ -84,6 +84,7 @@ def coded(k: int) -> Episode:
         crossings=states + 1000 * k,
         bead=states,
         force=np.zeros((length + 1, 3)),
+        applied_share=np.ones(length + 1),
         is_success=np.zeros(length + 1, dtype=bool),
         simulation_failed=np.zeros(length + 1, dtype=bool),
         goal_gauss_code=f"goal {k}",

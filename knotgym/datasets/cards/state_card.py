@@ -8,10 +8,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from knotgym.datasets.cards.citation import TO_CITE, code_span, plain
-from knotgym.datasets.splits import STATE_SPLITS
+from knotgym.datasets.splits import STATE_SPLITS, overlap
 from knotgym.datasets.spread import spread_of
 from knotgym.datasets.state_schema import COLUMNS, DRAWING, RANDOM_WALK
 from knotgym.datasets.states import States
@@ -27,10 +26,7 @@ def summary(states: States) -> dict[str, Any]:
         "sources": dict(
             sorted(Counter(states.source.get("policy", np.array([])).tolist()).items())
         ),
-        "nx": {
-            str(nx): _counts(states, np.flatnonzero(states.nx == nx))
-            for nx in sorted(set(states.nx.tolist()))
-        },
+        "nx": {str(nx): _counts(states, nx) for nx in sorted(set(states.nx.tolist()))},
         "quality": {
             name: {
                 "unit": states.units[name],
@@ -73,6 +69,12 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         "## States",
         "",
         *table(_STATES_HEAD, _states_rows(facts["nx"], report["existing_codes"])),
+        "",
+        "## Train and test",
+        "",
+        OVERLAP_SAYS[0].upper() + OVERLAP_SAYS[1:] + ".",
+        "",
+        *table(OVERLAP_HEAD, overlap_rows(facts["nx"])),
         "",
         "## Quality",
         "",
@@ -239,6 +241,26 @@ SPREAD_SAYS = (
 )
 
 
+OVERLAP_HEAD = ("nx", "test states", "code in train", "diagram in train", "nearest, mm")
+OVERLAP_SAYS = (
+    "code in train: test states whose code a train state shows, chirality aside; diagram in train:"
+    " those whose code one shows up to symmetry (from another base bead, walked the other way,"
+    " mirrored or switched); nearest: the least distance of a test state to a train state of any"
+    " nx, root mean square over the beads, at the best of those symmetries and turn about z"
+)
+
+
+def overlap_rows(counts: Mapping[str, Any]) -> list[list[str]]:
+    """What train and test share at each nx of a summary, in the order of OVERLAP_HEAD."""
+    rows = []
+    for nx, count in counts.items():
+        found = count["overlap"]
+        near = "-" if found["nearest"] is None else f"{1000 * found['nearest']:.1f}"
+        shared = [str(found[name]) for name in ("test_states", "code_in_train", "diagram_in_train")]
+        rows.append([nx, *shared, near])
+    return rows
+
+
 def spread_rows(counts: Mapping[str, Any]) -> list[list[str]]:
     """The spread of each nx of a summary, in the order of SPREAD_HEAD."""
 
@@ -283,7 +305,8 @@ def most_first(counts: Mapping[str, int]) -> list[tuple[str, int]]:
     return sorted(counts.items(), key=lambda item: (-item[1], item[0]))
 
 
-def _counts(states: States, rows: NDArray[np.int64]) -> dict[str, Any]:
+def _counts(states: States, nx: int) -> dict[str, Any]:
+    rows = np.flatnonzero(states.nx == nx)
     split = states.split[rows]
     codes = {name: set(states.gauss_code[rows[split == name]].tolist()) for name in STATE_SPLITS}
     shown = [GaussCode.parse(text) for text in states.gauss_code_chiral[rows]]
@@ -301,6 +324,7 @@ def _counts(states: States, rows: NDArray[np.int64]) -> dict[str, Any]:
         "positive_crossings": signs.count(1),
         "negative_crossings": signs.count(-1),
         "actions_to_reach": actions,
+        "overlap": overlap(states, nx),
         "spread": spread_of(states.points[rows]).as_json(),
     }
 

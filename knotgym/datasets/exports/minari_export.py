@@ -37,6 +37,7 @@ _ROWS = (
     ("`infos/points`", "float64 (T + 1, 100, 3), m: vertices at every state"),
     ("`infos/crossings`, `infos/is_success`", "(T + 1,)"),
     ("`infos/bead`, `infos/force`", "(T + 1,) and (T + 1, 3), N: the pull that led here"),
+    ("`infos/applied_share`", "(T + 1,), of the force asked for; below 1 in an eased step"),
 )
 
 

@@ -353,6 +353,7 @@ function showEpisode() {
     if (after) after(pen, see);
   };
   const next = now + 1, strength = next <= last ? Math.hypot(...episode.force[next]) : 0;
+  const share = next <= last ? episode.applied_share[next] : 1;
   draw("film", frame, part ? null : episode.x[now], (pen, see) => {
     if (strength) drawPull(pen, frame, episode.bead[next], episode.force[next], see);
   });
@@ -363,8 +364,8 @@ function showEpisode() {
   facts(by("episode-facts"), [
     ["step", `${now} of ${last}`],
     ["code", (code || "loop") + (code === episode.goal ? ", the goal's" : "")],
-    ["pull", strength ? `bead ${episode.bead[next]}, ${shortened(strength)} N`
-      : next <= last ? "none, the rope is left to rest" : "none, the episode ended"],
+    ["pull", strength ? `bead ${episode.bead[next]}, ${shortened(strength)} N` + (share < 1 ? `, eased to ${100 * share} %` : "")
+      : share < 1 ? "none: it would have opened the rope" : next <= last ? "none, the rope is left to rest" : "none, the episode ended"],
     ["why", next <= last && episode.moves ? episode.moves[next] : ""],
     ["reward", now ? `${shortened(episode.rewards[now - 1])}, ${shortened(total)} so far` : "0"],
     ["policy", episode.policy], ["split", episode.split], ["seed", episode.seed], ["dataset", episode.set],

@@ -245,6 +245,7 @@ def _episode(reader: EpisodeReader, index: int) -> dict[str, Any]:
         "x": [_crossings(points) for points in episode.points[:states]],
         "bead": episode.bead[:states].tolist(),
         "force": [[round(float(n), 4) for n in force] for force in episode.force[:states]],
+        "applied_share": episode.applied_share[:states].tolist(),
         "rewards": [_number(reward) for reward in episode.rewards[: states - 1]],
         "moves": None if episode.move is None else episode.move[:states].tolist(),
     }

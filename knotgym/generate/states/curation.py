@@ -1,7 +1,8 @@
 """Curation: which accepted states make a set.
 
-A set holds no two near-duplicates (`datasets.near_duplicates`), and of more states than it takes
-those that are most unlike each other.
+A set holds no two states that lie within NEAR of each other after a turn about z; those that
+another symmetry brings so near may both be in it, in one split (`datasets.splits.kept_together`).
+Of more states than it takes it holds those that are most unlike each other.
 """
 
 from __future__ import annotations

@@ -28,6 +28,7 @@ from knotgym.runs.shards import Shard
 from knotgym.streams import Stream, derived_seed, generator, key
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.knot_table import UNKNOT
 from knotgym.topology.knots import codes_of, knot_type
 
 
@@ -90,6 +91,13 @@ class CurationRun:
             )
         run = cls(config, archive or fresh, shard, knot)
         run._count_codes()
+        least = label(start).nx
+        if knot != UNKNOT and min(config.nx) != least:
+            raise InvalidGenerateConfig(
+                f"the ways to states of {knot} begin at its least diagram here, with {least}"
+                f" crossings, which must be among the states: give --nx {least}, or a range from"
+                f" {least}"
+            )
         for nx in config.nx:
             run.accepted[nx], run.rejected[nx], run.tried[nx] = [], Counter(), Counter()
         if not any(run.wanted(nx) for nx in config.nx):

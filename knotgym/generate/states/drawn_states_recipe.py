@@ -22,7 +22,7 @@ import numpy as np
 import knotgym
 from knotgym.atomic_files import atomic_write, sha256
 from knotgym.configuration import as_json
-from knotgym.datasets.splits import split
+from knotgym.datasets.splits import kept_together, split
 from knotgym.datasets.state_schema import DRAWING
 from knotgym.datasets.states import States, write_states
 from knotgym.generate.states import state_folder
@@ -251,7 +251,7 @@ class DrawnStatesRecipe:
             gauss_code_chiral=columns["code"],
             knot=np.array([knot_type(one.code) for one in rows]),
             nx=np.array([one.code.nx for one in rows], dtype=np.int64),
-            split=np.array(splits),
+            split=kept_together(np.array(splits), columns["points"], [one.code for one in rows]),
             quality={
                 field.name: np.array([getattr(one.quality, field.name) for one in rows])
                 for field in fields(Quality)

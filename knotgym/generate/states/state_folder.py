@@ -24,7 +24,7 @@ from knotgym.datasets.episode_writer import EpisodeWriter
 from knotgym.datasets.gallery import write_gallery
 from knotgym.datasets.machine import machine
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
-from knotgym.datasets.splits import STATE_SPLITS, split
+from knotgym.datasets.splits import STATE_SPLITS, kept_together, split
 from knotgym.datasets.states import States, demonstrations_id, write_states
 from knotgym.datasets.trajectory import Episode
 from knotgym.generate.states.candidates import Candidate
@@ -33,9 +33,11 @@ from knotgym.quality import UNITS, Quality
 from knotgym.rendering.picture import draw_many
 from knotgym.reward import success_at_last
 from knotgym.rope import RopeConfig
+from knotgym.simulation_pool import simulation_of
 from knotgym.streams import Stream, generator
 from knotgym.tasks import TaskConfig
 from knotgym.topology.crossings import label_many
+from knotgym.topology.knot_table import UNKNOT
 from knotgym.topology.knots import knot_type
 
 HORIZON = 200  # actions, longer than any way
@@ -60,6 +62,8 @@ def states_of(run: CurationRun) -> States:
         ).tolist()
     points = np.stack([candidate.points[-1] for _, candidate in candidates])
     crossings = np.array([nx for nx, _ in candidates], dtype=np.int64)
+    codes = [candidate.code for _, candidate in candidates]
+    dealt = kept_together(np.array(splits), points, codes)
     return States(
         qpos=np.stack([candidate.qpos for _, candidate in candidates]),
         points=points,
@@ -68,7 +72,7 @@ def states_of(run: CurationRun) -> States:
         gauss_code_chiral=np.array([candidate.code.chiral for _, candidate in candidates]),
         knot=np.array([knot_type(candidate.code) for _, candidate in candidates]),
         nx=crossings,
-        split=np.array(splits),
+        split=dealt,
         quality={
             field.name: np.array(
                 [getattr(candidate.quality, field.name) for _, candidate in candidates]
@@ -84,7 +88,7 @@ def states_of(run: CurationRun) -> States:
             ),
             "seed": np.array([candidate.seed for _, candidate in candidates], dtype=np.int64),
             "policy": np.array([POLICY] * len(candidates)),
-            **demonstrations_of(crossings, np.array(splits), run.knot),
+            **demonstrations_of(crossings, dealt, run.knot),
             "step": np.array(
                 [len(candidate.actions) for _, candidate in candidates], dtype=np.int64
             ),
@@ -103,7 +107,8 @@ def demonstrations_of(
 ) -> dict[str, NDArray[Any]]:
     """The columns that say which demonstration leads to each state.
 
-    Each nx and split has a dataset, its episodes in the order of the states.
+    Each nx and split has a dataset, its episodes in the order of the states; "" of a state that
+    has none.
 
     Args:
         nx: int64 (n,), of the states.
@@ -114,7 +119,8 @@ def demonstrations_of(
         "dataset", str (n,), and "trajectory", int64 (n,), the episode there.
     """
     ids = [
-        demonstrations_id(*one, knot=knot) for one in zip(nx.tolist(), splits.tolist(), strict=True)
+        demonstrations_id(*one, knot=knot) if _demonstrated(one[0], nx.tolist(), knot) else ""
+        for one in zip(nx.tolist(), splits.tolist(), strict=True)
     ]
     return {
         "dataset": np.array(ids, dtype=np.str_),
@@ -122,6 +128,13 @@ def demonstrations_of(
             [ids[:row].count(one) for row, one in enumerate(ids)], dtype=np.int64
         ),
     }
+
+
+def _demonstrated(nx: int, every: Sequence[int], knot: str) -> bool:
+    """Whether states with nx crossings have demonstrations: those of a knot begin at its least
+    diagram, so the states of fewest crossings have none.
+    """
+    return knot == UNKNOT or nx > min(every)
 
 
 def report_of(run: CurationRun) -> dict[str, Any]:
@@ -190,7 +203,7 @@ def write_trajectories(run: CurationRun, states: States, folder: Path, carried: 
     for nx, name in product(run.config.nx, STATE_SPLITS):
         splits = states.split[states.nx == nx].tolist()
         candidates = list(compress(run.chosen(nx), [one == name for one in splits]))
-        if not candidates:
+        if not candidates or not _demonstrated(nx, run.config.nx, run.knot):
             continue
         shard = folder / f"nx{nx}.h5"
         with EpisodeWriter(shard, demonstration_task(nx, name, run.knot)) as writer:
@@ -255,6 +268,7 @@ def episode_of(candidate: Candidate) -> Episode:
     steps, codes = len(candidate.actions), label_many(candidate.points)
     shown = np.array([code.matches(candidate.code) for code in codes])
     beads, forces = steps_taken(candidate.actions, candidate.points, RopeConfig())
+    shares = _applied_shares(candidate)
     outcome = success_at_last(steps)
     return Episode(
         start_qpos=candidate.start_qpos,
@@ -268,13 +282,25 @@ def episode_of(candidate: Candidate) -> Episode:
         gauss_code_chiral=np.array([code.chiral for code in codes]),
         crossings=np.array([code.nx for code in codes], dtype=np.int64),
         bead=beads,
-        force=forces,
+        force=shares[:, None] * forces,
+        applied_share=shares,
         is_success=np.concatenate([[False], outcome.terminated]),
         simulation_failed=np.zeros(steps + 1, dtype=bool),
         goal_gauss_code=str(candidate.code),
         policy=POLICY,
         hold=int(np.argmin(shown[:0:-1])) if not shown[1:].all() else steps,
     )
+
+
+def _applied_shares(candidate: Candidate) -> NDArray[np.float64]:
+    """The share of its force that led to each state of a candidate, float64 (T + 1,), 1 first."""
+    simulation = simulation_of(1, RopeConfig())
+    simulation.lay(candidate.start_qpos[None])
+    shares = [1.0]
+    for action in candidate.actions:
+        simulation.act(action[None])
+        shares.append(float(simulation.applied_shares[0]))
+    return np.array(shares)
 
 
 def _padded(candidate: Candidate, longest: int) -> np.ndarray:
