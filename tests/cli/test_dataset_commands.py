@@ -206,6 +206,21 @@ def test_the_gallery_command_draws_the_gallery_again(curated: Path, tmp_path: Pa
     assert (tmp_path / "a.png").read_bytes() == (curated / "gallery.png").read_bytes()
 
 
+@pytest.mark.parametrize("name", ["", "states.h5", "minari", WAYS])
+def test_gallery_and_page_are_written_into_the_folder_that_is_shown(
+    curated: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    run = shutil.copytree(curated, tmp_path / "run")
+    (run / "gallery.png").unlink()
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    folder = run if name == "states.h5" else run / name
+    for command, file in (("gallery", "gallery.png"), ("page", "page.html")):
+        assert knotgym("dataset", command, run / name) == 0
+        assert (folder / file).is_file()
+    assert list((tmp_path / "elsewhere").iterdir()) == []
+
+
 def test_the_gallery_command_leaves_a_file_that_is_there_alone(
     curated: Path, tmp_path: Path
 ) -> None:
