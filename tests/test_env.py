@@ -487,7 +487,7 @@ def test_a_row_of_the_other_split_is_refused(make: Make, states: States) -> None
         ({"numeric_infos": 1}, "numeric_infos must be True or False, got 1"),
         ({"camera": "fisheye"}, "no camera 'fisheye'"),
         ({"renderer": "filament"}, "no renderer 'filament'"),
-        ({"render_mode": "ansi"}, "no render_mode 'ansi'; there is \"rgb_array\", \"human\" or None"),
+        ({"render_mode": "ansi"}, 'no render_mode \'ansi\'; there is "rgb_array", "human" or None'),
         ({"horizon": 0}, "horizon must be a whole number of at least 1, got 0"),
         ({"hold": 0}, "hold must be a whole number of at least 1, got 0"),
         ({"image_size": 4}, "image_size must be a whole number from 16 to 2048, got 4"),

@@ -36,7 +36,13 @@ class Window:
         self._rate, self._screen, self._clock, self._side = frames_per_second, None, None, 0.0
 
     def show(
-        self, points: Array, goal: Array, step: int, horizon: int, outcome: str, views: Sequence[str]
+        self,
+        points: Array,
+        goal: Array,
+        step: int,
+        horizon: int,
+        outcome: str,
+        views: Sequence[str],
     ) -> None:
         """Draw a state beside its goal; wait so that frames follow each other at the set rate.
 
