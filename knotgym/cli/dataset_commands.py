@@ -161,7 +161,7 @@ def replay(
 ) -> None:
     """Act out how a state or an episode came to be, check it bit for bit, and film it.
 
-    The pull is an arrow, both codes stand below, and the last frame says whether the goal was reached.
+    The pull is an arrow, both codes stand below, and the last frame says "reached" or "failed".
     """
     with Progress(quiet, lines=False) as progress:
         from knotgym.atomic_files import require_writable
