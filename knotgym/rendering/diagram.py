@@ -27,7 +27,7 @@ _REACH = 4  # beads on each side of a crossing that the band covers at most
 _MARGIN = 1.12  # what the picture shows, in extents of the rope
 _SMALLEST = 0.12  # metres that a side shows at least
 _RADIUS, _THINNEST = 0.005, 1 / 80  # of the rope, metres; and at least this share of a side
-_PULL, _ARROW = (255, 255, 255), 0.2  # RGB; share of a side that stands for the largest force
+_PULL, _ARROW = (255, 255, 255), 0.15  # RGB; share of a side that stands for the largest force
 
 
 def draw_diagram(

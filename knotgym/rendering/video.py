@@ -100,8 +100,8 @@ def film_frame(
 
 
 def film_side(ropes: Sequence[Array], views: Sequence[str] = ("top",)) -> float:
-    """Metres that a side must show so that every rope fits in every view."""
-    return max(side_of(seen_from(view, rope)) for rope in ropes for view in views)
+    """Metres that a side must show so that every rope fits in every view, and an arrow beside it."""
+    return 1.2 * max(side_of(seen_from(view, rope)) for rope in ropes for view in views)
 
 
 def film_frames(
