@@ -100,7 +100,7 @@ def film_frame(
 
 
 def film_side(ropes: Sequence[Array], views: Sequence[str] = ("top",)) -> float:
-    """Metres that a side must show so that every rope fits in every view, and an arrow beside it."""
+    """Metres that a side must show so that every rope and arrow fits in every view."""
     return 1.2 * max(side_of(seen_from(view, rope)) for rope in ropes for view in views)
 
 
