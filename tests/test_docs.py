@@ -250,18 +250,17 @@ def test_a_path_in_the_table_of_look_ups_exists(path: str) -> None:
     assert (ROOT / path).is_file()
 
 
-def test_every_command_and_option_is_on_the_page_of_commands() -> None:
-    place = importlib.util.spec_from_file_location("hooks", DOCS / "hooks.py")
+def test_the_page_of_commands_is_what_the_commands_say() -> None:
+    place = importlib.util.spec_from_file_location("commands_page", DOCS / "commands.py")
     assert place is not None and place.loader is not None
-    hooks = importlib.util.module_from_spec(place)
-    place.loader.exec_module(hooks)
-    text = hooks.on_page_markdown((DOCS / "commands.md").read_text(encoding="utf-8"))
-    assert hooks.MARK not in text
-    commands = dict(hooks.commands("knotgym", typer.main.get_command(app)))
+    page = importlib.util.module_from_spec(place)
+    place.loader.exec_module(page)
+    text = (DOCS / "commands.md").read_text(encoding="utf-8")
+    assert text == page.whole_page(), "run python docs/commands.py"
+    commands = dict(page.commands("knotgym", typer.main.get_command(app)))
     assert {"knotgym generate", "knotgym collect", "knotgym dataset verify"} <= commands.keys()
     for name, command in commands.items():
-        start = text.index(f"## `{name}`")
-        part = text[start : text.find("\n## ", start)] if text.find("\n## ", start) > 0 else text
+        part = text.partition(f"## `{name}`\n")[2].partition("\n## ")[0]
         assert command.help and " ".join(command.help.split()) in " ".join(part.split())
         for parameter in command.params:
             assert parameter.help, f"{name}: {parameter.name} says nothing"

@@ -40,18 +40,23 @@ def show(path: PathOrId) -> None:
 @dataset_app.command()
 def gallery(
     path: PathOrId,
-    out: Annotated[Path, typer.Option(help="PNG to write.")] = Path("gallery.png"),
+    out: Annotated[
+        Path | None, typer.Option(help="PNG to write; gallery.png in the folder by default.")
+    ] = None,
     columns: Annotated[int, typer.Option(min=1, help="Pictures in a row.")] = 8,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Draw a contact sheet, each picture with its code.
+    """Draw a contact sheet: knot diagrams, each with its code.
 
-    Of all states; of pictures, or of the ends of episodes, the first 64.
+    It shows all states, or the ends of the first 64 episodes, each framed green if it reached its
+    goal and red if it failed. Of a perception table it shows the first 64 pictures as they are.
     """
     with Progress(quiet, lines=False) as progress:
         from knotgym.cli.inspection import gallery as draw
+        from knotgym.cli.places import folder_of
 
+        out = out or folder_of(path) / "gallery.png"
         progress.say(f"{out}: {draw(path, out, columns, overwrite)}")
 
 
@@ -140,26 +145,36 @@ def merge(
 def replay(
     path: PathOrId,
     out: Annotated[
-        Path, typer.Option(help="Video to write: .gif, or .mp4 or .webm with the extra video.")
-    ] = Path("replay.gif"),
+        Path | None,
+        typer.Option(
+            help=(
+                "Video to write: .gif, or .mp4 or .webm with the extra video; replay.gif in the"
+                " folder by default."
+            )
+        ),
+    ] = None,
     row: Annotated[int, typer.Option(min=0, help="Which state or episode.")] = 0,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Act out how a state or an episode came to be, check it bit for bit, and film it.
 
-    The pull is an arrow, and both codes stand below.
+    The pull is an arrow, both codes stand below, and the last frame says "reached" or "failed".
     """
     with Progress(quiet, lines=False) as progress:
         from knotgym.cli.inspection import film
+        from knotgym.cli.places import folder_of
 
+        out = out or folder_of(path) / "replay.gif"
         progress.say(f"{out}: {film(path, row, out, overwrite, progress)}")
 
 
 @dataset_app.command()
 def page(
     path: PathOrId,
-    out: Annotated[Path, typer.Option(help="HTML file to write.")] = Path("page.html"),
+    out: Annotated[
+        Path | None, typer.Option(help="HTML file to write; page.html in the folder by default.")
+    ] = None,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -169,7 +184,9 @@ def page(
     """
     with Progress(quiet, lines=False) as progress:
         from knotgym.cli.inspection import page as write
+        from knotgym.cli.places import folder_of
 
+        out = out or folder_of(path) / "page.html"
         progress.stage("writing the page")
         progress.say(f"{out}: {write(path, out, overwrite)}")
 

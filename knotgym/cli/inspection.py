@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
@@ -23,8 +21,12 @@ from knotgym.datasets.exports.forms import export as convert
 from knotgym.datasets.exports.huggingface_export import ToUpload, to_huggingface
 from knotgym.datasets.exports.minari_export import to_minari
 from knotgym.datasets.foreign_file import try_files
-from knotgym.datasets.gallery import contact_sheet, write_gallery, write_png
-from knotgym.datasets.image_table import decode, read_rows, read_table, shards
+from knotgym.datasets.gallery import (
+    write_episode_gallery,
+    write_gallery,
+    write_picture_gallery,
+)
+from knotgym.datasets.image_table import read_table, shards
 from knotgym.datasets.manifest_check import read_manifest
 from knotgym.datasets.minari_dataset import compact, dataset_files, merge_datasets
 from knotgym.datasets.page.page_data import dataset_name, page_data
@@ -40,15 +42,12 @@ from knotgym.datasets.states import (
 from knotgym.errors import KnotgymError
 from knotgym.generate.merge_shards import merge_shards, shard_folder_of
 from knotgym.prompting.transcripts import transcripts_at
-from knotgym.rendering.picture import draw
-from knotgym.rendering.video import FRAMES_PER_SECOND, film_frame, require_film, write_film
+from knotgym.rendering.video import film_frames, require_film, write_film
 from knotgym.rope import Array, Rope
 from knotgym.runs.executors import executor
 from knotgym.runs.progress import Progress
 from knotgym.simulation import Simulation
-from knotgym.topology.crossings import label
 
-_SHOWN = 64  # pictures or episodes of a gallery, at most
 _LARGE = 4_000_000  # bytes of a table that is checked sooner by several processes than by this one
 
 
@@ -115,38 +114,22 @@ def checked(named: str) -> str:
 def gallery(named: str, out: Path, columns: int, overwrite: bool) -> str:
     """Draw a contact sheet of what a path or an id names; the fact to tell of it."""
     require_output(out, folder=False, overwrite=overwrite)
-    kind, path = places(named)[0]
-    if kind == "states":
-        states = read_states(states_at(path))
-        with atomic_write(out, overwrite=overwrite) as temporary:
-            write_gallery(temporary, states, columns)
-        return f"{len(states)} states"
-    if kind == "images":
-        count, shown = len(read_table(path, columns=["nx"])), []
-        columns_read = ["image", "gauss_code_chiral", "split"]
-        for row in islice(read_rows(path, columns=columns_read), _SHOWN):
-            picture = np.asarray(cv2.resize(decode(row["image"]), (128, 128)), np.uint8)
-            shown.append((picture, row["gauss_code_chiral"], row["split"]))
-        what = "pictures"
-    else:
-        readers = [EpisodeReader(one.path) for one in places(named)]
-        shown = list(islice((end for reader in readers for end in _ends(reader)), _SHOWN))
-        count, what = sum(map(len, readers)), "episodes, each at its end"
-        for reader in readers:
-            reader.close()
-    pictures = np.stack([picture for picture, _, _ in shown])
-    captions = [(code or "loop", more) for _, code, more in shown]
+    found = places(named)
+    kind, path = found[0]
     with atomic_write(out, overwrite=overwrite) as temporary:
-        write_png(temporary, contact_sheet(pictures, captions, columns=min(columns, len(shown))))
-    return f"{len(shown)} of {count} {what}" if len(shown) < count else f"{count} {what}"
-
-
-def _ends(reader: EpisodeReader) -> Iterator[tuple[NDArray[np.uint8], str, str]]:
-    """The last picture of each episode, its code, and who got there."""
-    for row in range(len(reader)):
-        points = reader.column(row, "points")[-1]
-        reached = "reached" if reader.column(row, "is_success")[-1] else "not reached"
-        yield draw(points), label(points).chiral, f"episode {row}  {reached}"
+        if kind == "states":
+            states = read_states(states_at(path), images=False)
+            write_gallery(temporary, states, columns)
+            shown = count = len(states)
+            what = "states"
+        elif kind == "images":
+            shown, what = write_picture_gallery(temporary, path, columns), "pictures"
+            count = len(read_table(path, columns=["nx"]))
+        else:
+            shown = write_episode_gallery(temporary, [one.path for one in found], columns)
+            count = sum(len(EpisodeReader(one.path)) for one in found)
+            what = "episodes, each at its end"
+    return f"{shown} of {count} {what}" if shown < count else f"{count} {what}"
 
 
 def export(
@@ -305,24 +288,23 @@ def film(named: str, row: int, out: Path, overwrite: bool, progress: Progress) -
     scene = (_state_scene if kind == "states" else _episode_scene)(path, row)
     simulation, steps = Simulation(1, scene.rope), len(scene.actions)
     simulation.lay(scene.start_qpos[None])
-    frames = []
-    for step in range(steps + 1):
+    ropes, pulls = [simulation.points[0].copy()], []
+    for step, action in enumerate(scene.actions):
         progress.stage("steps acted out", step, steps)
-        points, pull = simulation.points[0].copy(), None
-        if step < steps:
-            beads, forces = simulation.read_actions(scene.actions[step][None])
-            pull = int(beads[0]), forces[0] / scene.rope.config.max_force
-        frames.append(film_frame(points, scene.goal, f"step {step} of {steps}", pull))
-        if step < steps:
-            simulation.act(scene.actions[step][None])
+        beads, forces = simulation.read_actions(action[None])
+        pulls.append((int(beads[0]), forces[0] / scene.rope.config.max_force))
+        simulation.act(action[None])
+        ropes.append(simulation.points[0].copy())
     if not np.array_equal(simulation.points[0], scene.end):
         raise UntrueReplay(
             f"row {row} of {named} acted out again ends elsewhere, first bead"
             f" {np.abs(simulation.points[0] - scene.end).max():.3g} m away at most"
         )
     progress.stage("writing")
+    headings = [f"step {step} of {steps}" for step in range(steps + 1)]
+    frames = film_frames(ropes, scene.goal, headings, pulls, scene.reached)
     with atomic_write(out, overwrite=overwrite) as temporary:
-        write_film(temporary, frames + frames[-1:] * FRAMES_PER_SECOND)
+        write_film(temporary, frames)
     return f"bit for bit the same, {steps} steps"
 
 
@@ -334,6 +316,7 @@ class _Scene(NamedTuple):
     actions: NDArray[np.float32]
     end: Array
     goal: Array
+    reached: NDArray[np.bool_]
 
 
 def _state_scene(path: Path, row: int) -> _Scene:
@@ -345,7 +328,8 @@ def _state_scene(path: Path, row: int) -> _Scene:
         )
     actions = states.source["actions"][row, : states.source["steps"][row]]
     end = states.points[row]
-    return _Scene(Rope(), states.source["start_qpos"][row], actions, end, goal=end)
+    reached = np.arange(len(actions) + 1) == len(actions)
+    return _Scene(Rope(), states.source["start_qpos"][row], actions, end, end, reached)
 
 
 def _episode_scene(path: Path, row: int) -> _Scene:
@@ -359,6 +343,7 @@ def _episode_scene(path: Path, row: int) -> _Scene:
         episode.actions,
         episode.points[-1],
         episode.goal_points,
+        episode.is_success,
     )
 
 

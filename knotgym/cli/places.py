@@ -64,6 +64,17 @@ def places(named: str) -> list[Place]:
     return found
 
 
+def folder_of(named: str) -> Path:
+    """The folder that a path or an id names, of a file the one that it lies in.
+
+    Raises:
+        MissingFile, UnknownDataset: as `places`.
+    """
+    places(named)
+    given = Path(named) if Path(named).exists() else minari_root() / named
+    return given if given.is_dir() else given.parent
+
+
 def place(named: str, *kinds: str) -> Place:
     """The one dataset that a path or an id names.
 

@@ -33,6 +33,7 @@ from knotgym.datasets.states import States, demonstrations_id, read_states
 from knotgym.generate.states.archive import Archive
 from knotgym.generate.states.curation import is_near_duplicate
 from knotgym.generate.states.search import new_archive
+from knotgym.rendering.diagram import draw_diagram
 from knotgym.rendering.picture import draw
 from knotgym.rope import Rope
 from knotgym.runs import engine as run_engine
@@ -204,11 +205,11 @@ def test_the_archive_of_the_run_can_be_read(curated: Path) -> None:
     assert len(Archive.load(curated / "archive.h5").codes(1)) == 2
 
 
-def test_the_gallery_shows_every_state(curated: Path, states: States) -> None:
+def test_the_gallery_shows_every_state_as_a_diagram(curated: Path, states: States) -> None:
     sheet = np.asarray(cv2.imread(str(curated / "gallery.png")))[..., ::-1]
-    assert states.image is not None
-    first = states.image[min(range(4), key=lambda row: (states.split[row] != "train", row))]
-    assert sheet.shape == (170, 8 * 140, 3) and np.array_equal(sheet[6:134, 6:134], first)
+    first = states.points[min(range(4), key=lambda row: (states.split[row] != "train", row))]
+    assert sheet.shape == (234, 8 * 204, 3)
+    assert np.array_equal(sheet[6:198, 6:198], draw_diagram(first))
 
 
 def test_the_card_tells_states_codes_and_seed(curated: Path) -> None:

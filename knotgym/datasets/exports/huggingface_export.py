@@ -43,14 +43,13 @@ from knotgym.datasets.exports.parquet_tables import (
     step_rows,
     write_parquet,
 )
-from knotgym.datasets.gallery import contact_sheet, write_gallery, write_png
-from knotgym.datasets.image_table import arrow, decode, file_stem, read_rows, shards
+from knotgym.datasets.gallery import write_gallery, write_picture_gallery
+from knotgym.datasets.image_table import arrow, file_stem, shards
 from knotgym.datasets.page.page_data import dataset_name
 from knotgym.datasets.splits import IMAGE_SPLITS, STATE_SPLITS
 from knotgym.datasets.states import read_states
 
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (10**6, "100K<n<1M"))
-_SHOWN = 64  # pictures in a gallery
 
 
 class ToUpload(NamedTuple):
@@ -125,7 +124,7 @@ def _written(source: ToUpload, folder: Path, count: Count) -> Iterator[FileObjec
             copy_file(path, folder / place)
             rows = arrow("pyarrow.parquet").ParquetFile(path).metadata.num_rows
             yield FileObject("pictures", split, place, rows, columns)
-        _picture_gallery(source.pictures, folder / "gallery.png")
+        write_picture_gallery(folder / "gallery.png", source.pictures)
     if source.states is not None:
         states = read_states(source.states)
         if len(states):
@@ -155,18 +154,6 @@ def _steps(datasets: Sequence[Path], folder: Path, count: Count) -> Iterator[Fil
         )
     for reader, _ in readers:
         reader.close()
-
-
-def _picture_gallery(pictures: Path, out: Path) -> None:
-    shown: list[tuple[np.ndarray, tuple[str, str]]] = []
-    for row in read_rows(pictures, columns=["image", "gauss_code_chiral", "split"]):
-        image = decode(row["image"])
-        if not shown or image.shape == shown[0][0].shape:
-            shown.append((image, (row["gauss_code_chiral"] or "loop", row["split"])))
-        if len(shown) == _SHOWN:
-            break
-    if shown:
-        write_png(out, contact_sheet(np.stack([one for one, _ in shown]), [c for _, c in shown]))
 
 
 def _card(title: str, description: str, folder: Path, files: Sequence[FileObject]) -> Iterator[str]:

@@ -5,7 +5,7 @@
 
 A row is what was seen, the action taken, and what it led to (`next.reward`, `next.done`,
 `next.success`). The last state of an episode, which no action leaves, is in no row.
-The task of an episode is the goal's Gauss code, "" for the plain loop.
+The task of an episode is a sentence with the goal's Gauss code, see `task_text`.
 """
 
 from __future__ import annotations
@@ -66,6 +66,17 @@ def to_lerobot(
     reader.close()
 
 
+def task_text(goal: str) -> str:
+    """Say in words what an episode is to reach.
+
+    >>> task_text("1+,1-"), task_text("")
+    ('Move the rope until its Gauss code is 1+,1-.', 'Untie the rope into a plain loop.')
+    """
+    if not goal:
+        return "Untie the rope into a plain loop."
+    return f"Move the rope until its Gauss code is {goal}."
+
+
 class _Writer:
     """Writes a dataset, episode by episode; statistics are summed up on the way."""
 
@@ -116,7 +127,7 @@ class _Writer:
     def _columns(self, k: int) -> list[Any]:
         """The columns of an episode, in the order of the features; notes it down."""
         length = int(self.reader.lengths[k])
-        goal = str(self.reader.labels(k)["goal_gauss_code"])
+        goal = task_text(str(self.reader.labels(k)["goal_gauss_code"]))
         number = self.tasks.setdefault(goal, len(self.tasks))
         first = self.episodes[-1]["dataset_to_index"] if self.episodes else 0
         steps = np.arange(length)

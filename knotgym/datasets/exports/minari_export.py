@@ -15,20 +15,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from knotgym.atomic_files import atomic_write, copy_file, require_no_links, require_output
 from knotgym.configuration import read_json
 from knotgym.datasets.cards.citation import TO_CITE, citation_file, plain
 from knotgym.datasets.cards.state_card import table
-from knotgym.datasets.episode_reader import EpisodeReader, episode_file
+from knotgym.datasets.episode_reader import episode_file
 from knotgym.datasets.exports.forms import NothingToExport
-from knotgym.datasets.gallery import contact_sheet, write_png
+from knotgym.datasets.gallery import write_episode_gallery
 from knotgym.datasets.minari_dataset import dataset_files
 from knotgym.datasets.states import leads_out
-from knotgym.rendering.picture import draw
 
-_SHOWN = 64  # episodes in the gallery
 _ROWS = (
     ("`observations`", "pictures uint8, vertices float32 (600,) in metres, or both"),
     ("`actions`", "float32 (T, 6) in [-1, 1]: place / 2 m, force / 0.2 N"),
@@ -85,22 +81,8 @@ def to_minari(
         listed = {**namespace, "datasets": sorted(sources), "namespaces": []}
         _write(repository / "namespace_metadata.json", json.dumps(listed))
         _write(repository / "CITATION.cff", citation_file(", ".join(sorted(sources))))
-        _gallery(list(sources.values()), repository / "gallery.png")
+        write_episode_gallery(repository / "gallery.png", list(sources.values()))
         _write(repository / "README.md", "\n".join(_card(repository.name, entries)))
-
-
-def _gallery(datasets: Sequence[Path], out: Path) -> None:
-    """Draw the last state of the first episodes."""
-    shown: list[tuple[np.ndarray, tuple[str, str]]] = []
-    for data in datasets:
-        reader = EpisodeReader(data)
-        for row in range(min(len(reader), _SHOWN - len(shown))):
-            points, code = reader.column(row, "points")[-1], reader.column(row, "gauss_code")[-1]
-            shown.append((draw(points), (str(code) or "loop", data.parent.name)))
-        reader.close()
-    if shown:
-        captions = [caption for _, caption in shown]
-        write_png(out, contact_sheet(np.stack([one for one, _ in shown]), captions))
 
 
 _LISTED = ("total_episodes", "total_steps", "algorithm_name")  # of a dataset's metadata

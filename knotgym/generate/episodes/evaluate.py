@@ -414,25 +414,20 @@ def _finished(out: Path, config: EvaluateConfig, source: dict[str, Any]) -> list
 
 
 def film(episode: Episode, task: TaskConfig) -> list[NDArray[np.uint8]]:
-    """The frames of an episode in all its views, with each pull, why it was chosen, and both codes:
-    uint8 (height, width, 3) each.
-    """
-    from knotgym.rendering.observations import picture_config
-    from knotgym.rendering.video import film_frame
+    """Draw an episode in all its views, with each pull and why it was chosen: frames of a film."""
+    from knotgym.rendering.video import film_frames
 
-    steps, moves, picture = len(episode), episode.move, picture_config(replace(task, depth=False))
-    frames = []
-    for k, points in enumerate(episode.points):
-        move = "" if moves is None else str(moves[k])
-        reached = "  reached" if episode.is_success[k] else ""
-        heading = f"{episode.policy}  step {k} of {steps}  {move}{reached}"
-        pull = (
-            (int(episode.bead[k + 1]), episode.force[k + 1] / task.rope.max_force)
-            if k < steps
-            else None
-        )
-        frames.append(film_frame(points, episode.goal_points, heading, pull, picture))
-    return frames + frames[-1:] * 4
+    moves = [""] * len(episode.points) if episode.move is None else episode.move
+    headings = [
+        f"{episode.policy}  step {k} of {len(episode)}  {move}" for k, move in enumerate(moves)
+    ]
+    pulls = [
+        (int(bead), force / task.rope.max_force)
+        for bead, force in zip(episode.bead[1:], episode.force[1:], strict=True)
+    ]
+    return film_frames(
+        list(episode.points), episode.goal_points, headings, pulls, episode.is_success, task.views
+    )
 
 
 def _play(piece: _Piece) -> tuple[list[PlayedEpisode], list[Episode]]:

@@ -1,22 +1,28 @@
-"""What MkDocs runs while it builds the site: the page of commands is made from the commands' own
-help, so that it can't tell another story.
+"""Write the commands' own help into docs/commands.md, below its mark.
+
+    python docs/commands.py
+
+A test compares the page with the commands.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import typer.main
 
 from knotgym.cli.main import app
 
-MARK = "<!-- commands -->"
+PAGE = Path(__file__).with_suffix(".md")
+MARK = "<!-- commands -->\n"
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Put every command where a page has the mark."""
-    return markdown.replace(MARK, "\n".join(pages())) if MARK in markdown else markdown
+def whole_page() -> str:
+    """The page as it should be: what stands above the mark, and every command."""
+    head = PAGE.read_text(encoding="utf-8").partition(MARK)[0]
+    return head + MARK + "\n" + "\n".join(pages()).rstrip() + "\n"
 
 
 def pages() -> Iterator[str]:
@@ -25,9 +31,7 @@ def pages() -> Iterator[str]:
         yield f"## `{name}`\n"
         yield f"{_paragraphs(command.help)}\n"
         yield f"```text\n{_usage(name, command)}\n```\n"
-        yield "| argument or option | default | what it says |\n| --- | --- | --- |"
-        for parameter in command.params:
-            yield _row(parameter)
+        yield from map(_item, command.params)
         yield ""
 
 
@@ -45,13 +49,13 @@ def _usage(name: str, command: Any) -> str:
     return " ".join([name, "[OPTIONS]", *wanted])
 
 
-def _row(parameter: Any) -> str:
+def _item(parameter: Any) -> str:
     if _is_argument(parameter):
         name = parameter.metavar or parameter.name.upper()
     else:
         name = " / ".join([", ".join(parameter.opts), *parameter.secondary_opts])
-    said = _flowed(parameter.help).replace("|", "\\|")
-    return f"| `{name}` | {_default(parameter)} | {said} |"
+    default = _default(parameter)
+    return f"- `{name}`{default and f' ({default})'}: {_flowed(parameter.help)}"
 
 
 def _default(parameter: Any) -> str:
@@ -59,8 +63,8 @@ def _default(parameter: Any) -> str:
         return "required"
     value = parameter.default
     if isinstance(value, bool):
-        return "on" if value else "off"
-    return "" if value in (None, "") or callable(value) else f"`{value}`"
+        return "on by default" if value else ""
+    return "" if value in (None, "") or callable(value) else f"default `{value}`"
 
 
 def _is_argument(parameter: Any) -> bool:
@@ -76,3 +80,7 @@ def _paragraphs(text: str | None) -> str:
 def _flowed(text: str | None) -> str:
     """A help text in one line, as prose."""
     return " ".join((text or "").split())
+
+
+if __name__ == "__main__":
+    PAGE.write_text(whole_page(), encoding="utf-8")
