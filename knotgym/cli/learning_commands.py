@@ -10,12 +10,8 @@ import typer
 from rich.console import Console
 
 from knotgym.cli.options import QuietOption, ResumeOption, SettingsOption, with_settings
-from knotgym.errors import KnotgymError
+from knotgym.errors import MissingExtra, install_command
 from knotgym.runs.progress import Progress
-
-
-class MissingLearn(KnotgymError, ImportError):
-    """What learning needs isn't installed."""
 
 
 def train(
@@ -35,10 +31,7 @@ def train(
     """Train a learner that sees pictures alone; `knotgym evaluate --policy FOLDER` measures it."""
     for library in ("torch", "safetensors"):
         if importlib.util.find_spec(library) is None:
-            raise MissingLearn(
-                f"knotgym train needs {library}, which isn't installed: pip install"
-                " 'knotgym[learn]'"
-            )
+            raise MissingExtra(library, install_command("learn"), "knotgym train")
     with Progress(quiet, console=Console(stderr=True)) as progress:
         from knotgym.learn.training import TrainConfig
         from knotgym.learn.training import train as run

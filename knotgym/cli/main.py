@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import errno
 import functools
 import os
@@ -13,6 +14,7 @@ from concurrent.futures import BrokenExecutor
 from typing import Annotated, Any
 
 import typer
+from rich.markup import escape
 from typer.core import TyperCommand, TyperGroup
 
 from knotgym.cli.dataset_commands import dataset_app
@@ -27,10 +29,17 @@ from knotgym.runs.run_options import NotEnough
 
 
 class Command(TyperCommand):
-    """A command whose flags show no type in --help."""
+    """A command whose --help shows flags without a type, and square brackets as they are."""
 
     def get_params(self, ctx: Any) -> Any:
         return _flags_bare(super().get_params(ctx))
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        plain = copy.copy(self)
+        plain.params = [copy.copy(one) for one in self.params]
+        for part in (plain, *plain.params):
+            part.help = escape(part.help or "")  # else rich takes '.[video]' for a style
+        TyperCommand.format_help(plain, ctx, formatter)
 
 
 class Group(TyperGroup):

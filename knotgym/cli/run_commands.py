@@ -290,7 +290,7 @@ def images(
     """Make labelled pictures.
 
     Of each the Gauss code, the crossings, the rope's coordinates and how hard it is to read.
-    Needs the extra huggingface: pip install 'knotgym[huggingface]'.
+    Needs the extra huggingface: pip install '.[huggingface]'.
 
     Examples:
 

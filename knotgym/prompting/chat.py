@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
 from knotgym.configuration import check_numbers
-from knotgym.errors import KnotgymError, one_line
+from knotgym.errors import KnotgymError, install_command, one_line
 from knotgym.runs.run_options import NotEnough
 
 KEY = "OPENAI_API_KEY"
@@ -266,6 +266,6 @@ def _openai() -> Any:
         return importlib.import_module("openai")
     except ImportError as error:
         raise InvalidChat(
-            "asking a model needs the openai client, which isn't installed: pip install"
-            " 'knotgym[prompt]'"
+            "prompting a model needs the openai client, which isn't installed; install it:"
+            f" {install_command('prompt')}"
         ) from error

@@ -221,7 +221,7 @@ def test_a_key_in_the_base_url_is_refused() -> None:
 
 def test_without_the_client_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "openai", None)
-    with pytest.raises(InvalidChat, match=r"pip install 'knotgym\[prompt\]'"):
+    with pytest.raises(InvalidChat, match=r"pip install '\.\[prompt\]'"):
         Chat(ChatConfig(model="m"))
 
 

@@ -68,7 +68,7 @@ def to_huggingface(source: ToUpload, out: str | os.PathLike[str], count: Count =
 
     Raises:
         NothingToExport: there is no row, or `out` is there.
-        MissingArrow: pyarrow isn't installed.
+        MissingExtra: pyarrow isn't installed.
     """
     if Path(out).exists():
         raise NothingToExport(f"{out} is there already; choose another --out, or remove it")

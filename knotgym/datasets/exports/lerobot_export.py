@@ -41,7 +41,7 @@ def to_lerobot(source: Any, out: str | os.PathLike[str], count: Count = uncounte
 
     Raises:
         NothingToExport: no episode, `out` is there, or its observations have no place in the form.
-        MissingArrow: pyarrow isn't installed.
+        MissingExtra: pyarrow isn't installed.
     """
     reader, folder = EpisodeReader(source), Path(out)
     task = reader.task
