@@ -16,6 +16,7 @@ from knotgym.episode_batch import EpisodeBatch
 from knotgym.rendering.observations import SYMBOLS
 from knotgym.simulation import InvalidAction
 from knotgym.tasks import InvalidSetting, TaskConfig, UnknownKeyword
+from knotgym.topology.crossing_kernel import warn_of_compilation
 
 if TYPE_CHECKING:
     from gymnasium.vector import AutoresetMode
@@ -53,6 +54,7 @@ class KnotEnv(gym.Env[Any, NDArray[np.float32]]):
     metadata = {"render_modes": ["rgb_array"], "render_fps": _FPS}
 
     def __init__(self, task: str, render_mode: str | None = "rgb_array", **settings: Any) -> None:
+        warn_of_compilation()
         self.config = task_config(task, settings)
         self.render_mode = _checked(render_mode)
         self.episodes = EpisodeBatch(self.config)
@@ -117,6 +119,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         render_mode: str | None = "rgb_array",
         **settings: Any,
     ) -> None:
+        warn_of_compilation()
         self.config = task_config(task, settings)
         self.render_mode = _checked(render_mode)
         if num_envs < 1:

@@ -18,6 +18,7 @@ from rich.markup import escape
 from typer.core import TyperCommand, TyperGroup
 
 from knotgym.cli.dataset_commands import dataset_app
+from knotgym.cli.demo_commands import compile_kernels, demo
 from knotgym.cli.learning_commands import train
 from knotgym.cli.policy_commands import collect, evaluate
 from knotgym.cli.prompt_commands import prompt
@@ -61,8 +62,9 @@ _APP: dict[str, Any] = {**_HELP, "add_completion": False, "pretty_exceptions_ena
 
 app = typer.Typer(cls=Group, no_args_is_help=True, **_APP)
 app.add_typer(dataset_app, name="dataset", cls=Group, **_HELP)
-for _command in (generate, collect, suite, train, evaluate, images, prompt):
+for _command in (demo, generate, collect, suite, train, evaluate, images, prompt):
     app.command(cls=Command)(_command)
+app.command("compile", cls=Command)(compile_kernels)
 for _listed in dataset_app.registered_commands:
     _listed.cls = Command
 generate_app = typer.Typer(**_APP)  # knotgym-generate, one command without a name
@@ -87,6 +89,8 @@ def knotgym(
     """Data for spatial reasoning on knots.
 
     Examples:
+
+        knotgym demo
 
         knotgym generate --nx 3 --count 40
 

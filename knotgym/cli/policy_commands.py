@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -81,8 +82,8 @@ def collect(
         typer.Option(
             "--id",
             help=(
-                "Minari id; by default knotgym/tie-nx3/expert-v0 and the like, other states, seeds"
-                " and rules in its name."
+                "Minari id; by default knotgym/tie-nx3/expert-v0 and the like, with a mark for every"
+                " setting that changes the data, as in expert-state-seed1-v0."
             ),
         ),
     ] = "",
@@ -132,6 +133,7 @@ def collect(
         knotgym collect --task tie --policy pretrained --labels expert --budget 2000
     """
     with Progress(quiet) as progress:
+        from knotgym.datasets.minari_dataset import loading_lines
         from knotgym.generate.episodes.collect import CollectConfig, distinct_id
         from knotgym.generate.episodes.collect import collect as run
         from knotgym.tasks import TaskConfig
@@ -171,8 +173,7 @@ def collect(
                 keep_failed=keep_failed,
                 attempts=attempts,
                 labels=labels,
-                dataset_id=dataset_id
-                or distinct_id(one, acting, seed, attempts=attempts, labels=labels),
+                dataset_id=dataset_id,
                 author=tuple(author or ()),
                 author_email=tuple(author_email or ()),
                 code_permalink=code_permalink,
@@ -180,7 +181,12 @@ def collect(
             for one in tasks
         ]
         for config in configs:
-            run(with_settings(config, settings), out, options, progress=progress)
+            settled = with_settings(config, settings)
+            if settled.dataset_id == config.dataset_id and not dataset_id:
+                settled = replace(settled, dataset_id=distinct_id(settled))
+            run(settled, out, options, progress=progress)
+            if options.shard.is_whole:
+                progress.say_how_to_load(loading_lines(settled.dataset_id, out))
 
 
 def evaluate(

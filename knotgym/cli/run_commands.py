@@ -161,6 +161,7 @@ def generate(
         knotgym generate --source drawing --knot 8_19 --count 4
     """
     with Progress(quiet) as progress:
+        from knotgym.datasets.minari_dataset import loading_lines
         from knotgym.generate.states.drawn_states import DrawnStatesConfig
         from knotgym.generate.states.drawn_states_recipe import draw_state_set
         from knotgym.generate.states.generate_config import GenerateConfig
@@ -234,7 +235,13 @@ def generate(
             attempts=attempts,
             cycles=cycles,
         )
-        run(with_settings(config, settings), folder, options, archive=archive, progress=progress)
+        made = run(
+            with_settings(config, settings), folder, options, archive=archive, progress=progress
+        )
+        root = made / "minari"
+        for demonstrations in sorted(root.glob("knotgym/*/demonstrations-v0"))[-1:]:
+            shown = demonstrations.relative_to(root).as_posix()
+            progress.say_how_to_load(loading_lines(shown, root))
 
 
 def images(

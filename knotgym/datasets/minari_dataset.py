@@ -155,6 +155,21 @@ def publish(
     return folder
 
 
+def loading_lines(dataset_id: str, root: str | os.PathLike[str] | None = None) -> list[str]:
+    """Return the two lines that load a dataset, with Minari and as arrays.
+
+    >>> print(*loading_lines("knotgym/tie-nx3/expert-v0", "data"), sep="\n")
+    MINARI_DATASETS_PATH=data; minari.load_dataset("knotgym/tie-nx3/expert-v0")
+    knotgym.loaders.arrays("data/knotgym/tie-nx3/expert-v0", observation="state")
+    """
+    named = dataset_id if root is None else (Path(root) / dataset_id).as_posix()
+    where = "" if root is None else f"MINARI_DATASETS_PATH={Path(root).as_posix()}; "
+    return [
+        f'{where}minari.load_dataset("{dataset_id}")',
+        f'knotgym.loaders.arrays("{named}", observation="state")',
+    ]
+
+
 def _carry(states: str | os.PathLike[str], target: Path) -> None:
     """Put a state file into a dataset: the same bytes on the disk once, where it lets us.
 

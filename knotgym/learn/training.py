@@ -21,7 +21,7 @@ from torch import Tensor
 
 import knotgym
 from knotgym.atomic_files import atomic_write, require_writable
-from knotgym.configuration import as_json, check_numbers, read_json
+from knotgym.configuration import as_json, check_numbers, differences, read_json
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.errors import KnotgymError, one_line
 from knotgym.hdf5_files import require_regular
@@ -157,10 +157,10 @@ def _begin(out: Path, request: dict[str, Any], resume: bool) -> dict[str, Tensor
     if not isinstance(before, dict):
         raise InvalidTraining(f"{out / REQUEST} isn't what a training was asked for")
     if before != request:
-        differing = [name for name in request if before.get(name) != request[name]]
         raise InvalidTraining(
-            f"the training in {out} was begun with other {' and '.join(differing)}; go on with"
-            " the same, or begin in another folder"
+            f"the training in {out} differs from the one asked for:"
+            f" {'; '.join(differences(before, request))}; give the same again, or choose another"
+            " --out"
         )
     if not (out / UNDER_WAY).exists():
         return {}

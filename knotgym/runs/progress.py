@@ -6,9 +6,8 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from rich.console import Console
 from rich.live import Live
@@ -93,6 +92,11 @@ class Progress:
         if not self._quiet:
             self.console.print(text, soft_wrap=True, highlight=False, markup=False)
 
+    def say_how_to_load(self, lines: Sequence[str]) -> None:
+        """Print the lines of code that load what was made."""
+        for line in ("to load it:", *(f"    {line}" for line in lines)):
+            self.say(line)
+
     def stage(self, name: str, done: int = 0, total: int = 0) -> None:
         """Say what is being done now, and how much of it is; in plain lines until a status is."""
         if self._lines and self._told is None and name != self._stage:
@@ -166,9 +170,9 @@ def tell_if_long(progress: Progress, core_seconds: float, workers: int) -> None:
 
 def compile_first(progress: Progress) -> None:
     """Have the labeller compiled, which takes a while the first time, before others wait for it."""
-    from knotgym.topology.crossing_kernel import scan
+    from knotgym.topology.crossing_kernel import is_compiled
 
-    if not any(Path(scan.stats.cache_path).glob("crossing_kernel.scan-*.nbi")):
+    if not is_compiled():
         from knotgym.rope import Rope
         from knotgym.topology.crossings import label
 

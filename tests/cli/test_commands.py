@@ -28,7 +28,7 @@ from knotgym.cli import main as cli
 from knotgym.cli.options import default_folder
 from knotgym.cli.summaries import _in_words
 from knotgym.control.policies import PolicyConfig
-from knotgym.generate.episodes.collect import distinct_id
+from knotgym.generate.episodes.collect import CollectConfig, distinct_id
 from knotgym.generate.episodes.evaluate import Result, show
 from knotgym.runs.engine import CHECKPOINT, Batch, run
 from knotgym.runs.executors import InProcess
@@ -390,20 +390,25 @@ def test_default_folders_tell_runs_apart(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_default_ids_tell_collections_apart(states_path: str) -> None:
     plain = TaskConfig(task="tie", nx=3, observation="both")
     expert = PolicyConfig(policy="expert")
-    assert distinct_id(plain, expert, 0) == "knotgym/tie-nx3/expert-v0"
+    usual = CollectConfig(task=plain, policy=expert)
+    assert distinct_id(usual) == "knotgym/tie-nx3/expert-v0"
     ids = {
-        distinct_id(task, policy, seed)
+        distinct_id(CollectConfig(task=task, policy=policy, seed=seed))
         for task, policy, seed in (
             (plain, expert, 0),
             (plain, expert, 1),
             (TaskConfig(task="tie", nx=3, horizon=9), expert, 0),
             (TaskConfig(task="tie", nx=3, split="test"), expert, 0),
+            (replace(plain, observation="state"), expert, 0),
+            (replace(plain, observation="pixels"), expert, 0),
+            (replace(plain, image_size=64), expert, 0),
             (TaskConfig(task="tie", nx=3, states="random-walk"), expert, 0),
             (TaskConfig(task="tie", nx=3, states=states_path), expert, 0),
             (plain, PolicyConfig(policy="noisy-expert", noise=0.5), 0),
         )
     }
-    assert len(ids) == 7
+    ids.add(distinct_id(replace(usual, keep_failed=False)))
+    assert len(ids) == 11
     assert all(re.fullmatch(r"knotgym/tie-nx3/[-\w]+-v0", one) for one in ids)
 
 
@@ -412,7 +417,7 @@ def test_several_nx_are_collected_one_after_the_other(
 ) -> None:
     words = "--task unknot --nx 1,2 --policy random --episodes 1 --observation state --workers 1"
     assert knotgym("collect", *words.split(), "--quiet", "--out", tmp_path) == 0
-    found = sorted(path.parent.name for path in tmp_path.glob("knotgym/*/random-v0"))
+    found = sorted(path.parent.name for path in tmp_path.glob("knotgym/*/random-state-v0"))
     assert found == ["unknot-nx1", "unknot-nx2"]
     assert knotgym("collect", *words.split(), "--id", "a/b-v0", "--out", tmp_path) == 2
     assert "--id names one dataset" in said(capfd)[0]

@@ -26,6 +26,7 @@ from knotgym.control.rollouts import Rollout, rollout
 from knotgym.datasets.trajectory import Episode
 from knotgym.episode_batch import OWN, SHIPPED, state_origins
 from knotgym.errors import KnotgymError
+from knotgym.generate.episodes.collect import reference_scores
 from knotgym.generate.episodes.unfinished_evaluation import (
     PlayedEpisode,
     Unfinished,
@@ -247,6 +248,8 @@ def show(results: Sequence[Result], console: Console) -> None:
             f"{task} nx {nx}: the state file has no plain loops; those that ship are used.",
             highlight=False,
         )
+    for line in reference_lines(results):
+        console.print(line, highlight=False)
     columns = list(dict.fromkeys(one.nx for one in results))
     if len(columns) > 1:
         matrix = narrow_table(
@@ -260,6 +263,24 @@ def show(results: Sequence[Result], console: Console) -> None:
             }
             matrix.add_row(*key, *(cells[nx] for nx in columns))
         console.print(matrix)
+
+
+def reference_lines(results: Sequence[Result]) -> list[str]:
+    """Return a line for each task and nx with the mean returns that a result is to be read beside.
+
+    They are of readable states, so none is given where a state file was asked for.
+    """
+    known = reference_scores()
+    lines = []
+    for task, nx in dict.fromkeys((one.task, one.nx) for one in results):
+        scores = known.get(f"{task}-nx{nx}")
+        if scores is not None:
+            lines.append(
+                f"for reference, mean return of {task} nx {nx}: random {scores['random']:.2f},"
+                f" expert {scores['expert']:.2f} ({scores['episodes']} episodes, test split,"
+                " readable states)"
+            )
+    return lines
 
 
 def run(
