@@ -23,6 +23,7 @@ from ..scripts import ROOT, run_script
 
 FOLDER = ROOT / "examples"
 SCRIPTS = [
+    FOLDER / "learners" / "clone.py",
     FOLDER / "learners" / "goal_conditioned.py",
     FOLDER / "learners" / "offline_rl.py",
     FOLDER / "perception" / "read.py",
