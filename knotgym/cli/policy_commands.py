@@ -82,7 +82,7 @@ def collect(
         typer.Option(
             "--id",
             help=(
-                "Minari id; by default knotgym/tie-nx3/expert-v0 and the like, with a mark for every"
+                "Minari id; by default knotgym/tie-nx3/expert-v0 and the like, with a mark for each"
                 " setting that changes the data, as in expert-state-seed1-v0."
             ),
         ),

@@ -154,8 +154,7 @@ def tell_if_long(progress: Progress, core_seconds: float, workers: int) -> None:
 
     Args:
         progress: where to.
-        core_seconds: what it costs, roughly: as measured on one core of the machine of README's
-            table.
+        core_seconds: an estimate for one core of the machine of docs/validation.md.
         workers: processes, 0 for one a core.
     """
     from knotgym.runs.executors import cores

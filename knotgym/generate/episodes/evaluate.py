@@ -268,7 +268,7 @@ def show(results: Sequence[Result], console: Console) -> None:
 def reference_lines(results: Sequence[Result]) -> list[str]:
     """Return a line for each task and nx with the mean returns that a result is to be read beside.
 
-    They are of readable states, so none is given where a state file was asked for.
+    The references are measured on readable states, whichever states the results are of.
     """
     known = reference_scores()
     lines = []
