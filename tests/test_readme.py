@@ -44,6 +44,9 @@ def test_every_line_runs_as_it_stands(tmp_path: Path) -> None:
     home.mkdir()
     hidden = ("DISPLAY", "WAYLAND_DISPLAY", "PYTHONPATH", "MINARI_DATASETS_PATH", "VIRTUAL_ENV")
     environment = {name: value for name, value in os.environ.items() if name not in hidden}
+    settings = Path.home() / ".config" / "pip" / "pip.conf"  # where this machine gets packages
+    if settings.is_file():
+        environment.setdefault("PIP_CONFIG_FILE", str(settings))
     environment["HOME"] = str(home)
     for kind, text in steps((checkout / "README.md").read_text(encoding="utf-8")):
         if text == TESTS:
