@@ -235,10 +235,8 @@ def generate(
             attempts=attempts,
             cycles=cycles,
         )
-        made = run(
-            with_settings(config, settings), folder, options, archive=archive, progress=progress
-        )
-        root = made / "minari"
+        run(with_settings(config, settings), folder, options, archive=archive, progress=progress)
+        root = options.shard.folder(folder) / "minari"
         for demonstrations in sorted(root.glob("knotgym/*/demonstrations-v0"))[-1:]:
             shown = demonstrations.relative_to(root).as_posix()
             progress.say_how_to_load(loading_lines(shown, root))

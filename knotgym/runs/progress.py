@@ -23,7 +23,8 @@ class Status:
     """Where a run stands.
 
     Attributes:
-        done, total: of what is counted, such as states or episodes.
+        done, total: of what is counted, such as states or episodes; `total` is what was asked
+            for, and what was made beyond it belongs in `facts`.
         counted: its name in the plural.
         facts: name -> value of whatever else is worth knowing.
         even: each takes about as long as another, so that the time left can be told.
@@ -81,6 +82,8 @@ class Progress:
     def __enter__(self) -> Progress:
         if self._live:
             self._live.start(refresh=True)
+        if self._lines:  # what follows may import for seconds
+            self.say("    0 s  starting")
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -122,7 +125,10 @@ class Progress:
         if status is None or self._first is None:
             return {}
         since, first = self._first
-        facts = {status.counted: f"{status.done} of {status.total}", **status.facts}
+        counted, beyond = min(status.done, status.total), max(0, status.done - status.total)
+        facts = {status.counted: f"{counted} of {status.total}"}
+        facts |= {"beyond what was asked for": f"{beyond}"} if beyond else {}
+        facts |= status.facts
         done = status.done - first.done  # what an earlier sitting did says nothing of the speed
         if status.even and 0 < done < status.total:
             left = (self._clock() - since) * (status.total - status.done) / done

@@ -20,22 +20,26 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import minari
 import pytest
 from rich.console import Console
 
+import knotgym as package
+import knotgym.loaders
 from knotgym import __version__
 from knotgym.cli import main as cli
 from knotgym.cli.options import default_folder
 from knotgym.cli.summaries import _in_words
 from knotgym.control.policies import PolicyConfig
 from knotgym.generate.episodes.collect import CollectConfig, distinct_id
-from knotgym.generate.episodes.evaluate import Result, show
+from knotgym.generate.episodes.evaluate import Result, reference_lines, show
 from knotgym.runs.engine import CHECKPOINT, Batch, run
 from knotgym.runs.executors import InProcess
 from knotgym.runs.progress import Progress, Status, compile_first, duration, tell_if_long
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.staging import staging_folder
 from knotgym.tasks import TaskConfig
+from knotgym.topology.crossing_kernel import warn_of_compilation
 
 from ..small_job import knotgym, typed
 from .test_generate_command import held
@@ -215,6 +219,62 @@ def test_a_first_run_says_that_it_compiles(tmp_path: Path, monkeypatch: pytest.M
     assert stages == ["compiling, in the first run only", "starting"]
 
 
+def test_a_first_environment_says_once_that_it_compiles(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    kernel = SimpleNamespace(stats=SimpleNamespace(cache_path=tmp_path))
+    monkeypatch.setattr("knotgym.topology.crossing_kernel.scan", kernel)
+    monkeypatch.setattr("knotgym.topology.crossing_kernel._warned", [])
+    for _ in range(2):
+        warn_of_compilation()
+    assert [one.getMessage() for one in caplog.records] == [
+        "compiling, in the first run only; `knotgym compile` does it beforehand"
+    ]
+
+
+def test_the_demo_writes_an_observation_a_film_and_a_page(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert knotgym("demo", "--out", tmp_path / "demo") == 0
+    told = capfd.readouterr().out
+    for name in ("reset.png", "expert.mp4", "page.html"):
+        assert (tmp_path / "demo" / name).stat().st_size > 1000 and f"demo/{name}:" in told
+    assert "reaches the goal in 2 of 2 episodes" in told
+    assert knotgym("demo", "--out", tmp_path / "demo") == 2
+
+
+@pytest.mark.slow
+def test_everything_can_be_compiled_beforehand(capfd: pytest.CaptureFixture[str]) -> None:
+    assert knotgym("compile") == 0
+    assert "compiled; the machine code is kept in" in capfd.readouterr().out
+
+
+def test_a_collection_ends_with_the_lines_that_load_it(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    words = "--task unknot --nx 1 --policy random --episodes 1 --horizon 2 --workers 1"
+    assert knotgym("collect", *words.split(), "--out", tmp_path) == 0
+    minari_line, arrays_line = capfd.readouterr().out.splitlines()[-2:]
+    setting, _, call = minari_line.strip().partition("; ")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(*setting.split("="))
+        assert len(eval(call, {"minari": minari})) == 1
+    assert len(eval(arrays_line.strip(), {"knotgym": package})["actions"]) == 2
+
+
+def test_help_keeps_its_square_brackets(capfd: pytest.CaptureFixture[str]) -> None:
+    assert knotgym("images", "--help") == 0
+    assert "pip install '.[huggingface]'" in capfd.readouterr().out
+
+
+def test_results_stand_beside_those_of_random_and_expert() -> None:
+    assert reference_lines([result(task="tie", nx=2)]) == [
+        "for reference, mean return of tie nx 2: random -3.71, expert 5.00 (64 episodes, test"
+        " split, readable states)"
+    ]
+    assert reference_lines([result(task="tie", nx=9)]) == []
+
+
 def test_a_terminal_is_told_while_printed_words_go_elsewhere(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -233,6 +293,18 @@ def shown(even: bool, *done: int) -> str:
         for count in done:
             progress.show(lambda count=count: Status(count, 10, "things", even=even))  # type: ignore[misc]
     return written.getvalue()
+
+
+def test_counters_never_pass_what_was_asked_for() -> None:
+    told = shown(False, 0, 12)
+    assert "things 10 of 10; beyond what was asked for 2" in told and "12 of" not in told
+
+
+def test_a_plain_run_says_something_before_it_imports_anything(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with Progress():
+        assert capsys.readouterr().out == "    0 s  starting\n"
 
 
 def test_the_time_left_is_told_where_it_can_be() -> None:
