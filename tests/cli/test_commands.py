@@ -268,11 +268,11 @@ def test_help_keeps_its_square_brackets(capfd: pytest.CaptureFixture[str]) -> No
 
 
 def test_results_stand_beside_those_of_random_and_expert() -> None:
-    assert reference_lines([result(task="tie", nx=2)]) == [
+    assert reference_lines([result("random", task="tie", nx=2)]) == [
         "for reference, mean return of tie nx 2: random -3.71, expert 5.00 (64 episodes, test"
         " split, readable states)"
     ]
-    assert reference_lines([result(task="tie", nx=9)]) == []
+    assert reference_lines([result("random", task="tie", nx=9)]) == []
 
 
 def test_a_terminal_is_told_while_printed_words_go_elsewhere(
