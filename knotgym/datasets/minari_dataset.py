@@ -159,13 +159,13 @@ def loading_lines(dataset_id: str, root: str | os.PathLike[str] | None = None) -
     """Return the two lines that load a dataset, with Minari and as arrays.
 
     >>> print(*loading_lines("knotgym/tie-nx3/expert-v0", "data"), sep="\n")
-    MINARI_DATASETS_PATH=data; minari.load_dataset("knotgym/tie-nx3/expert-v0")
+    minari.load_dataset("knotgym/tie-nx3/expert-v0")  # with MINARI_DATASETS_PATH=data
     knotgym.loaders.arrays("data/knotgym/tie-nx3/expert-v0", observation="state")
     """
     named = dataset_id if root is None else (Path(root) / dataset_id).as_posix()
-    where = "" if root is None else f"MINARI_DATASETS_PATH={Path(root).as_posix()}; "
+    where = "" if root is None else f"  # with MINARI_DATASETS_PATH={Path(root).as_posix()}"
     return [
-        f'{where}minari.load_dataset("{dataset_id}")',
+        f'minari.load_dataset("{dataset_id}"){where}',
         f'knotgym.loaders.arrays("{named}", observation="state")',
     ]
 

@@ -255,7 +255,7 @@ def test_a_collection_ends_with_the_lines_that_load_it(
     words = "--task unknot --nx 1 --policy random --episodes 1 --horizon 2 --workers 1"
     assert knotgym("collect", *words.split(), "--out", tmp_path) == 0
     minari_line, arrays_line = capfd.readouterr().out.splitlines()[-2:]
-    setting, _, call = minari_line.strip().partition("; ")
+    call, _, setting = minari_line.strip().partition("  # with ")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(*setting.split("="))
         assert len(eval(call, {"minari": minari})) == 1
