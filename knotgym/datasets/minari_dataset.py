@@ -158,7 +158,8 @@ def publish(
 def loading_lines(dataset_id: str, root: str | os.PathLike[str] | None = None) -> list[str]:
     """Return the two lines that load a dataset, with Minari and as arrays.
 
-    >>> print(*loading_lines("knotgym/tie-nx3/expert-v0", "data"), sep="\n")
+    >>> for line in loading_lines("knotgym/tie-nx3/expert-v0", "data"):
+    ...     print(line)
     minari.load_dataset("knotgym/tie-nx3/expert-v0")  # with MINARI_DATASETS_PATH=data
     knotgym.loaders.arrays("data/knotgym/tie-nx3/expert-v0", observation="state")
     """
