@@ -36,9 +36,9 @@ class Command(TyperCommand):
         return _flags_bare(super().get_params(ctx))
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        plain = copy.copy(self)
+        plain: Any = copy.copy(self)
         plain.params = [copy.copy(one) for one in self.params]
-        for part in (plain, *plain.params):
+        for part in [plain, *plain.params]:
             part.help = escape(part.help or "")  # else rich takes '.[video]' for a style
         TyperCommand.format_help(plain, ctx, formatter)
 

@@ -4,6 +4,7 @@ is tried before hours of work. Under a pseudo-terminal where a person would look
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import io
 import json
@@ -25,7 +26,6 @@ import pytest
 from rich.console import Console
 
 import knotgym as package
-import knotgym.loaders
 from knotgym import __version__
 from knotgym.cli import main as cli
 from knotgym.cli.options import default_folder
@@ -259,6 +259,7 @@ def test_a_collection_ends_with_the_lines_that_load_it(
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv(*setting.split("="))
         assert len(eval(call, {"minari": minari})) == 1
+    importlib.import_module("knotgym.loaders")
     assert len(eval(arrays_line.strip(), {"knotgym": package})["actions"]) == 2
 
 
