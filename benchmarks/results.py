@@ -31,7 +31,7 @@ cells, on the suite's expert and noisy expert at tie and convert, nx 2 and 3 (4,
 offline data alone. [What holds them down](learning.md#learners-by-libraries). `pretrained` was
 trained once, on episodes of `scripted`; it acts on pictures alone, but its training saw the
 simulator's vertices and forces, and it plans with a table of 94,955 labelled macro-actions. (The
-table isn't what carries the score: with it cut to nx 2, 15 of 24 goals are reached, with all of it 15
+table isn't what carries the score: cut to nx 2, 15 of 24 goals are reached; with all of it, 15
 of 24.) Those of Stable-Baselines3 were trained online, one for
 each cell, for 1,048,576 steps of states and 20,480 of pictures, [with the paper's
 settings](baselines.md). Of several trainings all seconds are told.
