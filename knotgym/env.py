@@ -16,6 +16,7 @@ from knotgym.episode_batch import EpisodeBatch
 from knotgym.rendering.observations import SYMBOLS
 from knotgym.simulation import InvalidAction
 from knotgym.tasks import InvalidSetting, TaskConfig, UnknownKeyword
+from knotgym.topology.crossing_kernel import warn_of_compilation
 
 if TYPE_CHECKING:
     from gymnasium.vector import AutoresetMode
@@ -55,6 +56,7 @@ class KnotEnv(gym.Env[Any, NDArray[np.float32]]):
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": _FPS}
 
     def __init__(self, task: str, render_mode: str | None = "rgb_array", **settings: Any) -> None:
+        warn_of_compilation()
         self.config = task_config(task, settings)
         self.render_mode = _checked(render_mode, "rgb_array", "human")
         self._window: Window | None = None
@@ -145,6 +147,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         render_mode: str | None = "rgb_array",
         **settings: Any,
     ) -> None:
+        warn_of_compilation()
         self.config = task_config(task, settings)
         self.render_mode = _checked(render_mode, "rgb_array")
         if num_envs < 1:

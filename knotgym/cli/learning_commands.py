@@ -17,13 +17,9 @@ from knotgym.cli.options import (
     SettingsOption,
     with_settings,
 )
-from knotgym.errors import KnotgymError
+from knotgym.errors import MissingExtra, install_command
 from knotgym.runs.progress import Progress
 from knotgym.runs.run_options import Existing
-
-
-class MissingLearn(KnotgymError, ImportError):
-    """What learning needs isn't installed."""
 
 
 def train(
@@ -45,10 +41,7 @@ def train(
     """Train a learner that sees pictures alone; `knotgym evaluate --policy FOLDER` measures it."""
     for library in ("torch", "safetensors"):
         if importlib.util.find_spec(library) is None:
-            raise MissingLearn(
-                f"knotgym train needs {library}, which isn't installed: pip install"
-                " 'knotgym[learn]'"
-            )
+            raise MissingExtra(library, install_command("learn"), "knotgym train")
     with Progress(quiet, console=Console(stderr=True)) as progress:
         from knotgym.learn.training import TrainConfig
         from knotgym.learn.training import train as run

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -83,8 +84,8 @@ def collect(
         typer.Option(
             "--id",
             help=(
-                "Minari id; by default knotgym/tie-nx3/expert-v0 and the like, other states, seeds"
-                " and rules in its name."
+                "Minari id; by default knotgym/tie-nx3/expert-v0 and the like, with a mark for each"
+                " setting that changes the data, as in expert-state-seed1-v0."
             ),
         ),
     ] = "",
@@ -147,6 +148,7 @@ def collect(
         knotgym collect --task tie --policy pretrained --labels expert --budget 2000
     """
     with Progress(quiet) as progress:
+        from knotgym.datasets.minari_dataset import loading_lines
         from knotgym.generate.episodes.collect import (
             CollectConfig,
             distinct_id,
@@ -192,19 +194,24 @@ def collect(
                 attempts=attempts,
                 labels=labels,
                 seen="" if observation else "state",
-                dataset_id=dataset_id
-                or distinct_id(one, acting, seed, attempts=attempts, labels=labels),
+                dataset_id=dataset_id,
                 author=tuple(author or ()),
                 author_email=tuple(author_email or ()),
                 code_permalink=code_permalink,
             )
             for one in tasks
         ]
-        configs = [with_settings(config, settings) for config in configs]
+        for number, config in enumerate(configs):
+            settled = with_settings(config, settings)
+            if settled.dataset_id == config.dataset_id and not dataset_id:
+                settled = replace(settled, dataset_id=distinct_id(settled))
+            configs[number] = settled
         for config in configs:  # all of them before the first is played
             require_collectable(config, out, options)
         for config in configs:
             run(config, out, options, progress=progress)
+            if options.shard.is_whole:
+                progress.say_how_to_load(loading_lines(config.dataset_id, out))
 
 
 def evaluate(

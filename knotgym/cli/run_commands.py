@@ -166,6 +166,7 @@ def generate(
         knotgym generate --source drawing --knot 8_19 --count 4
     """
     with Progress(quiet) as progress:
+        from knotgym.datasets.minari_dataset import loading_lines
         from knotgym.generate.states.drawn_states import DrawnStatesConfig
         from knotgym.generate.states.drawn_states_recipe import draw_state_set
         from knotgym.generate.states.generate_config import GenerateConfig
@@ -241,6 +242,10 @@ def generate(
             cycles=cycles,
         )
         run(with_settings(config, settings), folder, options, archive=archive, progress=progress)
+        root = options.shard.folder(folder) / "minari"
+        for demonstrations in sorted(root.glob("knotgym/*/demonstrations-v0"))[-1:]:
+            shown = demonstrations.relative_to(root).as_posix()
+            progress.say_how_to_load(loading_lines(shown, root))
 
 
 def images(
@@ -298,7 +303,7 @@ def images(
     """Make labelled pictures.
 
     Of each the Gauss code, the crossings, the rope's coordinates and how hard it is to read.
-    Needs the extra huggingface: pip install 'knotgym[huggingface]'.
+    Needs the extra huggingface: pip install '.[huggingface]'.
 
     Examples:
 

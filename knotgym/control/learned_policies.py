@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from knotgym.control.policy import Choice, InvalidPolicy, Policy, UnplannedPolicy, checked
 from knotgym.env import observation_space
 from knotgym.episode_batch import EpisodeBatch
-from knotgym.errors import one_line
+from knotgym.errors import install_command, one_line
 from knotgym.tasks import LAYOUTS, OBSERVATIONS, TaskConfig
 
 Shapes = Mapping[str, tuple[int | None, ...]]
@@ -179,8 +179,8 @@ def load_learner(place: str) -> Policy:
     for library in ("torch", "safetensors"):
         if importlib.util.find_spec(library) is None:
             raise InvalidPolicy(
-                f"the learner {place} needs {library}, which isn't installed: pip install"
-                " 'knotgym[learn]'"
+                f"the learner {place} needs {library}, which isn't installed; install it:"
+                f" {install_command('learn')}"
             )
     policy: Policy = importlib.import_module("knotgym.learn.picture_policy").learned_policy(place)
     return policy

@@ -103,8 +103,8 @@ class PolicyConfig:
 
     @property
     def core_seconds(self) -> float:
-        """What an episode of 50 steps costs, roughly, on one core of the machine of README's table:
-        those that plan take longer.
+        """Estimate of what an episode of 50 steps costs on one core of the machine of
+        docs/validation.md; policies that plan take longer.
         """
         return 3.0 if "expert" in self.policy or self.policy == "mixed" else 0.5
 

@@ -161,6 +161,22 @@ def dataset_files(data: Path) -> list[Path]:
     return [data / name for name in named if os.path.lexists(data / name)]
 
 
+def loading_lines(dataset_id: str, root: str | os.PathLike[str] | None = None) -> list[str]:
+    """Return the two lines that load a dataset, with Minari and as arrays.
+
+    >>> for line in loading_lines("knotgym/tie-nx3/expert-v0", "data"):
+    ...     print(line)
+    minari.load_dataset("knotgym/tie-nx3/expert-v0")  # with MINARI_DATASETS_PATH=data
+    knotgym.loaders.arrays("data/knotgym/tie-nx3/expert-v0", observation="state")
+    """
+    named = dataset_id if root is None else (Path(root) / dataset_id).as_posix()
+    where = "" if root is None else f"  # with MINARI_DATASETS_PATH={Path(root).as_posix()}"
+    return [
+        f'minari.load_dataset("{dataset_id}"){where}',
+        f'knotgym.loaders.arrays("{named}", observation="state")',
+    ]
+
+
 def _carry(states: str | os.PathLike[str], target: Path) -> None:
     """Put a state file into a dataset: the same bytes on the disk once, where it lets us.
 

@@ -37,7 +37,7 @@ def verify(source: str | os.PathLike[str]) -> list[str]:
 
     Raises:
         FileNotFoundError: there is nothing at `source`.
-        MissingArrow: it is a perception table and pyarrow isn't installed.
+        MissingExtra: it is a perception table and pyarrow isn't installed.
     """
     return list(faults(source))
 

@@ -204,10 +204,12 @@ def _begin(folder: Path, request: dict[str, Any]) -> dict[str, Tensor]:
             f"no training to resume in {folder}, its {REQUEST} is missing or damaged; --restart"
             " begins anew"
         ) from error
+    if not isinstance(before, dict):
+        raise InvalidTraining(f"{folder / REQUEST} isn't what a training was asked for")
     found = list(differences(before, request))
     if found:
         raise InvalidTraining(
-            f"the training to resume was asked for differently: {'; '.join(found[:3])}; give the"
+            f"the training to resume was asked for differently: {'; '.join(found)}; give the"
             " same again, or --restart to throw it away"
         )
     if not (folder / UNDER_WAY).exists():

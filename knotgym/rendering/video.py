@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from knotgym.atomic_files import atomic_write
-from knotgym.errors import KnotgymError
+from knotgym.errors import KnotgymError, install_command
 from knotgym.rendering.camera import seen_from
 from knotgym.rendering.diagram import draw_diagram, side_of
 from knotgym.topology.crossings import label
@@ -188,7 +188,7 @@ def _pyav(kind: str) -> Any:
         import av
     except ModuleNotFoundError as error:
         raise UnknownFilm(
-            f"a {kind} needs PyAV, which isn't installed: pip install 'knotgym[video]'; a .gif"
-            " doesn't"
+            f"a {kind} film needs PyAV, which isn't installed; install it:"
+            f" {install_command('video')}, or write a .gif"
         ) from error
     return av

@@ -21,6 +21,7 @@ from typing import Any
 import mujoco
 
 import knotgym
+from knotgym.errors import install_command
 from knotgym.runs.pools import AHEAD, InvalidEngine, LostWorkers, Promise, ordered
 
 CONNECT = 10.0  # seconds to find the scheduler in
@@ -99,8 +100,8 @@ def cluster(scheduler: str) -> Iterator[Cluster]:
         from distributed import Client
     except ModuleNotFoundError as error:
         raise InvalidEngine(
-            "--engine dask needs Dask distributed, which isn't installed; install it: pip install"
-            " 'knotgym[dask]'"
+            "--engine dask needs Dask distributed, which isn't installed; install it:"
+            f" {install_command('dask')}"
         ) from error
     for name in (
         "distributed",

@@ -98,7 +98,7 @@ def test_a_film_that_needs_pyav_names_the_extra(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "av", None)
-    with pytest.raises(UnknownFilm, match=r"pip install 'knotgym\[video\]'"):
+    with pytest.raises(UnknownFilm, match=r"pip install '\.\[video\]'"):
         write_film(tmp_path / "a.mp4", FRAMES)
     write_film(tmp_path / "a.gif", FRAMES)
     assert [path.name for path in tmp_path.iterdir()] == ["a.gif"]

@@ -28,11 +28,13 @@ import pytest
 import knotgym as package
 from knotgym.atomic_files import sha256
 from knotgym.cli import main as cli
+from knotgym.datasets.episode_reader import InvalidEpisodeFile
 from knotgym.datasets.state_verification import folder_faults
 from knotgym.datasets.states import States, demonstrations_id, read_states
 from knotgym.generate.states.archive import Archive
 from knotgym.generate.states.curation import is_near_duplicate
 from knotgym.generate.states.search import new_archive
+from knotgym.loaders import arrays
 from knotgym.rendering.diagram import draw_diagram
 from knotgym.rendering.picture import draw
 from knotgym.rope import Rope
@@ -292,6 +294,17 @@ def test_the_recovered_environment_resets_from_the_states_of_the_job(
         _, info = env.reset(seed=0, options={"goal": int(row)})
         assert info["goal_gauss_code"] == states.gauss_code[row]
         assert np.array_equal(env.unwrapped.episodes.goal_points(0), states.points[row])
+
+
+def test_loaders_take_the_folder_of_a_run_for_its_demonstrations(
+    curated: Path, tmp_path: Path
+) -> None:
+    name = "minari/knotgym/tie-nx1/demonstrations-v0"
+    shutil.copytree(curated / name, tmp_path / name)
+    found = arrays(tmp_path, observation="state")
+    assert np.array_equal(found["actions"], arrays(curated / name)["actions"])
+    with pytest.raises(InvalidEpisodeFile, match="holds several datasets; name one of them"):
+        arrays(curated)
 
 
 @pytest.fixture(scope="module")

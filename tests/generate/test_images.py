@@ -23,7 +23,6 @@ from knotgym.datasets.image_table import (
     COLUMNS,
     GRADES,
     InvalidImages,
-    MissingArrow,
     decode,
     encode,
     read_rows,
@@ -263,11 +262,11 @@ def test_without_pyarrow_one_line_names_the_extra(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(MissingArrow, match="huggingface"):
+    with pytest.raises(MissingExtra, match="huggingface"):
         read_table(folder)
     with pytest.raises(SystemExit) as left:
         main(["images", "--count", "5", "--out", str(tmp_path / "x")])
-    assert left.value.code == 2 and "pip install 'knotgym[huggingface]'" in capsys.readouterr().err
+    assert left.value.code == 2 and "pip install '.[huggingface]'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -376,7 +375,7 @@ def test_a_loader_without_its_library_names_the_extra(
     for kind, module in (("torch", "torch"), ("huggingface", "datasets")):
         with monkeypatch.context() as patch:
             patch.setitem(sys.modules, module, None)
-            with pytest.raises(MissingExtra, match=rf"knotgym\[{kind}\]"):
+            with pytest.raises(MissingExtra, match=rf"\.\[{kind}\]"):
                 load(folder, kind=kind)
 
 

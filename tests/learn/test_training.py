@@ -82,6 +82,15 @@ def test_a_folder_in_use_is_refused(
     assert "exists already" in refused(capsys, "--data", episodes, "--out", learner)
 
 
+def test_resuming_another_training_names_what_differs(tmp_path: Path) -> None:
+    training = pytest.importorskip("knotgym.learn.training")
+    begun = {"config": {"steps": 6, "seed": 0}, "data_sha256": "ab"}
+    (tmp_path / training.REQUEST).write_text(json.dumps(begun))
+    asked = {"config": {"steps": 9, "seed": 0}, "data_sha256": "ab"}
+    with pytest.raises(training.InvalidTraining, match=r"config\.steps is 6 there and 9 here;"):
+        training._begin(tmp_path, asked, resume=True)
+
+
 def test_a_missing_set_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "no episodes at" in refused(capsys, "--data", tmp_path / "no", "--out", tmp_path / "new")
     assert not (tmp_path / "new").exists()

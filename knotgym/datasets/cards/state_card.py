@@ -172,7 +172,9 @@ def _holds(report: Mapping[str, Any]) -> str:
         )
     return (
         "`states.h5` holds one row a state, `minari/` the trajectories that lead from the start to"
-        " each of them (train and test are datasets of their own), `archive.h5` what the search"
+        " each of them (train and test are datasets of their own): `knotgym.loaders.arrays(FOLDER)`"
+        " loads those of the train split, and Minari finds all with"
+        " `MINARI_DATASETS_PATH=FOLDER/minari`; `archive.h5` holds what the search"
         " found (`--archive` goes on from it)."
     )
 

@@ -80,7 +80,7 @@ def to_huggingface(
     Raises:
         NothingToExport: there is no row.
         Occupied: `out` exists, and `overwrite` isn't asked for.
-        MissingArrow: pyarrow isn't installed.
+        MissingExtra: pyarrow isn't installed.
     """
     require_output(out, folder=True, overwrite=overwrite)
     arrow()

@@ -49,7 +49,7 @@ def to_lerobot(
     Raises:
         NothingToExport: no episode, or its observations have no place in the form.
         Occupied: `out` exists, and `overwrite` isn't asked for.
-        MissingArrow: pyarrow isn't installed.
+        MissingExtra: pyarrow isn't installed.
     """
     reader, folder = EpisodeReader(source), Path(out)
     task = reader.task

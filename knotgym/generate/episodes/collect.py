@@ -37,6 +37,7 @@ from knotgym.tasks import OBSERVATIONS, TaskConfig
 
 REPORT = "collection.json"
 LABELS = ("", "expert")
+OBSERVATION = "both"  # that `knotgym collect` stores unless told otherwise
 _REFERENCES = Path(__file__).parent / "data" / "references.json"
 
 
@@ -132,12 +133,18 @@ def collection_marks(attempts: int, labels: str) -> tuple[str, ...]:
     return f"best{attempts}" if attempts > 1 else "", "labelled" if labels else ""
 
 
-def distinct_id(
-    task: TaskConfig, policy: PolicyConfig, seed: int, *, attempts: int = 1, labels: str = ""
-) -> str:
-    """As `plain_id`, with marks for whatever isn't as in a plain collection: a set of states by its
-    name or, of a file, by its content; the seed; attempts and labels; the rules by a digest.
+def distinct_id(config: CollectConfig) -> str:
+    """Return the default id of a collection: `plain_id`, with a mark for every setting but the
+    number of episodes that changes its content.
+
+    A set of states is named, a state file marked by its digest; settings of the environment and
+    the policy that have no mark of their own share one digest.
+
+    >>> config = CollectConfig(task=TaskConfig(task="tie"), policy=PolicyConfig(policy="expert"))
+    >>> distinct_id(config)
+    'knotgym/tie-nx2/expert-pixels-v0'
     """
+    task, policy, seed = config.task, config.policy, config.seed
     states = ""
     if task.states not in (None, "readable"):
         file = states_file(task.states)
@@ -145,15 +152,23 @@ def distinct_id(
         if file.is_file() and not states:
             states = f"states{sha256(file)[:8]}"
     plain = TaskConfig(task=task.task, nx=task.nx, split=task.split, states=task.states)
-    plain = replace(plain, observation=task.observation, image_size=task.image_size)
+    plain = replace(plain, observation=task.observation)
     rules = list(differences(as_json(plain), as_json(task)))
-    if labels or policy.policy in ("noisy-expert", "mixed", "expert"):
+    if config.labels or policy.policy in ("noisy-expert", "mixed", "expert"):
         usual = PolicyConfig(policy=policy.policy)
         rules += differences(as_json(usual), as_json(policy))
     told = "; ".join(rules).encode()
     digest = f"rules{hashlib.sha256(told).hexdigest()[:8]}" if rules else ""
-    marks = (states, f"seed{seed}" if seed else "", *collection_marks(attempts, labels), digest)
-    return plain_id(task, policy, *marks)
+    return plain_id(
+        task,
+        policy,
+        states,
+        "" if task.observation == OBSERVATION else task.observation,
+        f"seed{seed}" if seed else "",
+        "" if config.keep_failed else "successes",
+        *collection_marks(config.attempts, config.labels),
+        digest,
+    )
 
 
 class _EpisodeFile(NamedTuple):

@@ -27,6 +27,7 @@ from knotgym.control.rollouts import EVALUATION, Rollout, rollout
 from knotgym.datasets.trajectory import Episode
 from knotgym.episode_batch import OWN, SHIPPED, state_origins
 from knotgym.errors import KnotgymError
+from knotgym.generate.episodes.collect import reference_scores
 from knotgym.generate.episodes.digests import digests, require_unchanged, sources
 from knotgym.generate.episodes.unfinished_evaluation import PlayedEpisode, Unfinished, kept_beside
 from knotgym.runs.engine import require_same, whole_request
@@ -267,6 +268,8 @@ def show(results: Sequence[Result], console: Console) -> None:
             f"{task} nx {nx}: the state file has no plain loops; those that ship are used.",
             highlight=False,
         )
+    for line in reference_lines(results):
+        console.print(line, highlight=False)
     columns = list(dict.fromkeys(one.nx for one in results))
     if len(columns) > 1:
         matrix = narrow_table(
@@ -280,6 +283,24 @@ def show(results: Sequence[Result], console: Console) -> None:
             }
             matrix.add_row(*key, *(cells[nx] for nx in columns))
         console.print(matrix)
+
+
+def reference_lines(results: Sequence[Result]) -> list[str]:
+    """Return a line for each task and nx with the mean returns that a result is to be read beside.
+
+    The references are measured on readable states, whichever states the results are of.
+    """
+    known = reference_scores()
+    lines = []
+    for task, nx in dict.fromkeys((one.task, one.nx) for one in results):
+        scores = known.get(f"{task}-nx{nx}")
+        if scores is not None:
+            lines.append(
+                f"for reference, mean return of {task} nx {nx}: random {scores['random']:.2f},"
+                f" expert {scores['expert']:.2f} ({scores['episodes']} episodes, test split,"
+                " readable states)"
+            )
+    return lines
 
 
 def run(
