@@ -50,8 +50,9 @@ The published rows are of the train split of states that aren't published, of 38
 256). They stand beside ours for scale; the settings differ. `pretrained` acts on pictures alone, as
 the published learners do, but unlike them it was trained with the simulator's vertices and forces
 as targets, and it plans with a table of 94,955 labelled macro-actions. (The table isn't what
-carries the score: cut to nx 2, 15 of 24 goals are reached; with all of it, 15 of 24.) `random` draws
-its actions, `constant` tows the rope in one direction, and `expert` plans in the simulator.
+carries the score: cut to nx 2, 15 of 24 goals are reached; with all of it, 15 of 24.)
+`random` draws its actions, `constant` tows the rope in one direction, and `expert` plans in the
+simulator.
 
 `settings` are those that differ from the defaults of `knotgym evaluate`; `files` is the digest of
 the files that decide how a policy acts (weights, tables, own code), `code` that of the package. A

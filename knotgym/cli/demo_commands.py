@@ -9,13 +9,14 @@ from typing import Annotated
 
 import typer
 
-from knotgym.cli.options import QuietOption, SeedOption
+from knotgym.cli.options import OverwriteOption, QuietOption, SeedOption
 from knotgym.runs.progress import Progress
 
 
 def demo(
     out: Annotated[Path, typer.Option(help="Folder to make.")] = Path("knotgym-data/demo"),
     seed: SeedOption = 0,
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Watch the expert tie a diagram: an observation, a film and a page, in about 20 seconds."""
@@ -23,8 +24,8 @@ def demo(
         progress.stage("loading the simulator")
         from PIL import Image
 
-        from knotgym.atomic_files import atomic_write
-        from knotgym.cli.inspection import page, refuse_existing
+        from knotgym.atomic_files import atomic_write, require_output
+        from knotgym.cli.inspection import page
         from knotgym.control.policies import PolicyConfig
         from knotgym.datasets.episode_reader import EpisodeReader
         from knotgym.generate.episodes.collect import CollectConfig, collect
@@ -34,7 +35,7 @@ def demo(
         from knotgym.runs.run_options import RunOptions
         from knotgym.tasks import TaskConfig
 
-        refuse_existing(out)
+        require_output(out, folder=True, overwrite=overwrite)
         compile_first(progress)
         config = CollectConfig(
             task=TaskConfig(task="tie", nx=3, split="test", observation="both"),
@@ -43,7 +44,8 @@ def demo(
             seed=seed,
         )
         film_name = "expert.mp4" if importlib.util.find_spec("av") else "expert.gif"
-        with atomic_write(out) as folder:
+        with atomic_write(out, overwrite=overwrite) as folder:
+            folder.mkdir()
             progress.stage("the expert plays two episodes of tie with 3 crossings")
             options = RunOptions(workers=1, quiet=True)
             dataset = collect(config, folder / "minari", options, progress=Progress(quiet=True))
@@ -57,7 +59,7 @@ def demo(
             reader.close()
             frames = [frame for one in episodes for frame in film(one, config.task)]
             write_film(folder / film_name, frames)
-            page(str(dataset), folder / "page.html")
+            page(str(dataset), folder / "page.html", overwrite=False)
         reached = sum(bool(one.is_success[-1]) for one in episodes)
         progress.say(f"{out / 'reset.png'}: a first observation, the rope beside its goal")
         progress.say(f"{out / film_name}: the expert reaches the goal in {reached} of 2 episodes")

@@ -33,7 +33,9 @@ class Window:
                 "render_mode 'human' needs pygame, which isn't installed: pip install pygame"
             ) from error
         self._pygame: Any = pygame
-        self._rate, self._screen, self._clock, self._side = frames_per_second, None, None, 0.0
+        self._rate, self._side = frames_per_second, 0.0
+        self._screen: Any = None
+        self._clock: Any = None
 
     def show(
         self,

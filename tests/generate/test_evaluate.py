@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from knotgym.atomic_files import sha256
+from knotgym.atomic_files import Occupied, sha256
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import DATASET, EVALUATION, episode_seed, rollout
@@ -29,7 +29,7 @@ from knotgym.generate.episodes.evaluate import (
 from knotgym.rope import RopeConfig
 from knotgym.runs.executors import InProcess
 from knotgym.runs.run_options import Existing, InvalidRun
-from knotgym.runs.staging import Occupied, staging_folder
+from knotgym.runs.staging import staging_folder
 from knotgym.tasks import InvalidSetting, TaskConfig
 
 
