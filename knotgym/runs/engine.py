@@ -22,7 +22,7 @@ import mujoco
 import numpy as np
 
 import knotgym
-from knotgym.atomic_files import atomic_write, move_into_place, remove, require_output
+from knotgym.atomic_files import Occupied, atomic_write, move_into_place, remove, require_output
 from knotgym.configuration import differences, read_json
 from knotgym.rope import RopeConfig
 from knotgym.runs.executors import executor
@@ -31,7 +31,6 @@ from knotgym.runs.progress import Progress, Status, compile_first
 from knotgym.runs.run_options import Existing, InvalidRun, RunOptions
 from knotgym.runs.shards import Shard
 from knotgym.runs.staging import (
-    Occupied,
     discard,
     has_work,
     is_held,

@@ -24,6 +24,7 @@ import pytest
 from rich.console import Console
 
 from knotgym import __version__
+from knotgym.atomic_files import Occupied
 from knotgym.cli import main as cli
 from knotgym.cli.options import default_folder
 from knotgym.cli.summaries import _in_words
@@ -34,7 +35,7 @@ from knotgym.runs.engine import CHECKPOINT, Batch, run
 from knotgym.runs.executors import InProcess
 from knotgym.runs.progress import Progress, Status, compile_first, duration, tell_if_long
 from knotgym.runs.run_options import RunOptions
-from knotgym.runs.staging import Occupied, staging_folder
+from knotgym.runs.staging import staging_folder
 from knotgym.tasks import TaskConfig
 
 from ..small_job import knotgym, typed

@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 import pytest
 
+from knotgym.atomic_files import Occupied
 from knotgym.cli.main import main
 from knotgym.control.expert import Expert
 from knotgym.control.planner_config import PlannerConfig
@@ -29,7 +30,7 @@ from knotgym.generate.episodes.collect import CollectConfig, InvalidCollection, 
 from knotgym.loaders import NoLabels, Transitions
 from knotgym.runs.engine import request_of
 from knotgym.runs.run_options import InvalidRun, RunOptions
-from knotgym.runs.staging import Occupied, staging_folder
+from knotgym.runs.staging import staging_folder
 from knotgym.tasks import TaskConfig
 
 from ..minari_list import check_minari

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from knotgym.atomic_files import Occupied
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig
 from knotgym.datasets.states import States, write_states
@@ -23,7 +24,7 @@ from knotgym.generate.episodes.evaluate import (
 from knotgym.runs.executors import InProcess
 from knotgym.runs.intervals import wilson
 from knotgym.runs.run_options import Existing, InvalidRun
-from knotgym.runs.staging import Occupied, staging_folder
+from knotgym.runs.staging import staging_folder
 from knotgym.tasks import InvalidSetting, TaskConfig
 
 

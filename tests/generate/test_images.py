@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from knotgym.atomic_files import Occupied
 from knotgym.cli.main import main
 from knotgym.datasets import image_table as tables
 from knotgym.datasets.image_rows import Row, record
@@ -47,7 +48,6 @@ from knotgym.relaxation import RelaxationConfig, relaxed
 from knotgym.rendering.appearance import VARIED, AppearanceConfig
 from knotgym.rope import Array, Rope
 from knotgym.runs.run_options import InvalidRun, RunOptions
-from knotgym.runs.staging import Occupied
 from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry

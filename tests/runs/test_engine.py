@@ -14,12 +14,12 @@ from typing import Any
 
 import pytest
 
-from knotgym.atomic_files import atomic_write
+from knotgym.atomic_files import Occupied, atomic_write
 from knotgym.runs import engine
 from knotgym.runs.engine import CHECKPOINT, Batch
 from knotgym.runs.progress import Progress, Status
 from knotgym.runs.run_options import InvalidRun, RunOptions
-from knotgym.runs.staging import Occupied, staging_folder
+from knotgym.runs.staging import staging_folder
 
 COUNT = 4
 QUIET = RunOptions(workers=1, quiet=True)
