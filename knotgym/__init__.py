@@ -24,10 +24,6 @@ if TYPE_CHECKING:
     from knotgym.topology.crossings import InvalidPoints, label
     from knotgym.topology.gauss import GaussCode, InvalidGaussCode
 else:
-    # numba takes its cache folder, whose files are unpickled, from a .numba_config.yaml in the
-    # current folder unless this is set; "" is its own default
-    os.environ.setdefault("NUMBA_CACHE_DIR", "")
-
     from knotgym.lazy_exports import lazy_exports
 
     __getattr__, __dir__ = lazy_exports(
@@ -98,9 +94,11 @@ def _require_kernel_cache() -> None:
     Numba caches beside the package or in the user's cache folder, and where it can write to neither
     it refuses to import a cached function. The folder goes when the process ends.
     """
-    user = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")) / "numba"
+    user = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")).absolute() / "numba"
     beside = Path(__file__).parent / "__pycache__"
-    if "NUMBA_CACHE_DIR" in os.environ or _is_writable(beside) or _is_writable(user.absolute()):
+    # Numba would take the folder, whose files are unpickled, from a .numba_config.yaml in the
+    # current folder unless the variable is set; "" stands for its own default
+    if os.environ.setdefault("NUMBA_CACHE_DIR", "") or any(map(_is_writable, (beside, user))):
         return
     import atexit
     import shutil

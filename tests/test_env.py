@@ -111,8 +111,12 @@ def registered(states_path: str) -> Callable[..., gym.Env[Any, Any]]:
 @pytest.mark.parametrize("observation", MODES)
 @pytest.mark.parametrize("task", TASKS)
 def test_gymnasium_finds_no_fault(
-    registered: Callable[..., gym.Env[Any, Any]], task: str, observation: str
+    registered: Callable[..., gym.Env[Any, Any]],
+    task: str,
+    observation: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")  # the check opens a window, too
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         # coordinates have no bounds
@@ -127,8 +131,9 @@ def test_gymnasium_finds_no_fault_in_a_bare_environment(make: Make, observation:
 
 @pytest.mark.parametrize("observation", ["pixels", "both"])
 def test_gymnasium_finds_no_fault_in_three_views_with_depth(
-    registered: Callable[..., gym.Env[Any, Any]], observation: str
+    registered: Callable[..., gym.Env[Any, Any]], observation: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     env = registered(
         "tie", observation=observation, views=["top", "left", "front"], depth=True, image_size=32
     )

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from knotgym.atomic_files import atomic_write, require_no_links, require_output
+from knotgym.atomic_files import atomic_write, require_no_links, require_output, require_writable
 from knotgym.cli.places import Place, UnknownDataset, episodes_at, name_of, place, places
 from knotgym.cli.summaries import print_episodes, print_images, print_states, print_transcripts
 from knotgym.datasets import verification
@@ -142,6 +142,7 @@ def export(
     """Write another form of what a path or an id names, the compact one as a file, or a folder with
     one for each dataset; the fact to tell of it. `count` is told before each episode.
     """
+    require_writable(out)  # each form then checks what it would replace
     require_own_files(named)
     if form == "huggingface":
         to_huggingface(_sources(named), out, count, overwrite=overwrite)
@@ -282,8 +283,8 @@ def film(named: str, row: int, out: Path, overwrite: bool, progress: Progress) -
         UnknownDataset: there is no such row, or nothing is known of how it came to be.
         UntrueReplay: it ended elsewhere; nothing is written.
     """
-    require_film(out)
     require_output(out, folder=False, overwrite=overwrite)
+    require_film(out)
     kind, path = place(named, "states", "episodes")
     scene = (_state_scene if kind == "states" else _episode_scene)(path, row)
     simulation, steps = Simulation(1, scene.rope), len(scene.actions)

@@ -46,7 +46,7 @@ else:
             "InvalidScores": "knotgym.generate.episodes.suite_scores",
             "InvalidSuite": "knotgym.generate.episodes.suite",
             "NotEnough": "knotgym.runs.run_options",
-            "Occupied": "knotgym.runs.staging",
+            "Occupied": "knotgym.atomic_files",
             "RandomWalkConfig": "knotgym.generate.states.random_walk",
             "RunOptions": "knotgym.runs.run_options",
             "SuiteConfig": "knotgym.generate.episodes.suite",

@@ -54,7 +54,7 @@ COMMANDS = {
     "collect": Command(f"collect --policy random --id {ID} --out {{out}}", ID, True),
     "suite": Command("suite --task tie --nx 2 --policies random --out {out}", ID, True),
     "train": Command("train --data {episodes} --out {out}/a", "a", True, "torch"),
-    "prompt": Command("prompt --model x --out {out}/a", "a", True, "httpx"),
+    "prompt": Command("prompt --model x --out {out}/a", "a", True, "openai"),
     "evaluate": Command("evaluate --episodes 1 --out {out}/a.json", "a.json", True),
     "video": Command("evaluate --episodes 1 --video {out}/a.gif", "a.gif"),
     "gallery": Command("dataset gallery {states} --out {out}/a.png", "a.png"),

@@ -308,7 +308,7 @@ def test_half_a_surrogate_pair_doesn_t_end_a_run(states_path: str, tmp_path: Pat
         for resume in (False, True):
             arguments: dict[str, Any] = {
                 "side_by_side": 1,
-                "resume": resume,
+                "existing": Existing(resume=resume),
                 "progress": Progress(quiet=True),
             }
             try:

@@ -63,8 +63,8 @@ def to_ogbench(
         )
     names = {look: _LOOKS[look] + _name(source, reader) for look in looks}
     files = [f"{name}{end}.npz" for name in names.values() for end in ("-train", "-val", "")]
-    for name in files:
-        require_output(folder / name, folder=False, overwrite=overwrite)
+    for wanted in files:
+        require_output(folder / wanted, folder=False, overwrite=overwrite)
     last = min(_TENTH, len(reader)) - 1
     parts = {
         end: [k for k in range(len(reader)) if (k % _TENTH == last) == (end == "-val")]
