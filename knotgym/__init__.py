@@ -94,7 +94,10 @@ def _require_kernel_cache() -> None:
     Numba caches beside the package or in the user's cache folder, and where it can write to neither
     it refuses to import a cached function. The folder goes when the process ends.
     """
-    user = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")).absolute() / "numba"
+    user = (
+        Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")).absolute()
+        / "numba"
+    )
     beside = Path(__file__).parent / "__pycache__"
     # Numba would take the folder, whose files are unpickled, from a .numba_config.yaml in the
     # current folder unless the variable is set; "" stands for its own default

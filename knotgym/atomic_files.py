@@ -112,9 +112,10 @@ def move_into_place(part: Path, target: Path, *, overwrite: bool) -> None:
     Raises:
         Occupied: something exists at `target` that isn't to be replaced by this.
     """
-    _require_free(target, part.is_dir(), overwrite)
+    is_folder = stat.S_ISDIR(part.lstat().st_mode)  # raises where nothing was written
+    _require_free(target, is_folder, overwrite)
     try:
-        if not part.is_dir():
+        if not is_folder:
             # renaming a file fails where a folder is
             (os.replace if overwrite else _rename_new)(part, target)
         elif os.path.lexists(target):

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from knotgym.cli.options import (
     OverwriteOption,
@@ -42,7 +41,7 @@ def train(
     for library in ("torch", "safetensors"):
         if importlib.util.find_spec(library) is None:
             raise MissingExtra(library, install_command("learn"), "knotgym train")
-    with Progress(quiet, console=Console(stderr=True)) as progress:
+    with Progress(quiet) as progress:
         from knotgym.learn.training import TrainConfig
         from knotgym.learn.training import train as run
 

@@ -16,7 +16,7 @@ from knotgym.datasets.cards.citation import citation_file
 from knotgym.datasets.exports.forms import NothingToExport
 from knotgym.datasets.exports.huggingface_export import ToUpload, to_huggingface
 from knotgym.datasets.states import read_states
-from knotgym.generate.episodes.suite_scores import score_tables
+from knotgym.generate.episodes.suite_scores import CELL, LINE, score_tables
 
 from ..small_job import knotgym
 
@@ -118,7 +118,7 @@ def test_a_shard_s_name_writes_no_yaml(tmp_path: Path) -> None:
 
 
 def test_tables_of_scores_show_a_hostile_policy_as_text() -> None:
-    row = {"policy": HOSTILE, "states": HOSTILE, "split": "test", "task": "tie", "nx": 2}
+    row = {**dict.fromkeys((*LINE, *CELL), HOSTILE), "split": "test", "task": "tie", "nx": 2}
     score = {"success_rate": 0.5, "interval": [0.4, 0.6], "episodes": 2, "training": {}}
     assert harmless("\n".join(score_tables([{**row, **score}])))
 

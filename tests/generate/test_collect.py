@@ -534,7 +534,7 @@ def test_a_limit_of_goals_is_kept_stored_and_verified(tmp_path: Path) -> None:
     words = ("--task", "tie", "--nx", 3, "--max-goals", 2, "--workers", 1, "--quiet")
     random = ("collect", "--policy", "random", "--episodes", 6, "--horizon", 2)
     assert knotgym(*random, "--observation", "state", *words, "--out", tmp_path) == 0
-    (folder,) = tmp_path.glob("knotgym/tie-nx3/random-rules*-v0")  # a set of its own
+    (folder,) = tmp_path.glob("knotgym/tie-nx3/random-state-rules*-v0")  # a set of its own
     reader = EpisodeReader(folder)
     goals = [reader.labels(k)["options/goal"] for k in range(6)]
     env = gym.make("knotgym/Tie-v0", nx=3, max_goals=2).unwrapped

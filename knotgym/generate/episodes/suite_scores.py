@@ -98,7 +98,7 @@ def score_tables(rows: Sequence[Mapping[str, Any]], heading: str = "##") -> list
             trained = {row["training"].get("seconds") for row in cells.values()} - {None}
             policy, settings, files, code, _ = line
             body.append(
-                (plain(policy), plain(settings), files[:8], code[:8], *told)
+                (*map(plain, (policy, settings, files[:8], code[:8])), *told)
                 + ("; ".join(map(_seconds, sorted(trained))),)
             )
         body += [
@@ -106,7 +106,7 @@ def score_tables(rows: Sequence[Mapping[str, Any]], heading: str = "##") -> list
         ]
         lines += [
             "",
-            f"{heading} States {plain(states)} ({digest[:8]}), {plain(split)} split",
+            f"{heading} States {plain(states)} ({plain(digest[:8])}), {plain(split)} split",
             "",
             *table(head, body),
         ]
