@@ -12,14 +12,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
-from knotgym.atomic_files import atomic_write, require_writable
 from knotgym.cli.options import words
-from knotgym.configuration import differences
+from knotgym.common.atomic_files import atomic_write, require_writable
+from knotgym.common.configuration import differences
+from knotgym.common.errors import KnotgymError, one_line
 from knotgym.control.policies import PolicyConfig
-from knotgym.episode_batch import state_origins
-from knotgym.errors import KnotgymError, one_line
+from knotgym.envs.episode_batch import state_origins
+from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.evaluate import EvaluateConfig
-from knotgym.tasks import TaskConfig
 
 PROGRESS = "progress.json"
 

@@ -16,7 +16,7 @@ from typing import Any
 
 from baseline_script import InvalidBaseline
 
-from knotgym.errors import MissingExtra
+from knotgym.common.errors import MissingExtra
 
 Settings = dict[str, Any]
 

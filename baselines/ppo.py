@@ -39,12 +39,12 @@ from rich.console import Console
 
 import knotgym
 from knotgym.adapters import sb3_vec_env
-from knotgym.atomic_files import atomic_write
-from knotgym.configuration import as_json, check_numbers
+from knotgym.common.atomic_files import atomic_write
+from knotgym.common.configuration import as_json, check_numbers
+from knotgym.common.errors import MissingExtra, one_line
 from knotgym.control.learned_policies import ModelPolicy
-from knotgym.errors import MissingExtra, one_line
+from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.learner_evaluation import evaluate_learner
-from knotgym.tasks import TaskConfig
 
 REQUEST, MODEL = "ppo.json", "model.zip"
 POLICIES = {"pixels": "CnnPolicy", "state": "MlpPolicy"}

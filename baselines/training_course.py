@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from stable_baselines3.common.callbacks import BaseCallback
 
-from knotgym.atomic_files import atomic_write
+from knotgym.common.atomic_files import atomic_write
 from knotgym.runs.intervals import wilson
 
 CURVE, PICTURE, CHECKPOINTS = "curve.json", "curve.png", "checkpoints"

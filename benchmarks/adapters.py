@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 from knotgym.adapters import sb3_vec_env
-from knotgym.env import KnotEnv
+from knotgym.envs.environment import KnotEnv
 
 
 def vec_envs(count: int, settings: dict[str, Any]) -> dict[str, Any]:

@@ -32,8 +32,8 @@ from rich.table import Table
 
 import knotgym
 from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
+from knotgym.envs.tasks import TaskConfig
 from knotgym.loaders import Transitions
-from knotgym.tasks import TaskConfig
 
 BATCH = 256
 FILTERS = {"gzip 1": {"compression": "gzip", "compression_opts": 1, "shuffle": True}}

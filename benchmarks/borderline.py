@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from rope_states import tangled
 
 from knotgym.datasets.gallery import Tile, contact_sheet, write_png
-from knotgym.quality import UNITS, Limits, Quality, measure, noise_survival
+from knotgym.quality.measures import UNITS, Limits, Quality, measure, noise_survival
 from knotgym.rendering.picture import draw
 from knotgym.rendering.video import OUTCOMES
-from knotgym.rope import Array
+from knotgym.rope.model import Array
 from knotgym.topology.crossings import find_crossings
 
 EACH = 3  # pictures on either side of a limit

@@ -27,7 +27,7 @@ def _asked(kind: str, here: Any) -> Any:
 
 def told_staging(kind: str, path: Path) -> Told:
     """Digests of what a run of states takes up from its staging folder."""
-    from knotgym.configuration import from_json
+    from knotgym.common.configuration import from_json
     from knotgym.generate.states.drawn_states import DrawnStatesConfig
     from knotgym.generate.states.drawn_states_recipe import DrawnStatesRecipe
     from knotgym.generate.states.generate_config import GenerateConfig

@@ -15,7 +15,7 @@ from typing import Any
 from damaged_hdf5 import HDF5, Damage, Random
 from damaged_json import holder, not_json, pick, places, value_changed, value_missing
 
-from knotgym.atomic_files import sha256
+from knotgym.common.atomic_files import sha256
 
 
 def bytes_changed(path: Path, rng: Random) -> None:

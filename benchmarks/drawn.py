@@ -31,10 +31,10 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from knotgym.atomic_files import atomic_write
+from knotgym.common.atomic_files import atomic_write
 from knotgym.datasets.gallery import Tile, contact_sheet, write_png
 from knotgym.generate.states.drawn_states import DrawnStatesConfig, DrawnUnit, draw_states
-from knotgym.quality import Limits
+from knotgym.quality.measures import Limits
 from knotgym.rendering.diagram import draw_diagram
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import based_diagrams, prime_diagrams

@@ -21,12 +21,12 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from knotgym.atomic_files import atomic_write
+from knotgym.common.atomic_files import atomic_write
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig
+from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.evaluate import EvaluateConfig, Result, evaluate
 from knotgym.runs.executors import executor
-from knotgym.tasks import TaskConfig
 
 
 def play(args: argparse.Namespace) -> dict[str, dict[str, Any]]:

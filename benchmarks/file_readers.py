@@ -25,7 +25,7 @@ _FAULTS: dict[str, list[str]] = {}
 def told_states(path: Path) -> Told:
     """Faults of a state file, and digests of its columns."""
     from knotgym.datasets.state_verification import state_faults
-    from knotgym.datasets.states import read_states
+    from knotgym.states.state_file import read_states
 
     states = read_states(path)
     given = {name: digest(own.tobytes()) for name, own in states.columns().items()}

@@ -27,17 +27,17 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from knotgym.atomic_files import atomic_write
+from knotgym.common.atomic_files import atomic_write
+from knotgym.common.streams import Stream, key
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.transition_graph import shipped_transition_graph
 from knotgym.generate.states.archive import Archive, Elite
 from knotgym.generate.states.search import Replay, SearchConfig, confirm, new_archive, renumbered
 from knotgym.generate.states.targeted_search import Target, reach
-from knotgym.rope import Rope
+from knotgym.rope.model import Rope
 from knotgym.runs.engine import Batch
 from knotgym.runs.executors import executor
 from knotgym.runs.pools import Pool
-from knotgym.streams import Stream, key
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import codes_of
 from knotgym.topology.symmetry import mirror_images

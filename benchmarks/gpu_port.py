@@ -27,7 +27,7 @@ import warp
 from numpy.typing import NDArray
 from rich.console import Console
 
-from knotgym.rope import Rope
+from knotgym.rope.model import Rope
 
 SOLVERS = {"newton": mujoco.mjtSolver.mjSOL_NEWTON, "cg": mujoco.mjtSolver.mjSOL_CG}
 BEAD, FORCE = 40, (-0.2, 0.15, 0.1)

@@ -22,9 +22,9 @@ from rich.console import Console
 from rich.table import Table
 from torch import nn
 
-from knotgym.actions import decode_actions
 from knotgym.loaders import arrays
-from knotgym.rope import RopeConfig
+from knotgym.rope.actions import decode_actions
+from knotgym.rope.model import RopeConfig
 
 HELD_OUT = 0.1  # of the episodes
 NUMBERS = ("x", "y", "z", "fx", "fy", "fz")

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.atomic_files import sha256
+from knotgym.common.atomic_files import sha256
 
 SMALL = {
     "wave": 2,

@@ -27,8 +27,8 @@ from rich.table import Table
 import knotgym
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
+from knotgym.envs.tasks import TaskConfig
 from knotgym.loaders import torch_dataset
-from knotgym.tasks import TaskConfig
 
 STORED = ("pixels", "state", "both", "none")
 

@@ -27,9 +27,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.datasets.states import read_states, shipped
-from knotgym.rope import Array
-from knotgym.simulation import Simulation
+from knotgym.rope.model import Array
+from knotgym.rope.simulation import Simulation
+from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.crossings import find_crossings
 from knotgym.topology.diagrams import NotPlanar
 from knotgym.topology.knots import knot_type

@@ -25,8 +25,8 @@ from rich.console import Console
 from rich.table import Table
 
 from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
+from knotgym.envs.tasks import TaskConfig
 from knotgym.loaders import Transitions
-from knotgym.tasks import TaskConfig
 
 
 def source(path: Path) -> None:

@@ -29,9 +29,9 @@ import numpy as np
 from damaged_files import DAMAGES, copied
 from file_readers import TOLD
 
-from knotgym.atomic_files import sha256
+from knotgym.common.atomic_files import sha256
+from knotgym.common.errors import KnotgymError
 from knotgym.datasets.foreign_file import HarmfulFile, try_files
-from knotgym.errors import KnotgymError
 
 LIMIT = 60.0  # seconds for a file
 READ_BY_ONE = 200  # files, then another process reads

@@ -27,9 +27,9 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from knotgym.datasets.states import read_states, shipped
-from knotgym.rope import Rope, RopeConfig
-from knotgym.tasks import TaskConfig
+from knotgym.envs.tasks import TaskConfig
+from knotgym.rope.model import Rope, RopeConfig
+from knotgym.states.state_file import read_states, shipped
 
 ACTIONS = 10
 Tweak = Callable[[mujoco.MjModel], None]

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from knotgym.errors import KnotgymError
+from knotgym.common.errors import KnotgymError
 from knotgym.rendering.picture import PictureConfig, draw, draw_many
 
 SIZES = (64, 128, 256, 512)

@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 from knotgym.adapters import sb3_vec_env
-from knotgym.env import KnotEnv
+from knotgym.envs.environment import KnotEnv
 
 BATCH, EPOCHS = 64, 10  # the paper's
 

@@ -31,8 +31,8 @@ from rich.console import Console
 from rich.table import Table
 
 import knotgym
-from knotgym.datasets.states import read_states, shipped
-from knotgym.rope import Rope, RopeConfig
+from knotgym.rope.model import Rope, RopeConfig
+from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 

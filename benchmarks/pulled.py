@@ -3,7 +3,7 @@
 import numpy as np
 
 from knotgym.datasets.trajectory import Episode
-from knotgym.simulation import Simulation
+from knotgym.rope.simulation import Simulation
 from knotgym.topology.crossings import label_many
 
 EPISODES, STEPS = 50, 50

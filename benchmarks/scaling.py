@@ -20,13 +20,13 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from knotgym.atomic_files import sha256
+from knotgym.common.atomic_files import sha256
 from knotgym.control.policies import PolicyConfig
+from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig, collect
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.state_recipe import generate
 from knotgym.runs.run_options import RunOptions
-from knotgym.tasks import TaskConfig
 
 JOBS = ("state", "pixels", "main")
 

@@ -105,12 +105,12 @@ class Stopwatch:
         import knotgym.generate.episodes.collect
         import knotgym.generate.images.image_recipe
         import knotgym.generate.states.state_recipe
-        import knotgym.simulation
+        import knotgym.rope.simulation
 
         class Batch(mujoco.batch.Batch):
             step = self.watch("mj_step", mujoco.batch.Batch.step)
 
-        simulation: Any = knotgym.simulation
+        simulation: Any = knotgym.rope.simulation
         simulation.Batch = Batch
         modules = [module for name, module in sys.modules.items() if name.startswith("knotgym")]
         for stage, names in WATCHED.items():
@@ -126,6 +126,7 @@ class Stopwatch:
 def run(name: str, number: int, of: int, size: int, folder: Path) -> None:
     """Shard `number` of a run that gives each of `of` shards `size` things to make."""
     from knotgym.control.policies import PolicyConfig
+    from knotgym.envs.tasks import TaskConfig
     from knotgym.generate.episodes.collect import CollectConfig, collect
     from knotgym.generate.images.image_recipe import make_images
     from knotgym.generate.images.images_config import ImagesConfig
@@ -133,7 +134,6 @@ def run(name: str, number: int, of: int, size: int, folder: Path) -> None:
     from knotgym.generate.states.state_recipe import generate
     from knotgym.runs.run_options import RunOptions
     from knotgym.runs.shards import Shard
-    from knotgym.tasks import TaskConfig
 
     options = RunOptions(workers=1, quiet=True, shard=Shard(number, of))
     if name == "main":

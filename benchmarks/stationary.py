@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from knotgym.actions import drawn_actions
+from knotgym.common.streams import Stream, key
 from knotgym.generate.states.random_walk import STARTS
-from knotgym.simulation import Simulation
-from knotgym.streams import Stream, key
+from knotgym.rope.actions import drawn_actions
+from knotgym.rope.simulation import Simulation
 from knotgym.topology.crossings import count_crossings
 
 FRAME = 10  # actions

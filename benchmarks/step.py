@@ -28,7 +28,7 @@ from rich.console import Console
 from rich.table import Table
 
 import knotgym
-from knotgym.rope import Rope
+from knotgym.rope.model import Rope
 
 MODES = ("state", "pixels", "both")
 BARS = {"state": 0.9, "pixels": 0.75}

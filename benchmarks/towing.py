@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.atomic_files import atomic_write
+from knotgym.common.atomic_files import atomic_write
 from knotgym.control.policies import PolicyConfig
 from knotgym.control.rollouts import episode_seed
-from knotgym.episode_batch import EpisodeBatch
+from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.evaluate import EvaluateConfig, evaluate
 from knotgym.runs.executors import executor
-from knotgym.tasks import TaskConfig
 
 DIRECTIONS = [force for force in product((-1, 0, 1), repeat=3) if any(force)]
 POINTS = ("base", "origin")

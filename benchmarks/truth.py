@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from rope_states import tangled
 
-from knotgym.errors import KnotgymError
+from knotgym.common.errors import KnotgymError
 from knotgym.rendering.picture import PictureConfig, draw
 from knotgym.rendering.picture_check import shown_strands
 from knotgym.topology.crossings import find_crossings

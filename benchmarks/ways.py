@@ -20,7 +20,7 @@ from rich.table import Table
 
 from knotgym.control.action_sequence import step_ropes
 from knotgym.generate.states.archive import Archive, Elite
-from knotgym.simulation import Simulation
+from knotgym.rope.simulation import Simulation
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import codes_of

@@ -13,41 +13,41 @@ from typing import TYPE_CHECKING
 import gymnasium
 
 if TYPE_CHECKING:
-    from knotgym.datasets.states import InvalidStates, States, read_states, shipped
+    from knotgym.common.errors import KnotgymError
     from knotgym.datasets.verification import verify
-    from knotgym.env import KnotEnv, KnotVectorEnv
-    from knotgym.errors import KnotgymError
+    from knotgym.envs.environment import KnotEnv, KnotVectorEnv
+    from knotgym.envs.tasks import InvalidSetting, TaskConfig
     from knotgym.rendering.picture import PictureConfig, draw
-    from knotgym.rope import InvalidCurve, Rope, RopeConfig
-    from knotgym.simulation import InvalidAction
-    from knotgym.tasks import InvalidSetting, TaskConfig
+    from knotgym.rope.model import InvalidCurve, Rope, RopeConfig
+    from knotgym.rope.simulation import InvalidAction
+    from knotgym.states.state_file import InvalidStates, States, read_states, shipped
     from knotgym.topology.crossings import InvalidPoints, label
     from knotgym.topology.gauss import GaussCode, InvalidGaussCode
 else:
-    from knotgym.lazy_exports import lazy_exports
+    from knotgym.common.lazy_exports import lazy_exports
 
     __getattr__, __dir__ = lazy_exports(
         __name__,
         {
             "GaussCode": "knotgym.topology.gauss",
-            "InvalidAction": "knotgym.simulation",
-            "InvalidCurve": "knotgym.rope",
+            "InvalidAction": "knotgym.rope.simulation",
+            "InvalidCurve": "knotgym.rope.model",
             "InvalidGaussCode": "knotgym.topology.gauss",
             "InvalidPoints": "knotgym.topology.crossings",
-            "InvalidSetting": "knotgym.tasks",
-            "InvalidStates": "knotgym.datasets.states",
-            "KnotEnv": "knotgym.env",
-            "KnotVectorEnv": "knotgym.env",
-            "KnotgymError": "knotgym.errors",
+            "InvalidSetting": "knotgym.envs.tasks",
+            "InvalidStates": "knotgym.states.state_file",
+            "KnotEnv": "knotgym.envs.environment",
+            "KnotVectorEnv": "knotgym.envs.environment",
+            "KnotgymError": "knotgym.common.errors",
             "PictureConfig": "knotgym.rendering.picture",
-            "Rope": "knotgym.rope",
-            "RopeConfig": "knotgym.rope",
-            "States": "knotgym.datasets.states",
-            "TaskConfig": "knotgym.tasks",
+            "Rope": "knotgym.rope.model",
+            "RopeConfig": "knotgym.rope.model",
+            "States": "knotgym.states.state_file",
+            "TaskConfig": "knotgym.envs.tasks",
             "draw": "knotgym.rendering.picture",
             "label": "knotgym.topology.crossings",
-            "read_states": "knotgym.datasets.states",
-            "shipped": "knotgym.datasets.states",
+            "read_states": "knotgym.states.state_file",
+            "shipped": "knotgym.states.state_file",
             "verify": "knotgym.datasets.verification",
         },
     )
@@ -117,8 +117,8 @@ _require_kernel_cache()
 for _task in ("unknot", "tie", "convert"):
     gymnasium.register(
         id=f"knotgym/{_task.capitalize()}-v0",
-        entry_point="knotgym.env:KnotEnv",
-        vector_entry_point="knotgym.env:KnotVectorEnv",
+        entry_point="knotgym.envs.environment:KnotEnv",
+        vector_entry_point="knotgym.envs.environment:KnotVectorEnv",
         kwargs={"task": _task},
     )
     for _nx in (2, 3, 4):

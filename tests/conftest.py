@@ -10,14 +10,14 @@ import pytest
 from hypothesis import settings
 from numpy.typing import NDArray
 
-from knotgym.datasets.states import States, read_states, shipped, write_states
 from knotgym.drawing.drawn_curve import drawn_curve
 from knotgym.generate.states.archive import Archive
 from knotgym.generate.states.search import SearchConfig, advance, new_archive
 from knotgym.rendering.picture import draw
-from knotgym.rope import Rope
+from knotgym.rope.model import Rope
+from knotgym.rope.simulation import Simulation
 from knotgym.runs.executors import InProcess
-from knotgym.simulation import Simulation
+from knotgym.states.state_file import States, read_states, shipped, write_states
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import codes_of, knot_type

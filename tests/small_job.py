@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from knotgym.cli import main as cli
-from knotgym.configuration import updated
+from knotgym.common.configuration import updated
 from knotgym.generate.states.generate_config import GenerateConfig
 
 SETTINGS = Path(__file__).parent / "small.json"

@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from knotgym.actions import decode_actions, encode_actions, steps_taken
-from knotgym.rope import Rope
+from knotgym.rope.actions import decode_actions, encode_actions, steps_taken
+from knotgym.rope.model import Rope
 
 ROPE = Rope()
 LOOP = ROPE.loop()

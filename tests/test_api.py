@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import knotgym
-from knotgym.datasets.states import States, write_states
+from knotgym.states.state_file import States, write_states
 
 from .fresh_interpreter import modules_after
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from knotgym.atomic_files import atomic_write, sha256
+from knotgym.common.atomic_files import atomic_write, sha256
 
 
 class Interrupted(Exception):
@@ -79,7 +79,7 @@ def test_a_relative_path_is_written_where_it_points(
 def test_a_kill_leaves_nothing_under_the_final_name(tmp_path: Path) -> None:
     writer = f"""
 import time
-from knotgym.atomic_files import atomic_write
+from knotgym.common.atomic_files import atomic_write
 with atomic_write({str(tmp_path / "a.txt")!r}) as temporary:
     temporary.write_text("half")
     print("written", flush=True)

@@ -6,13 +6,14 @@ from typing import Any
 
 import pytest
 
-from knotgym.configuration import InvalidConfig, check_numbers, from_json
+from knotgym.common.configuration import InvalidConfig, check_numbers, from_json
+from knotgym.common.errors import KnotgymError
 from knotgym.control.macro_actions import MacroActionConfig
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig
 from knotgym.control.surrogate import SurrogateConfig
 from knotgym.control.transition_graph import TransitionGraphConfig
-from knotgym.errors import KnotgymError
+from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig
 from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.generate.images.selection import SelectionConfig
@@ -24,9 +25,8 @@ from knotgym.generate.states.curation_run import search_config
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.hill_climb import HillClimbConfig
 from knotgym.generate.states.search import SearchSettings
-from knotgym.label_limits import LabelLimits
-from knotgym.relaxation import RelaxationConfig
-from knotgym.tasks import TaskConfig
+from knotgym.quality.label_limits import LabelLimits
+from knotgym.rope.relaxation import RelaxationConfig
 
 TUNED = (
     ArchiveConfig,

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 
-from knotgym.env import KnotEnv, KnotVectorEnv
+from knotgym.envs.environment import KnotEnv, KnotVectorEnv
 
 from .test_env import same
 from .test_vector_env import actions

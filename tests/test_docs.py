@@ -27,14 +27,15 @@ import knotgym
 from knotgym.cli.main import app
 from knotgym.control import transition_counts
 from knotgym.control.learned_policies import load_model
-from knotgym.datasets import episode_reader, image_table, states
+from knotgym.datasets import episode_reader, image_table
 from knotgym.datasets.cards.state_card import overlap_rows
-from knotgym.datasets.states import SHIPPED, shipped
 from knotgym.datasets.verification import OVERLAPS
+from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.states import archive
 from knotgym.generate.states.archive import Archive
-from knotgym.quality_limits import UNITS
-from knotgym.tasks import TaskConfig
+from knotgym.quality.limits import UNITS
+from knotgym.states import state_file as states
+from knotgym.states.state_file import SHIPPED, shipped
 
 from .scripts import ROOT, run_script
 

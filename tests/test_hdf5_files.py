@@ -9,8 +9,8 @@ import h5py
 import numpy as np
 import pytest
 
-from knotgym.errors import KnotgymError, MissingFile
-from knotgym.hdf5_files import Column, hdf5_format, opened_hdf5, read_attribute, read_column
+from knotgym.common.errors import KnotgymError, MissingFile
+from knotgym.common.hdf5_files import Column, hdf5_format, opened_hdf5, read_attribute, read_column
 
 
 class Refused(KnotgymError, ValueError):

@@ -11,10 +11,10 @@ import pytest
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import rollout
 from knotgym.datasets.episode_verification import episode_faults
-from knotgym.datasets.states import States, merge_states, read_states, shipped, write_states
-from knotgym.env import KnotEnv
-from knotgym.rope import Rope
-from knotgym.tasks import InvalidSetting
+from knotgym.envs.environment import KnotEnv
+from knotgym.envs.tasks import InvalidSetting
+from knotgym.rope.model import Rope
+from knotgym.states.state_file import States, merge_states, read_states, shipped, write_states
 from knotgym.topology.gauss import GaussCode
 
 from .small_job import knotgym

@@ -19,10 +19,10 @@ import numpy as np
 import pytest
 
 import knotgym
-from knotgym.errors import KnotgymError
+from knotgym.common.errors import KnotgymError
+from knotgym.envs.tasks import TaskConfig
 from knotgym.rendering.picture import PictureConfig
-from knotgym.rope import Rope
-from knotgym.tasks import TaskConfig
+from knotgym.rope.model import Rope
 from knotgym.topology.crossings import label
 from knotgym.topology.diagrams import drawn
 from knotgym.topology.gauss import GaussCode
@@ -58,10 +58,10 @@ DRAWING = (
 
 # What fresh interpreters are asked to import; the links are named after rooms.
 CORE = (
-    "import knotgym.env, knotgym.topology.crossings, knotgym.topology.knots,"
+    "import knotgym.envs.environment, knotgym.topology.crossings, knotgym.topology.knots,"
     " knotgym.topology.reference_labeller, knotgym.rendering.picture"
 )
-STATES = "import knotgym.datasets.states, knotgym.atomic_files"
+STATES = "import knotgym.states.state_file, knotgym.common.atomic_files"
 LINKED = ("generate", "datasets", "loaders")
 
 
@@ -142,7 +142,14 @@ def test_the_package_runs_where_no_machine_code_can_be_kept(tmp_path: Path) -> N
 def test_datasets_do_not_import_the_environment() -> None:
     modules = modules_after(STATES)
     assert (
-        modules & {"knotgym.env", "knotgym.episode_batch", "knotgym.simulation", "mujoco"} == set()
+        modules
+        & {
+            "knotgym.envs.environment",
+            "knotgym.envs.episode_batch",
+            "knotgym.rope.simulation",
+            "mujoco",
+        }
+        == set()
     )
 
 
@@ -171,7 +178,7 @@ def test_three_environments_are_registered() -> None:
 @pytest.mark.slow  # one of them is made in a fresh process above
 @pytest.mark.parametrize("task", ["Unknot", "Tie", "Convert"])
 def test_a_task_is_made_alone_in_a_fresh_process(task: str, states_path: str) -> None:
-    assert "knotgym.env" in modules_after(made_alone(task, states_path))
+    assert "knotgym.envs.environment" in modules_after(made_alone(task, states_path))
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.quality import (
+from knotgym.quality.measures import (
     UNITS,
     Limits,
     Quality,
@@ -19,7 +19,7 @@ from knotgym.quality import (
     tightest_spot,
 )
 from knotgym.rendering.picture import DEFAULT
-from knotgym.rope import Rope
+from knotgym.rope.model import Rope
 from knotgym.topology.crossings import find_crossings
 
 from .conftest import curled, trefoil

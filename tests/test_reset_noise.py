@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from knotgym.datasets.states import States
-from knotgym.reset_noise import noised, start_qpos
-from knotgym.rope import Rope
+from knotgym.rope.model import Rope
+from knotgym.rope.reset_noise import noised, start_qpos
+from knotgym.states.state_file import States
 from knotgym.topology.crossings import label
 
 from .conftest import trefoil

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from knotgym.reward import RewardRule, consecutive, success_at_last
-from knotgym.tasks import TaskConfig
+from knotgym.envs.reward import RewardRule, consecutive, success_at_last
+from knotgym.envs.tasks import TaskConfig
 
 RULE = RewardRule(hold=2, horizon=9, success_reward=3.0, failure_reward=-1.0)
 

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from knotgym.rope import InvalidCurve, Rope, RopeConfig, clearance, sub_chains
+from knotgym.rope.model import InvalidCurve, Rope, RopeConfig, clearance, sub_chains
 from knotgym.topology.crossings import label
 
 from .conftest import curled, trefoil

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.rope import Rope, RopeConfig
-from knotgym.simulation import InvalidAction, Simulation
+from knotgym.rope.model import Rope, RopeConfig
+from knotgym.rope.simulation import InvalidAction, Simulation
 
 from .conftest import curled, rough_play
 

@@ -1,7 +1,7 @@
 """A process keeps one simulation of each size and rope."""
 
-from knotgym.rope import RopeConfig
-from knotgym.simulation_pool import simulation_of
+from knotgym.rope.model import RopeConfig
+from knotgym.rope.simulation_pool import simulation_of
 
 
 def test_the_same_size_and_rope_are_the_same_simulation() -> None:

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from knotgym.streams import InvalidSeed, Stream, derived_seed, generator, key, words
+from knotgym.common.streams import InvalidSeed, Stream, derived_seed, generator, key, words
 
 from .small_job import knotgym
 

@@ -16,11 +16,11 @@ from knotgym.datasets.episode_verification import verify_episodes
 from knotgym.datasets.episode_writer import EpisodeWriter
 from knotgym.datasets.trajectory import Episode, InvalidEpisode, goals_reached, relabel_all
 from knotgym.datasets.trajectory import relabelled as cut_at
-from knotgym.env import KnotEnv
-from knotgym.episode_batch import EpisodeBatch
+from knotgym.envs.environment import KnotEnv
+from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.tasks import InvalidSetting, TaskConfig
 from knotgym.loaders import arrays
-from knotgym.tasks import InvalidSetting, TaskConfig
-from knotgym.towing import TowBound, centres, distances_towed
+from knotgym.rope.towing import TowBound, centres, distances_towed
 
 LIMIT = 0.04
 TOW = np.ones(6, dtype=np.float32)

@@ -16,9 +16,9 @@ from gymnasium.vector import SyncVectorEnv
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from numpy.typing import NDArray
 
-from knotgym.env import KnotEnv, KnotVectorEnv
-from knotgym.simulation import InvalidAction
-from knotgym.tasks import InvalidSetting
+from knotgym.envs.environment import KnotEnv, KnotVectorEnv
+from knotgym.envs.tasks import InvalidSetting
+from knotgym.rope.simulation import InvalidAction
 
 from .test_env import same
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.control.policy import Choice, UnplannedPolicy, checked
-from knotgym.episode_batch import EpisodeBatch
-from knotgym.tasks import TaskConfig
+from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.tasks import TaskConfig
 
 LANES = 8  # episodes that `knotgym evaluate` plays at once: one size is compiled
 

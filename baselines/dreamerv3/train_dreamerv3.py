@@ -54,9 +54,9 @@ from official_code import (
 )
 
 import knotgym
-from knotgym.configuration import as_json, check_numbers
+from knotgym.common.configuration import as_json, check_numbers
+from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.learner_evaluation import evaluate_learner
-from knotgym.tasks import TaskConfig
 
 DREAMER = OfficialCode(
     name="DreamerV3",

@@ -57,11 +57,11 @@ from official_code import (
 )
 
 import knotgym
-from knotgym.atomic_files import atomic_write
-from knotgym.configuration import as_json, check_numbers
-from knotgym.errors import one_line
+from knotgym.common.atomic_files import atomic_write
+from knotgym.common.configuration import as_json, check_numbers
+from knotgym.common.errors import one_line
+from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.learner_evaluation import evaluate_learner
-from knotgym.tasks import TaskConfig
 
 TDMPC = OfficialCode(
     name="TD-MPC2",

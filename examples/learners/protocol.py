@@ -13,8 +13,8 @@ from knotgym.cli.options import numbers, words
 from knotgym.control.policy import Policy
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.minari_dataset import metadata_of
+from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.learner_evaluation import evaluate_learner
-from knotgym.tasks import TaskConfig
 
 
 def parser(description: str, kinds: tuple[str, ...]) -> argparse.ArgumentParser:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from knotgym.adapters.ogbench_environment import OGBenchEnv
     from knotgym.adapters.sb3 import sb3_vec_env
 else:
-    from knotgym.lazy_exports import lazy_exports
+    from knotgym.common.lazy_exports import lazy_exports
 
     __getattr__, __dir__ = lazy_exports(
         __name__,

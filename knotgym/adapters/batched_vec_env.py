@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from knotgym.adapters.goal_environment import Goals
-from knotgym.env import action_space, observation_space, task_config
-from knotgym.episode_batch import EpisodeBatch
-from knotgym.tasks import InvalidSetting
+from knotgym.envs.environment import action_space, observation_space, task_config
+from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.tasks import InvalidSetting
 
 Indices = int | Iterable[int] | None
 

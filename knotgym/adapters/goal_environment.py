@@ -15,12 +15,12 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.env import KnotEnv, observation_space
-from knotgym.episode_batch import EpisodeBatch
-from knotgym.rendering.observations import SYMBOLS, numbers
-from knotgym.tasks import InvalidSetting, TaskConfig
+from knotgym.envs.environment import KnotEnv, observation_space
+from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.observations import SYMBOLS, numbers
+from knotgym.envs.tasks import InvalidSetting, TaskConfig
+from knotgym.rope.towing import distances_towed
 from knotgym.topology.gauss import GaussCode
-from knotgym.towing import distances_towed
 
 
 class GoalEnv(KnotEnv):

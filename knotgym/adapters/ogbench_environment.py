@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.adapters.goal_environment import halves, require_one_side, rope_space
-from knotgym.env import KnotEnv
-from knotgym.tasks import InvalidSetting
+from knotgym.envs.environment import KnotEnv
+from knotgym.envs.tasks import InvalidSetting
 
 TASKS = 5  # evaluation goals, as OGBench has
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from knotgym.errors import MissingExtra
+from knotgym.common.errors import MissingExtra
 
 
 def sb3_vec_env(

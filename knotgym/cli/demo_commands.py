@@ -24,16 +24,16 @@ def demo(
         progress.stage("loading the simulator")
         from PIL import Image
 
-        from knotgym.atomic_files import atomic_write, require_output
         from knotgym.cli.inspection import page
+        from knotgym.common.atomic_files import atomic_write, require_output
         from knotgym.control.policies import PolicyConfig
         from knotgym.datasets.episode_reader import EpisodeReader
+        from knotgym.envs.tasks import TaskConfig
         from knotgym.generate.episodes.collect import CollectConfig, collect
         from knotgym.generate.episodes.evaluate import film
         from knotgym.rendering.video import write_film
         from knotgym.runs.progress import compile_first
         from knotgym.runs.run_options import RunOptions
-        from knotgym.tasks import TaskConfig
 
         require_output(out, folder=True, overwrite=overwrite)
         compile_first(progress)
@@ -72,12 +72,12 @@ def compile_kernels(quiet: QuietOption = False) -> None:
     with Progress(quiet) as progress:
         from knotgym.control.planner_config import PlannerConfig
         from knotgym.control.policies import PolicyConfig
+        from knotgym.envs.tasks import TaskConfig
         from knotgym.generate.episodes.collect import CollectConfig, collect
         from knotgym.generate.states.drawn_states import DrawnStatesConfig
         from knotgym.generate.states.drawn_states_recipe import draw_state_set
         from knotgym.loaders import arrays
         from knotgym.runs.run_options import RunOptions
-        from knotgym.tasks import TaskConfig
         from knotgym.topology.crossing_kernel import scan
 
         options, silent = RunOptions(workers=1, quiet=True), Progress(quiet=True)

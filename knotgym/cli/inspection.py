@@ -11,9 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from knotgym.atomic_files import atomic_write, require_no_links, require_output, require_writable
 from knotgym.cli.places import Place, UnknownDataset, episodes_at, name_of, place, places
 from knotgym.cli.summaries import print_episodes, print_images, print_states, print_transcripts
+from knotgym.common.atomic_files import (
+    atomic_write,
+    require_no_links,
+    require_output,
+    require_writable,
+)
+from knotgym.common.errors import KnotgymError
 from knotgym.datasets import verification
 from knotgym.datasets.episode_reader import Count, EpisodeReader, episode_file, uncounted
 from knotgym.datasets.episode_writer import merge_episodes
@@ -31,7 +37,14 @@ from knotgym.datasets.manifest_check import read_manifest
 from knotgym.datasets.minari_dataset import compact, dataset_files, merge_datasets
 from knotgym.datasets.page.page_data import dataset_name, page_data
 from knotgym.datasets.page.page_writer import write_page
-from knotgym.datasets.states import (
+from knotgym.generate.merge_shards import merge_shards, shard_folder_of
+from knotgym.prompting.transcripts import transcripts_at
+from knotgym.rendering.video import film_frames, require_film, write_film
+from knotgym.rope.model import Array, Rope
+from knotgym.rope.simulation import Simulation
+from knotgym.runs.executors import executor
+from knotgym.runs.progress import Progress
+from knotgym.states.state_file import (
     leads_out,
     merge_states,
     minari_root,
@@ -39,14 +52,6 @@ from knotgym.datasets.states import (
     states_at,
     write_states,
 )
-from knotgym.errors import KnotgymError
-from knotgym.generate.merge_shards import merge_shards, shard_folder_of
-from knotgym.prompting.transcripts import transcripts_at
-from knotgym.rendering.video import film_frames, require_film, write_film
-from knotgym.rope import Array, Rope
-from knotgym.runs.executors import executor
-from knotgym.runs.progress import Progress
-from knotgym.simulation import Simulation
 
 _LARGE = 4_000_000  # bytes of a table that is checked sooner by several processes than by this one
 

@@ -16,7 +16,7 @@ from knotgym.cli.options import (
     SettingsOption,
     with_settings,
 )
-from knotgym.errors import MissingExtra, install_command
+from knotgym.common.errors import MissingExtra, install_command
 from knotgym.runs.progress import Progress
 from knotgym.runs.run_options import Existing
 

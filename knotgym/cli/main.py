@@ -24,7 +24,7 @@ from knotgym.cli.policy_commands import collect, evaluate
 from knotgym.cli.prompt_commands import prompt
 from knotgym.cli.run_commands import generate, images
 from knotgym.cli.suite_command import suite
-from knotgym.errors import KnotgymError, printable
+from knotgym.common.errors import KnotgymError, printable
 from knotgym.runs.pools import LostWorkers
 from knotgym.runs.run_options import NotEnough
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from knotgym.configuration import Config, InvalidConfig, read_json, updated
+from knotgym.common.configuration import Config, InvalidConfig, read_json, updated
 from knotgym.runs.executors import scheduler_of
 from knotgym.runs.run_options import Existing, RunOptions
 from knotgym.runs.shards import Shard

@@ -7,11 +7,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
+from knotgym.common.errors import KnotgymError, MissingFile
+from knotgym.common.hdf5_files import hdf5_format
 from knotgym.datasets.image_table import is_images
-from knotgym.datasets.state_schema import FORMAT as STATES_FORMAT
-from knotgym.datasets.states import SHIPPED, minari_root, shipped
-from knotgym.errors import KnotgymError, MissingFile
-from knotgym.hdf5_files import hdf5_format
+from knotgym.states.schema import FORMAT as STATES_FORMAT
+from knotgym.states.state_file import SHIPPED, minari_root, shipped
 
 
 class UnknownDataset(KnotgymError, ValueError):

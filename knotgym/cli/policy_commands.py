@@ -149,13 +149,13 @@ def collect(
     """
     with Progress(quiet) as progress:
         from knotgym.datasets.minari_dataset import loading_lines
+        from knotgym.envs.tasks import TaskConfig
         from knotgym.generate.episodes.collect import (
             CollectConfig,
             distinct_id,
             require_collectable,
         )
         from knotgym.generate.episodes.collect import collect as run
-        from knotgym.tasks import TaskConfig
 
         existing = Existing(resume=resume, restart=restart, overwrite=overwrite)
         options, crossings = run_options(engine, scheduler, workers, shard, existing, quiet), nx
@@ -279,9 +279,9 @@ def evaluate(
         knotgym evaluate --policy random --policy mine:act --task tie,unknot --nx 2-4
     """
     with Progress(quiet, lines=False) as progress:
+        from knotgym.envs.tasks import TaskConfig
         from knotgym.generate.episodes.evaluate import EvaluateConfig
         from knotgym.generate.episodes.evaluate import run as run_evaluation
-        from knotgym.tasks import TaskConfig
 
         base = TaskConfig(
             task="tie",

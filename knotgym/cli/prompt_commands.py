@@ -153,10 +153,10 @@ def prompt(
         knotgym prompt --mode read knotgym-data/images-nx0-4 --model NAME --base-url http://127.0.0.1:8000/v1
     """
     with Progress(quiet) as progress:
+        from knotgym.envs.tasks import TaskConfig
         from knotgym.prompting.chat import ChatConfig
         from knotgym.prompting.prompted_episodes import PromptConfig, play
         from knotgym.prompting.prompts import READ
-        from knotgym.tasks import TaskConfig
 
         if (mode == READ) != (pictures is not None):
             raise typer.BadParameter(
@@ -262,7 +262,7 @@ def _show(
     """Print the prompt of the first episode or picture; of mode stateful that of the second turn,
     after an answer that moved nothing.
     """
-    from knotgym.atomic_files import atomic_write, require_output
+    from knotgym.common.atomic_files import atomic_write, require_output
     from knotgym.prompting.prompts import as_text
     from knotgym.prompting.sample_prompt import sample_prompt
 

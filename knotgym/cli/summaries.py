@@ -25,11 +25,11 @@ from knotgym.datasets.cards.state_card import summary as state_summary
 from knotgym.datasets.episode_verification import show_episodes
 from knotgym.datasets.image_table import GRADES, shards
 from knotgym.datasets.manifest_check import read_manifest, run_report
-from knotgym.datasets.states import read_states
 from knotgym.prompting.reading_scores import HEAD, ReadingScores
 from knotgym.prompting.tally import tally
 from knotgym.prompting.transcripts import InvalidTranscript, read_transcripts, transcripts_at
 from knotgym.runs.tables import narrow_table
+from knotgym.states.state_file import read_states
 
 _LISTED = 24  # parts of a value, at most
 

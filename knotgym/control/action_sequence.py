@@ -12,8 +12,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.rope import Array
-from knotgym.simulation import Ids
+from knotgym.rope.model import Array
+from knotgym.rope.simulation import Ids
 
 
 class Ropes(Protocol):

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.control.macro_actions import MacroActionConfig, WaypointController, propose
 from knotgym.control.policy import Choice, Effort, PlanningPolicy, Policy, UnplannedPolicy
-from knotgym.episode_batch import EpisodeBatch
+from knotgym.envs.episode_batch import EpisodeBatch
 
 
 class RandomPolicy(UnplannedPolicy):

@@ -19,8 +19,8 @@ from knotgym.control.planner import REST, Plan, plan
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policy import Choice, Effort, Policy
 from knotgym.control.transition_graph import TransitionGraph, shipped_transition_graph
-from knotgym.episode_batch import EpisodeBatch
-from knotgym.simulation import Simulation
+from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.rope.simulation import Simulation
 
 BLIND = "blind"  # begins the reason of a step without a plan
 

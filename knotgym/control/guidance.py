@@ -21,7 +21,7 @@ from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.surrogate import surrogate_rollout
 from knotgym.control.transition_counts import MacroTemplate, Places
 from knotgym.control.transition_graph import Distances, Step, TransitionGraph
-from knotgym.rope import Array
+from knotgym.rope.model import Array
 from knotgym.topology.crossings import find_crossings, label_many
 from knotgym.topology.gauss import GaussCode
 

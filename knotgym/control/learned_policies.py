@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.common.errors import install_command, one_line
 from knotgym.control.policy import Choice, InvalidPolicy, Policy, UnplannedPolicy, checked
-from knotgym.env import observation_space
-from knotgym.episode_batch import EpisodeBatch
-from knotgym.errors import install_command, one_line
-from knotgym.tasks import LAYOUTS, OBSERVATIONS, TaskConfig
+from knotgym.envs.environment import observation_space
+from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.tasks import LAYOUTS, OBSERVATIONS, TaskConfig
 
 Shapes = Mapping[str, tuple[int | None, ...]]
 

@@ -16,8 +16,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.configuration import InvalidConfig, check_numbers
-from knotgym.rope import Array
+from knotgym.common.configuration import InvalidConfig, check_numbers
+from knotgym.rope.model import Array
 
 KINDS = ("pass", "curl", "spread", "shift")
 _WAYPOINTS = 3

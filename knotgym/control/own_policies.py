@@ -30,9 +30,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.common.errors import one_line
 from knotgym.control.policy import Choice, InvalidPolicy, UnplannedPolicy, checked
-from knotgym.episode_batch import EpisodeBatch
-from knotgym.errors import one_line
+from knotgym.envs.episode_batch import EpisodeBatch
 
 _PROTOCOL = (
     "must be a function of (observation) or of (observation, info, generator), or an object with"

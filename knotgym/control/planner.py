@@ -29,10 +29,10 @@ from knotgym.control.macro_actions import (
 )
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.transition_graph import Distances, TransitionGraph
-from knotgym.rope import Array
+from knotgym.rope.model import Array
+from knotgym.rope.towing import TowBound
 from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
-from knotgym.towing import TowBound
 
 REST = "rest"  # the kind of a step with no force, by which a code is held
 HAUL = "haul"  # the kind of a haul's steps

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from knotgym.configuration import check_numbers
+from knotgym.common.configuration import check_numbers
+from knotgym.common.errors import KnotgymError
 from knotgym.control.macro_actions import MacroActionConfig
 from knotgym.control.surrogate import SurrogateConfig
 from knotgym.control.transition_graph import TransitionGraphConfig
-from knotgym.errors import KnotgymError
 
 
 class InvalidPlanner(KnotgymError, ValueError):

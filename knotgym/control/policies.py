@@ -26,7 +26,8 @@ from dataclasses import dataclass
 from math import inf
 from pathlib import Path
 
-from knotgym.atomic_files import sha256
+from knotgym.common.atomic_files import sha256
+from knotgym.common.errors import one_line
 from knotgym.control.basic_policies import (
     ConstantPolicy,
     MixedPolicy,
@@ -48,7 +49,6 @@ from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policy import Choice, Effort, InvalidPolicy, Policy
 from knotgym.control.transcript_policy import TranscriptPolicy, load_transcripts
 from knotgym.control.transition_graph import TRANSITIONS
-from knotgym.errors import one_line
 from knotgym.prompting.transcripts import transcripts_at
 
 __all__ = [

@@ -7,10 +7,10 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.episode_batch import EpisodeBatch
-from knotgym.errors import KnotgymError, one_line
-from knotgym.simulation import InvalidAction
-from knotgym.tasks import TaskConfig
+from knotgym.common.errors import KnotgymError, one_line
+from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.tasks import TaskConfig
+from knotgym.rope.simulation import InvalidAction
 
 
 class InvalidPolicy(KnotgymError, ValueError):

@@ -15,13 +15,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.common.streams import Stream, derived_seed, generator
 from knotgym.control.expert import Expert
 from knotgym.control.policy import Effort, Policy
 from knotgym.datasets.trajectory import Episode
-from knotgym.episode_batch import EpisodeBatch
-from knotgym.rope import Array
-from knotgym.streams import Stream, derived_seed, generator
-from knotgym.tasks import TaskConfig
+from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.tasks import TaskConfig
+from knotgym.rope.model import Array
 
 
 class EpisodeStreams(NamedTuple):

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from knotgym.configuration import check_numbers
+from knotgym.common.configuration import check_numbers
 from knotgym.control.macro_actions import MacroAction
-from knotgym.rope import Array
+from knotgym.rope.model import Array
 
 _LEAST_SHARE = 1e-3  # of the bead's motion, below which a neighbour isn't taken along
 

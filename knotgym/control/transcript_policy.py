@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.configuration import as_json, differences
+from knotgym.common.configuration import as_json, differences
+from knotgym.common.streams import Stream, generator
 from knotgym.control.policy import Choice, InvalidPolicy, UnplannedPolicy
-from knotgym.episode_batch import EpisodeBatch
+from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.tasks import TaskConfig
 from knotgym.prompting.transcripts import InvalidTranscript, read_transcripts, transcripts_at
-from knotgym.streams import Stream, generator
-from knotgym.tasks import TaskConfig
 
 # of a task, what makes no episode another one
 _SEEN = ("observation", "image_size", "views", "depth", "camera", "renderer")

@@ -25,10 +25,10 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.atomic_files import atomic_write
+from knotgym.common.atomic_files import atomic_write
+from knotgym.common.errors import KnotgymError
+from knotgym.common.hdf5_files import Column, opened_hdf5, read_attribute, read_column
 from knotgym.control.macro_actions import KINDS, MacroAction
-from knotgym.errors import KnotgymError
-from knotgym.hdf5_files import Column, opened_hdf5, read_attribute, read_column
 from knotgym.topology.crossings import Crossings
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import canonical_form, images, shifted_base

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.configuration import check_numbers
+from knotgym.common.configuration import check_numbers
 from knotgym.control.diagram_moves import DOWN_COST, below, leading_to
 from knotgym.control.transition_counts import ELEMENTS, MacroTemplate, TransitionCounts
 from knotgym.topology.diagrams import chiralities

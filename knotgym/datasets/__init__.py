@@ -22,7 +22,9 @@ if TYPE_CHECKING:
         read_table,
     )
     from knotgym.datasets.minari_dataset import MinariMetadata, compact, publish
-    from knotgym.datasets.states import (
+    from knotgym.datasets.trajectory import Episode, InvalidEpisode, relabel_all, relabelled
+    from knotgym.datasets.verification import faults, verify
+    from knotgym.states.state_file import (
         InvalidStates,
         States,
         merge_states,
@@ -30,10 +32,8 @@ if TYPE_CHECKING:
         shipped,
         write_states,
     )
-    from knotgym.datasets.trajectory import Episode, InvalidEpisode, relabel_all, relabelled
-    from knotgym.datasets.verification import faults, verify
 else:
-    from knotgym.lazy_exports import lazy_exports
+    from knotgym.common.lazy_exports import lazy_exports
 
     __getattr__, __dir__ = lazy_exports(
         __name__,
@@ -44,23 +44,23 @@ else:
             "InvalidEpisode": "knotgym.datasets.trajectory",
             "InvalidEpisodeFile": "knotgym.datasets.episode_reader",
             "InvalidImages": "knotgym.datasets.image_table",
-            "InvalidStates": "knotgym.datasets.states",
+            "InvalidStates": "knotgym.states.state_file",
             "MinariMetadata": "knotgym.datasets.minari_dataset",
-            "States": "knotgym.datasets.states",
+            "States": "knotgym.states.state_file",
             "compact": "knotgym.datasets.minari_dataset",
             "faults": "knotgym.datasets.verification",
-            "merge_states": "knotgym.datasets.states",
+            "merge_states": "knotgym.states.state_file",
             "publish": "knotgym.datasets.minari_dataset",
             "read_rows": "knotgym.datasets.image_table",
-            "read_states": "knotgym.datasets.states",
+            "read_states": "knotgym.states.state_file",
             "read_table": "knotgym.datasets.image_table",
             "relabel_all": "knotgym.datasets.trajectory",
             "relabelled": "knotgym.datasets.trajectory",
-            "shipped": "knotgym.datasets.states",
+            "shipped": "knotgym.states.state_file",
             "show_episodes": "knotgym.datasets.episode_verification",
             "verify": "knotgym.datasets.verification",
             "verify_episodes": "knotgym.datasets.episode_verification",
-            "write_states": "knotgym.datasets.states",
+            "write_states": "knotgym.states.state_file",
         },
     )
 

@@ -29,10 +29,8 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.datasets.states import leads_out, minari_root, ships, states_file
-from knotgym.datasets.trajectory import INFOS, OPTIONAL, Episode, array_column
-from knotgym.errors import KnotgymError, MissingFile
-from knotgym.hdf5_files import (
+from knotgym.common.errors import KnotgymError, MissingFile
+from knotgym.common.hdf5_files import (
     Column,
     UnexpectedContent,
     check_format,
@@ -42,7 +40,9 @@ from knotgym.hdf5_files import (
     read_column,
     stored_column,
 )
-from knotgym.tasks import OBSERVATIONS, TaskConfig
+from knotgym.datasets.trajectory import INFOS, OPTIONAL, Episode, array_column
+from knotgym.envs.tasks import OBSERVATIONS, TaskConfig
+from knotgym.states.state_file import leads_out, minari_root, ships, states_file
 
 FORMAT = "knotgym-episodes"
 FORMAT_VERSION = 5
@@ -323,7 +323,7 @@ class EpisodeReader:
 
     def _drawn(self, seen: NDArray[Any], goal: NDArray[Any], wanted: str, picture: Any) -> Any:
         # here, so that loaders of states need no OpenCV
-        from knotgym.rendering.observations import observe, picture_config
+        from knotgym.envs.observations import observe, picture_config
 
         drawn = picture or picture_config(self.task)
         return observe(seen, goal, wanted, drawn, self.task.layout)

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.actions import steps_taken
-from knotgym.configuration import as_json, read_json
+from knotgym.common.configuration import as_json, read_json
+from knotgym.common.errors import one_line
+from knotgym.common.hdf5_files import foreign_bytes_as
 from knotgym.datasets.episode_reader import (
     GOAL_INFO,
     TOLD_DIGEST,
@@ -28,18 +29,17 @@ from knotgym.datasets.episode_reader import (
 )
 from knotgym.datasets.split_verification import duplicate_faults, split_faults
 from knotgym.datasets.trajectory import Episode
-from knotgym.errors import one_line
-from knotgym.hdf5_files import foreign_bytes_as
-from knotgym.rendering.observations import observe, picture_config
-from knotgym.reward import consecutive
-from knotgym.rope import Rope
-from knotgym.simulation import SHARES, Simulation
-from knotgym.tasks import TaskConfig
+from knotgym.envs.observations import observe, picture_config
+from knotgym.envs.reward import consecutive
+from knotgym.envs.tasks import TaskConfig
+from knotgym.rope.actions import steps_taken
+from knotgym.rope.model import Rope
+from knotgym.rope.simulation import SHARES, Simulation
+from knotgym.rope.towing import TowBound
 from knotgym.topology.crossings import label, label_many
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import knot_type
 from knotgym.topology.reference_labeller import pyknotid_code
-from knotgym.towing import TowBound
 
 _BATCH = 64  # episodes replayed side by side
 

@@ -24,7 +24,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.atomic_files import atomic_write, new_hdf5
+from knotgym.common.atomic_files import atomic_write, new_hdf5
+from knotgym.common.hdf5_files import Column, stored_column
 from knotgym.datasets.episode_reader import (
     FORMAT,
     FORMAT_VERSION,
@@ -41,9 +42,8 @@ from knotgym.datasets.episode_reader import (
     uncounted,
 )
 from knotgym.datasets.trajectory import Episode
-from knotgym.hdf5_files import Column, stored_column
-from knotgym.rendering.observations import observe, picture_config
-from knotgym.tasks import TaskConfig
+from knotgym.envs.observations import observe, picture_config
+from knotgym.envs.tasks import TaskConfig
 
 _STRIP_FRAMES = 8
 # of one frame; the same rows of the frame before then lie inside gzip's window of 32 kB

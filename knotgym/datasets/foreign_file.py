@@ -13,8 +13,8 @@ from pathlib import Path
 
 import h5py
 
-from knotgym.errors import KnotgymError
-from knotgym.hdf5_files import require_stored_here
+from knotgym.common.errors import KnotgymError
+from knotgym.common.hdf5_files import require_stored_here
 
 LIMIT = 60.0  # seconds, and one more for each SLOWEST bytes
 SLOWEST = 5_000_000

@@ -13,14 +13,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.atomic_files import atomic_write
+from knotgym.common.atomic_files import atomic_write
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.image_table import decode, read_rows
 from knotgym.datasets.page.page_data import dataset_name
-from knotgym.datasets.states import States
 from knotgym.rendering.diagram import draw_diagram
 from knotgym.rendering.picture import PictureError
 from knotgym.rendering.video import OUTCOMES
+from knotgym.states.state_file import States
 from knotgym.topology.crossings import label
 
 SHOWN = 64  # episodes or pictures of a gallery, at most

@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from knotgym.atomic_files import atomic_write, sha256
+from knotgym.common.atomic_files import atomic_write, sha256
 from knotgym.datasets.cards.image_card import card, summary
 from knotgym.datasets.image_table import read_table
 from knotgym.datasets.machine import machine
 from knotgym.datasets.walks_file import WalksMade, walks_of, write_walks
-from knotgym.rope import Array
+from knotgym.rope.model import Array
 
 
 def finish(

@@ -9,16 +9,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from knotgym.atomic_files import atomic_write, sha256
+from knotgym.common.atomic_files import atomic_write, sha256
+from knotgym.common.errors import KnotgymError
+from knotgym.common.streams import Stream, generator
 from knotgym.datasets.image_table import encode, write_rows
-from knotgym.difficulty import grade
-from knotgym.errors import KnotgymError
-from knotgym.quality import Limits, measure, noise_survival
+from knotgym.envs.tasks import TaskConfig
+from knotgym.quality.difficulty import grade
+from knotgym.quality.measures import Limits, measure, noise_survival
 from knotgym.rendering.appearance import Appearance, AppearanceConfig, appearance, render
 from knotgym.rendering.picture import crossing_pixels
-from knotgym.rope import Array
-from knotgym.streams import Stream, generator
-from knotgym.tasks import TaskConfig
+from knotgym.rope.model import Array
 from knotgym.topology.crossings import Crossings, find_crossings
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import knot_type

@@ -21,11 +21,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.atomic_files import atomic_write
-from knotgym.datasets.splits import IMAGE_SPLITS
-from knotgym.errors import KnotgymError, MissingExtra, MissingFile, install_command, one_line
-from knotgym.hdf5_files import require_regular
-from knotgym.quality_limits import UNITS
+from knotgym.common.atomic_files import atomic_write
+from knotgym.common.errors import KnotgymError, MissingExtra, MissingFile, install_command, one_line
+from knotgym.common.hdf5_files import require_regular
+from knotgym.quality.limits import UNITS
+from knotgym.states.splits import IMAGE_SPLITS
 
 FORMAT = "knotgym-images"
 FORMAT_VERSION = 1

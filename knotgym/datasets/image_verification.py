@@ -15,7 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.configuration import from_json
+from knotgym.common.configuration import from_json
+from knotgym.common.errors import KnotgymError, MissingFile, one_line
 from knotgym.datasets.episode_reader import Count, uncounted
 from knotgym.datasets.image_rows import appearance_of, labels, measures
 from knotgym.datasets.image_table import (
@@ -31,15 +32,14 @@ from knotgym.datasets.image_table import (
     stored_digest,
 )
 from knotgym.datasets.manifest_check import listed_faults, read_manifest
-from knotgym.datasets.near_duplicates import pairs_within
-from knotgym.datasets.splits import IMAGE_SPLITS
-from knotgym.datasets.state_measures import measure_faults, spread_faults
 from knotgym.datasets.walks_file import InvalidWalks, read_walks, retrace
-from knotgym.errors import KnotgymError, MissingFile, one_line
-from knotgym.label_limits import at_base, pressed_together, visits_too_close
-from knotgym.relaxation import RelaxationConfig, relaxed
+from knotgym.quality.label_limits import at_base, pressed_together, visits_too_close
 from knotgym.rendering.appearance import SIZES, render
-from knotgym.rope import Array, Rope
+from knotgym.rope.model import Array, Rope
+from knotgym.rope.relaxation import RelaxationConfig, relaxed
+from knotgym.states.near_duplicates import pairs_within
+from knotgym.states.splits import IMAGE_SPLITS
+from knotgym.states.state_measures import measure_faults, spread_faults
 from knotgym.topology.crossings import find_crossings
 from knotgym.topology.reference_labeller import pyknotid_code
 from knotgym.topology.symmetry import Symmetry

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.configuration import read_json
+from knotgym.common.configuration import read_json
 
 _REPORTS = ("manifest.json", "data/collection.json", "collection.json")
 

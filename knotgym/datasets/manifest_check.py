@@ -7,10 +7,10 @@ from numbers import Real
 from pathlib import Path
 from typing import Any
 
-from knotgym.atomic_files import sha256
-from knotgym.configuration import read_json
-from knotgym.datasets.states import leads_out
-from knotgym.errors import KnotgymError, one_line, printable
+from knotgym.common.atomic_files import sha256
+from knotgym.common.configuration import read_json
+from knotgym.common.errors import KnotgymError, one_line, printable
+from knotgym.states.state_file import leads_out
 
 _NUMBER = (Real,)
 _COUNTS = {str: _NUMBER}

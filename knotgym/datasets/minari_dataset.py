@@ -25,13 +25,14 @@ from typing import Any
 import gymnasium
 
 import knotgym
-from knotgym.atomic_files import atomic_write, require_output, sha256
-from knotgym.configuration import as_json
+from knotgym.common.atomic_files import atomic_write, require_output, sha256
+from knotgym.common.configuration import as_json
+from knotgym.common.hdf5_files import foreign_bytes_as
 from knotgym.datasets.episode_reader import Count, EpisodeReader, InvalidEpisodeFile, uncounted
 from knotgym.datasets.episode_writer import merge_episodes
-from knotgym.datasets.states import minari_root, ships
-from knotgym.hdf5_files import foreign_bytes_as
-from knotgym.tasks import CODE_SPLITS, SPLITS, TaskConfig
+from knotgym.envs.tasks import TaskConfig
+from knotgym.states.schema import CODE_SPLITS, STATE_SPLITS
+from knotgym.states.state_file import minari_root, ships
 
 _ID = re.compile(r"([-\w]+/)*[-\w]+-v\d+")
 
@@ -315,7 +316,7 @@ def minari_entries(metadata: MinariMetadata, task: TaskConfig) -> dict[str, Any]
     import minari
     from minari.serialization import serialize_space
 
-    from knotgym.env import action_space
+    from knotgym.envs.environment import action_space
 
     given = {
         name: value
@@ -338,7 +339,7 @@ def minari_entries(metadata: MinariMetadata, task: TaskConfig) -> dict[str, Any]
 
 def _evaluated(task: TaskConfig, split: str) -> TaskConfig:
     """The environment to evaluate in: of another split all goals, however few were trained on."""
-    if task.split in CODE_SPLITS and split in SPLITS:
+    if task.split in CODE_SPLITS and split in STATE_SPLITS:
         split += "-code"
     return replace(task, split=split, max_goals=task.max_goals if split == task.split else None)
 
@@ -351,7 +352,7 @@ def _bounds(task: TaskConfig) -> str:
     """
     from minari.serialization import serialize_space
 
-    from knotgym.env import observation_space
+    from knotgym.envs.environment import observation_space
 
     bounds = serialize_space(observation_space(task), to_string=False)
     return json.dumps(bounds, separators=(",", ":"))

@@ -15,13 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.common.errors import KnotgymError
 from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.datasets.near_duplicates import NEAR, distances
-from knotgym.datasets.splits import STATE_SPLITS, start_nx
-from knotgym.datasets.states import States, read_states, shipped
-from knotgym.errors import KnotgymError
-from knotgym.rope import Rope
-from knotgym.tasks import TaskConfig
+from knotgym.envs.knot_tasks import start_nx
+from knotgym.envs.tasks import TaskConfig
+from knotgym.rope.model import Rope
+from knotgym.states.near_duplicates import NEAR, distances
+from knotgym.states.schema import STATE_SPLITS
+from knotgym.states.state_file import States, read_states, shipped
 
 _AT = NEAR / 2  # metres
 

@@ -10,27 +10,27 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.actions import drawn_actions
-from knotgym.configuration import from_json
+from knotgym.common.configuration import from_json
+from knotgym.common.errors import KnotgymError, MissingFile
+from knotgym.common.streams import InvalidSeed, Stream, generator_of, key
 from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
 from knotgym.datasets.episode_verification import verify_episodes
 from knotgym.datasets.manifest_check import listed_faults, read_manifest, report_faults
-from knotgym.datasets.near_duplicates import pairs_within, repeated
-from knotgym.datasets.splits import STATE_SPLITS, overlap
-from knotgym.datasets.state_measures import (
+from knotgym.drawing.drawn_curve import DrawingConfig, drawn_curve
+from knotgym.rendering.picture import draw
+from knotgym.rope.actions import drawn_actions
+from knotgym.rope.model import Array, Rope
+from knotgym.rope.simulation import Simulation
+from knotgym.states.near_duplicates import pairs_within, repeated
+from knotgym.states.schema import COLUMNS, RANDOM_WALK, REPLAYED, STATE_SPLITS
+from knotgym.states.splits import overlap
+from knotgym.states.state_file import InvalidStates, States, content_digest, read_states
+from knotgym.states.state_measures import (
     quality_faults,
     repeated_sources,
     source_faults,
     spread_faults,
 )
-from knotgym.datasets.state_schema import COLUMNS, RANDOM_WALK, REPLAYED
-from knotgym.datasets.states import InvalidStates, States, content_digest, read_states
-from knotgym.drawing.drawn_curve import DrawingConfig, drawn_curve
-from knotgym.errors import KnotgymError, MissingFile
-from knotgym.rendering.picture import draw
-from knotgym.rope import Array, Rope
-from knotgym.simulation import Simulation
-from knotgym.streams import InvalidSeed, Stream, generator_of, key
 from knotgym.topology.crossings import find_crossings
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import knot_type

@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.errors import KnotgymError
-from knotgym.hdf5_files import Column
-from knotgym.reward import SUCCESS_REWARD, success_at_last
-from knotgym.towing import TowBound
+from knotgym.common.errors import KnotgymError
+from knotgym.common.hdf5_files import Column
+from knotgym.envs.reward import SUCCESS_REWARD, success_at_last
+from knotgym.rope.towing import TowBound
 
 RELABEL = ("last", "all")
 

@@ -9,15 +9,15 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from knotgym.configuration import read_json
+from knotgym.common.configuration import read_json
+from knotgym.common.hdf5_files import hdf5_format
 from knotgym.datasets.episode_reader import Count, uncounted
 from knotgym.datasets.episode_verification import verify_episodes
 from knotgym.datasets.image_table import is_images
 from knotgym.datasets.machine import others
-from knotgym.datasets.state_schema import FORMAT
 from knotgym.datasets.state_verification import folder_faults, overlap_faults, state_faults
-from knotgym.datasets.states import read_states, shipped
-from knotgym.hdf5_files import hdf5_format
+from knotgym.states.schema import FORMAT
+from knotgym.states.state_file import read_states, shipped
 
 # what the faults of replays say, which another machine's rounding may be behind
 _REPLAYED = ("bit for bit", "acted out again")

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from knotgym.configuration import check_numbers
+from knotgym.common.configuration import check_numbers
+from knotgym.common.errors import KnotgymError
 from knotgym.drawing.circle_packing import packed
 from knotgym.drawing.easing import EasingConfig, Integers, eased
 from knotgym.drawing.planar_map import planar_map
-from knotgym.errors import KnotgymError
-from knotgym.rope import Array, InvalidCurve, Rope
+from knotgym.rope.model import Array, InvalidCurve, Rope
 from knotgym.topology.crossings import label
 from knotgym.topology.diagrams import drawn, faces
 from knotgym.topology.gauss import GaussCode

@@ -17,7 +17,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.configuration import check_numbers
+from knotgym.common.configuration import check_numbers
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]

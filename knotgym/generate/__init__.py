@@ -12,7 +12,7 @@ if __name__ == "generate":
     )
 
 if TYPE_CHECKING:
-    from knotgym.atomic_files import Occupied
+    from knotgym.common.atomic_files import Occupied
     from knotgym.generate.episodes.collect import CollectConfig, InvalidCollection, collect
     from knotgym.generate.episodes.evaluate import EvaluateConfig, InvalidEvaluation
     from knotgym.generate.episodes.evaluate import run as evaluate
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from knotgym.generate.states.state_recipe import generate as make_states
     from knotgym.runs.run_options import InvalidRun, NotEnough, RunOptions
 else:
-    from knotgym.lazy_exports import lazy_exports
+    from knotgym.common.lazy_exports import lazy_exports
 
     __getattr__, __dir__ = lazy_exports(
         __name__,
@@ -46,7 +46,7 @@ else:
             "InvalidScores": "knotgym.generate.episodes.suite_scores",
             "InvalidSuite": "knotgym.generate.episodes.suite",
             "NotEnough": "knotgym.runs.run_options",
-            "Occupied": "knotgym.atomic_files",
+            "Occupied": "knotgym.common.atomic_files",
             "RandomWalkConfig": "knotgym.generate.states.random_walk",
             "RunOptions": "knotgym.runs.run_options",
             "SuiteConfig": "knotgym.generate.episodes.suite",

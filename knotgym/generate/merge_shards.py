@@ -18,8 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.atomic_files import atomic_write, require_no_links, require_output, sha256
-from knotgym.configuration import from_json, read_json
+from knotgym.common.atomic_files import atomic_write, require_no_links, require_output, sha256
+from knotgym.common.configuration import from_json, read_json
+from knotgym.common.errors import KnotgymError, one_line
+from knotgym.common.streams import Stream, generator
 from knotgym.datasets import image_folder
 from knotgym.datasets.episode_reader import Chosen
 from knotgym.datasets.image_table import (
@@ -32,19 +34,7 @@ from knotgym.datasets.image_table import (
     write_table,
 )
 from knotgym.datasets.machine import distinct
-from knotgym.datasets.near_duplicates import apart
-from knotgym.datasets.splits import IMAGE_SPLITS, STATE_SPLITS, kept_together, split
-from knotgym.datasets.state_schema import DRAWING
-from knotgym.datasets.states import (
-    States,
-    leads_out,
-    merge_states,
-    merged_order,
-    read_states,
-    write_states,
-)
 from knotgym.datasets.walks_file import joined_walks, read_walks, write_walks
-from knotgym.errors import KnotgymError, one_line
 from knotgym.generate.episodes.collect import REPORT, CollectConfig, Tally, write_whole
 from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.generate.states import state_folder
@@ -54,7 +44,17 @@ from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.search import SearchSettings
 from knotgym.runs.engine import LISTED
 from knotgym.runs.shards import Shard
-from knotgym.streams import Stream, generator
+from knotgym.states.near_duplicates import apart
+from knotgym.states.schema import DRAWING, STATE_SPLITS
+from knotgym.states.splits import IMAGE_SPLITS, kept_together, split
+from knotgym.states.state_file import (
+    States,
+    leads_out,
+    merge_states,
+    merged_order,
+    read_states,
+    write_states,
+)
 from knotgym.topology.gauss import GaussCode
 
 _KINDS = {

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.torch import load, save
 
-from knotgym.atomic_files import atomic_write, sha256
-from knotgym.configuration import read_json
-from knotgym.errors import KnotgymError
-from knotgym.hdf5_files import require_regular
+from knotgym.common.atomic_files import atomic_write, sha256
+from knotgym.common.configuration import read_json
+from knotgym.common.errors import KnotgymError
+from knotgym.common.hdf5_files import require_regular
 from knotgym.learn.reader import Reader
 from knotgym.learn.rope_model import FIRST_GUESS
 

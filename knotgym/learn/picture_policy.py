@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from knotgym.control.policy import Choice, Effort, InvalidPolicy, Policy
 from knotgym.control.transition_graph import TransitionGraphConfig, shipped_transition_graph
-from knotgym.episode_batch import EpisodeBatch
+from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.tasks import TaskConfig
 from knotgym.learn.agent import Agent, AgentConfig
 from knotgym.learn.checkpoint import PRETRAINED, load_policy
 from knotgym.learn.colour_reading import SIZE
 from knotgym.learn.rope_model import Dynamics
-from knotgym.tasks import TaskConfig
 
 
 class PicturePolicy(Policy):

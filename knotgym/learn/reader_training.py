@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
+from knotgym.common.streams import Stream, generator
 from knotgym.learn.reader import PIXEL, Reader, look, waves
 from knotgym.learn.rope_model import BEADS, MAX_FORCE, Dynamics
 from knotgym.learn.training_data import TrainingData
 from knotgym.rendering.picture import draw
-from knotgym.streams import Stream, generator
 
 Array = NDArray[np.float64]
 

@@ -21,11 +21,12 @@ from safetensors.torch import load, save
 from torch import Tensor
 
 import knotgym
-from knotgym.atomic_files import atomic_write, move_into_place, remove, require_output
-from knotgym.configuration import as_json, check_numbers, differences, read_json
+from knotgym.common.atomic_files import atomic_write, move_into_place, remove, require_output
+from knotgym.common.configuration import as_json, check_numbers, differences, read_json
+from knotgym.common.errors import KnotgymError, one_line
+from knotgym.common.hdf5_files import require_regular
+from knotgym.common.streams import Stream, generator
 from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.errors import KnotgymError, one_line
-from knotgym.hdf5_files import require_regular
 from knotgym.learn.checkpoint import CARD, Learned, load_policy, read_card, save_policy
 from knotgym.learn.fitting import STAGES, Stretches, fitted
 from knotgym.learn.reader_training import ReaderTraining
@@ -41,7 +42,6 @@ from knotgym.runs.staging import (
     staging,
     staging_folder,
 )
-from knotgym.streams import Stream, generator
 
 UNDER_WAY, REQUEST = "training.safetensors", "training.json"
 _SEAL = "seal"  # among the arrays kept: the digest of the others

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from knotgym.common.errors import KnotgymError
 from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.errors import KnotgymError
 from knotgym.learn.fitting import Stretches
 from knotgym.learn.rope_model import BEADS
-from knotgym.rope import RopeConfig
+from knotgym.rope.model import RopeConfig
 
 STRETCH = 4  # actions from the beginning of an episode that the rope's model is fitted to
 

@@ -28,20 +28,20 @@ if __name__ == "loaders":
     )
 
 if TYPE_CHECKING:
-    from knotgym.errors import MissingExtra
+    from knotgym.common.errors import MissingExtra
     from knotgym.loaders.converters import to_d3rlpy, to_tensordict, torch_dataset
     from knotgym.loaders.frame_cache import FrameCache, NoCache
     from knotgym.loaders.perception import images
     from knotgym.loaders.rows import arrays
     from knotgym.loaders.transitions import NoLabels, Transitions
 else:
-    from knotgym.lazy_exports import lazy_exports
+    from knotgym.common.lazy_exports import lazy_exports
 
     __getattr__, __dir__ = lazy_exports(
         __name__,
         {
             "FrameCache": "knotgym.loaders.frame_cache",
-            "MissingExtra": "knotgym.errors",
+            "MissingExtra": "knotgym.common.errors",
             "NoCache": "knotgym.loaders.frame_cache",
             "NoLabels": "knotgym.loaders.transitions",
             "Transitions": "knotgym.loaders.transitions",

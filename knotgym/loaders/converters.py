@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.errors import KnotgymError, MissingExtra, install_command
+from knotgym.common.errors import KnotgymError, MissingExtra, install_command
 from knotgym.loaders.rows import rows
 from knotgym.loaders.transitions import Transitions
 

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.atomic_files import (
+from knotgym.common.atomic_files import (
     Occupied,
     Unwritable,
     atomic_write,
@@ -37,10 +37,10 @@ from knotgym.atomic_files import (
     require_own_tree,
     sha256,
 )
-from knotgym.configuration import read_json
+from knotgym.common.configuration import read_json
+from knotgym.common.errors import KnotgymError
+from knotgym.common.hdf5_files import require_regular
 from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.errors import KnotgymError
-from knotgym.hdf5_files import require_regular
 
 _KEPT_FREE = 0.05  # share of a disk that is left alone
 _NAMES = {"frames.bin", "goals.npy", "made.json"}
@@ -219,7 +219,7 @@ def _key(reader: EpisodeReader, picture: Any) -> dict[str, Any]:
     """All that decides the pictures."""
     import cv2
 
-    from knotgym.rendering.observations import picture_config
+    from knotgym.envs.observations import picture_config
 
     told: dict[str, Any] = {
         "format": "knotgym-frames",

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from knotgym.errors import MissingExtra, install_command
+from knotgym.common.errors import MissingExtra, install_command
 from knotgym.loaders.converters import UnknownKind
 
 KINDS = ("torch", "huggingface")

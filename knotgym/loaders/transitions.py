@@ -13,11 +13,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from knotgym.common.errors import KnotgymError
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.trajectory import codes_in_bounds, goal_steps
-from knotgym.errors import KnotgymError
+from knotgym.envs.reward import success_at_last
 from knotgym.loaders.frame_cache import CachedFrames, FrameCache, NoCache, goal_axis
-from knotgym.reward import success_at_last
 
 _KEPT = 256  # segments whose codes are kept
 

@@ -27,8 +27,8 @@ from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
 import knotgym
-from knotgym.configuration import check_numbers
-from knotgym.errors import KnotgymError, one_line
+from knotgym.common.configuration import check_numbers
+from knotgym.common.errors import KnotgymError, one_line
 from knotgym.runs.run_options import NotEnough
 
 KEY = "OPENAI_API_KEY"

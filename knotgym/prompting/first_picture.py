@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.rendering.picture import PictureConfig, crossing_pixels, draw, project
-from knotgym.rope import Array, Rope
-from knotgym.simulation import Simulation
+from knotgym.rope.model import Array, Rope
+from knotgym.rope.simulation import Simulation
 from knotgym.topology.crossings import find_crossings
 
 Canvas = NDArray[np.uint8]

@@ -16,9 +16,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from knotgym.atomic_files import atomic_write
-from knotgym.errors import KnotgymError
-from knotgym.hdf5_files import require_regular
+from knotgym.common.atomic_files import atomic_write
+from knotgym.common.errors import KnotgymError
+from knotgym.common.hdf5_files import require_regular
 from knotgym.prompting.chat import Chat, Reply
 
 Asking = Callable[[list[dict[str, Any]]], Reply]

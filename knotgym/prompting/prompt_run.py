@@ -15,9 +15,8 @@ from pathlib import Path
 from typing import Any
 
 import knotgym
-from knotgym.atomic_files import atomic_write, require_output
-from knotgym.configuration import differences, read_json
-from knotgym.datasets.states import read_states, ships, states_file
+from knotgym.common.atomic_files import atomic_write, require_output
+from knotgym.common.configuration import differences, read_json
 from knotgym.prompting.chat import Chat, Stopped
 from knotgym.prompting.kept_replies import Asking, KeptReplies
 from knotgym.prompting.prompted_episodes import PromptConfig, flat
@@ -27,6 +26,7 @@ from knotgym.prompting.transcripts import FILE, line
 from knotgym.runs.progress import Progress, Status, compile_first
 from knotgym.runs.run_options import Existing, InvalidRun
 from knotgym.runs.staging import may_be_finished, require_no_interrupted_run, staging
+from knotgym.states.state_file import read_states, ships, states_file
 
 # may differ when a run is gone on with: they change no question
 _FLEXIBLE = ("timeout", "attempts", "backoff")

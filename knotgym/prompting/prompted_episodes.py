@@ -15,9 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.configuration import as_json, check_numbers
-from knotgym.episode_batch import EpisodeBatch
-from knotgym.errors import KnotgymError
+from knotgym.common.configuration import as_json, check_numbers
+from knotgym.common.errors import KnotgymError
+from knotgym.common.streams import Stream, derived_seed
+from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.tasks import TaskConfig
 from knotgym.prompting.answers import read_actions, read_code
 from knotgym.prompting.chat import ChatConfig, Reply
 from knotgym.prompting.kept_replies import Asking
@@ -36,8 +38,6 @@ from knotgym.prompting.prompts import (
     reading,
     shown,
 )
-from knotgym.streams import Stream, derived_seed
-from knotgym.tasks import TaskConfig
 
 ALONE = (0.0,) * 6  # an action without force
 

@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from knotgym.configuration import MOST_JSON
-from knotgym.errors import KnotgymError, MissingFile, one_line
+from knotgym.common.configuration import MOST_JSON
+from knotgym.common.errors import KnotgymError, MissingFile, one_line
 
 FORMAT = "knotgym-transcript"
 FORMAT_VERSION = 1

@@ -17,9 +17,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.errors import KnotgymError
+from knotgym.common.errors import KnotgymError
+from knotgym.common.streams import Stream, generator
 from knotgym.rendering.picture import RGB, PictureConfig, draw, project, rope_colours
-from knotgym.streams import Stream, generator
 
 Array = NDArray[np.float64]
 

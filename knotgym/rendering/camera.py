@@ -20,8 +20,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.errors import KnotgymError
-from knotgym.tasks import check_depth, checked_views
+from knotgym.common.errors import KnotgymError
+from knotgym.rendering.views import check_depth, checked_views
 
 RGB = tuple[int, int, int]
 

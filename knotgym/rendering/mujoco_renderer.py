@@ -21,7 +21,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.errors import KnotgymError
+from knotgym.common.errors import KnotgymError
 from knotgym.rendering.camera import PictureConfig
 from knotgym.rendering.rasterizer import average
 

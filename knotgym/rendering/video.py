@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from knotgym.atomic_files import atomic_write
-from knotgym.errors import KnotgymError, install_command
+from knotgym.common.atomic_files import atomic_write
+from knotgym.common.errors import KnotgymError, install_command
 from knotgym.rendering.camera import seen_from
 from knotgym.rendering.diagram import draw_diagram, side_of
 from knotgym.topology.crossings import label

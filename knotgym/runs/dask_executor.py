@@ -21,7 +21,7 @@ from typing import Any
 import mujoco
 
 import knotgym
-from knotgym.errors import install_command
+from knotgym.common.errors import install_command
 from knotgym.runs.pools import AHEAD, InvalidEngine, LostWorkers, Promise, ordered
 
 CONNECT = 10.0  # seconds to find the scheduler in

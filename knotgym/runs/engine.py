@@ -24,9 +24,15 @@ import mujoco
 import numpy as np
 
 import knotgym
-from knotgym.atomic_files import Occupied, atomic_write, move_into_place, remove, require_output
-from knotgym.configuration import differences, read_json
-from knotgym.rope import RopeConfig
+from knotgym.common.atomic_files import (
+    Occupied,
+    atomic_write,
+    move_into_place,
+    remove,
+    require_output,
+)
+from knotgym.common.configuration import differences, read_json
+from knotgym.rope.model import RopeConfig
 from knotgym.runs.executors import executor
 from knotgym.runs.pools import Pool
 from knotgym.runs.progress import Progress, Status, compile_first

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.streams import Stream, generator
+from knotgym.common.streams import Stream, generator
 
 DRAWS = 2000  # of each bootstrap
 _Z = 1.959963984540054  # the normal quantile of a two-sided 95 % interval

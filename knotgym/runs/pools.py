@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from itertools import islice
 from typing import Any, Protocol
 
-from knotgym.errors import KnotgymError
+from knotgym.common.errors import KnotgymError
 
 AHEAD = 8  # pieces under way for each worker: enough that a slow one holds up no other
 

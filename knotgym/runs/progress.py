@@ -178,7 +178,7 @@ def compile_first(progress: Progress) -> None:
     from knotgym.topology.crossing_kernel import is_compiled
 
     if not is_compiled():
-        from knotgym.rope import Rope
+        from knotgym.rope.model import Rope
         from knotgym.topology.crossings import label
 
         progress.stage("compiling, in the first run only")

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from knotgym.errors import KnotgymError
+from knotgym.common.errors import KnotgymError
 from knotgym.runs.shards import Shard
 
 

@@ -11,8 +11,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from knotgym.atomic_files import atomic_write
-from knotgym.configuration import UnreadableJson, read_json
+from knotgym.common.atomic_files import atomic_write
+from knotgym.common.configuration import UnreadableJson, read_json
 
 _SEAL = "seal"
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from knotgym.errors import KnotgymError
+from knotgym.common.errors import KnotgymError
 
 _STRIDE = 10**9  # more than a shard counts of anything
 

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-from knotgym.atomic_files import Occupied, remove, require_own, require_own_tree
+from knotgym.common.atomic_files import Occupied, remove, require_own, require_own_tree
 from knotgym.runs.run_options import Existing
 
 

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.errors import KnotgymError
+from knotgym.common.errors import KnotgymError
 from knotgym.topology.crossing_kernel import (
     OVER_PLACE,
     OVER_Z,

@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import product
 
-from knotgym.errors import KnotgymError
+from knotgym.common.errors import KnotgymError
 from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode
 
 

@@ -15,7 +15,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from knotgym.errors import KnotgymError
+from knotgym.common.errors import KnotgymError
 
 POSITIVE = "c"
 NEGATIVE = "a"

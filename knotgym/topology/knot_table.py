@@ -19,7 +19,7 @@ from functools import lru_cache
 from importlib.resources import files
 from itertools import combinations_with_replacement, product
 
-from knotgym.errors import KnotgymError
+from knotgym.common.errors import KnotgymError
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.polynomials import (
     JonesPolynomial,

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-from knotgym.errors import KnotgymError
+from knotgym.common.errors import KnotgymError
 from knotgym.topology.diagrams import drawn, planar_codes, summands
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import UNKNOT, diagram_of, joined, own_type, tabled_type, type_of

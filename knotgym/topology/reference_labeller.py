@@ -18,7 +18,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
-from knotgym.errors import KnotgymError
+from knotgym.common.errors import KnotgymError
 from knotgym.topology.gauss import GaussCode
 
 _ALIASES: dict[str, type] = {"float": float, "int": int, "complex": complex}

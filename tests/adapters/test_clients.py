@@ -20,9 +20,9 @@ from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import replay
 from knotgym.datasets.episode_writer import EpisodeWriter
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
-from knotgym.env import KnotEnv
+from knotgym.envs.environment import KnotEnv
+from knotgym.envs.tasks import TaskConfig
 from knotgym.loaders import arrays
-from knotgym.tasks import TaskConfig
 
 from ..datasets.test_episodes import record
 

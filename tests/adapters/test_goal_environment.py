@@ -10,8 +10,8 @@ import pytest
 
 from knotgym.adapters import GoalEnv, OGBenchEnv, goal_env
 from knotgym.adapters.goal_environment import halves
-from knotgym.env import KnotEnv
-from knotgym.tasks import InvalidSetting
+from knotgym.envs.environment import KnotEnv
+from knotgym.envs.tasks import InvalidSetting
 
 STATE: dict[str, Any] = {"nx": 1, "observation": "state"}
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from knotgym.adapters import goal_env, sb3_vec_env
-from knotgym.env import KnotEnv
-from knotgym.errors import MissingExtra
-from knotgym.tasks import InvalidSetting
+from knotgym.common.errors import MissingExtra
+from knotgym.envs.environment import KnotEnv
+from knotgym.envs.tasks import InvalidSetting
 
 SMALL: dict[str, Any] = {"nx": 1, "horizon": 4, "image_size": 36}
 

@@ -11,7 +11,7 @@ from unittest import mock
 
 import pytest
 
-from knotgym.errors import KnotgymError, MissingExtra
+from knotgym.common.errors import KnotgymError, MissingExtra
 
 from ..scripts import ROOT
 

@@ -17,8 +17,8 @@ from unittest import mock
 import numpy as np
 import pytest
 
+from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.suite_scores import read_scores
-from knotgym.tasks import TaskConfig
 
 from ..scripts import ROOT, run_script
 

@@ -15,9 +15,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from knotgym.atomic_files import sha256
-from knotgym.datasets.states import read_states, shipped, write_states
+from knotgym.common.atomic_files import sha256
 from knotgym.generate.states.archive import Archive
+from knotgym.states.state_file import read_states, shipped, write_states
 
 from ..scripts import ROOT, run_script
 from ..small_job import knotgym

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from knotgym.datasets.states import read_states, shipped, write_states
+from knotgym.states.state_file import read_states, shipped, write_states
 
 from ..scripts import ROOT, run_script
 

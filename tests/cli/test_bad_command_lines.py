@@ -14,8 +14,8 @@ import pytest
 import typer
 
 from knotgym.cli import main as cli
-from knotgym.datasets.states import shipped
-from knotgym.simulation import Simulation
+from knotgym.rope.simulation import Simulation
+from knotgym.states.state_file import shipped
 
 from ..small_job import knotgym
 

@@ -27,11 +27,12 @@ from rich.console import Console
 
 import knotgym as package
 from knotgym import __version__
-from knotgym.atomic_files import Occupied
 from knotgym.cli import main as cli
 from knotgym.cli.options import default_folder
 from knotgym.cli.summaries import _in_words
+from knotgym.common.atomic_files import Occupied
 from knotgym.control.policies import PolicyConfig
+from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig, distinct_id
 from knotgym.generate.episodes.evaluate import Result, reference_lines, show
 from knotgym.runs.engine import CHECKPOINT, Batch, run
@@ -39,7 +40,6 @@ from knotgym.runs.executors import InProcess
 from knotgym.runs.progress import Progress, Status, compile_first, duration, tell_if_long
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.staging import staging_folder
-from knotgym.tasks import TaskConfig
 from knotgym.topology.crossing_kernel import warn_of_compilation
 
 from ..small_job import knotgym, typed

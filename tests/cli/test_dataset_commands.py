@@ -23,7 +23,6 @@ from knotgym.datasets.episode_reader import Chosen, EpisodeReader
 from knotgym.datasets.episode_writer import merge_episodes
 from knotgym.datasets.gallery import Tile, contact_sheet
 from knotgym.datasets.state_verification import state_faults
-from knotgym.datasets.states import States, read_states, write_states
 from knotgym.rendering.video import (
     FRAMES_PER_SECOND,
     OUTCOMES,
@@ -33,7 +32,8 @@ from knotgym.rendering.video import (
     film_frames,
     write_film,
 )
-from knotgym.rope import Rope
+from knotgym.rope.model import Rope
+from knotgym.states.state_file import States, read_states, write_states
 
 from ..conftest import curled
 from ..small_job import knotgym

@@ -26,21 +26,21 @@ import numpy as np
 import pytest
 
 import knotgym as package
-from knotgym.atomic_files import sha256
 from knotgym.cli import main as cli
+from knotgym.common.atomic_files import sha256
 from knotgym.datasets.episode_reader import InvalidEpisodeFile
 from knotgym.datasets.state_verification import folder_faults
-from knotgym.datasets.states import States, demonstrations_id, read_states
 from knotgym.generate.states.archive import Archive
 from knotgym.generate.states.curation import is_near_duplicate
 from knotgym.generate.states.search import new_archive
 from knotgym.loaders import arrays
 from knotgym.rendering.diagram import draw_diagram
 from knotgym.rendering.picture import draw
-from knotgym.rope import Rope
+from knotgym.rope.model import Rope
+from knotgym.rope.simulation import Simulation
 from knotgym.runs import engine as run_engine
 from knotgym.runs.executors import executor
-from knotgym.simulation import Simulation
+from knotgym.states.state_file import States, demonstrations_id, read_states
 from knotgym.topology.crossings import label
 from knotgym.topology.knots import knot_type
 from knotgym.topology.reference_labeller import pyknotid_code

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import pytest
 
-from knotgym.atomic_files import LinkedFile, Occupied, atomic_write
+from knotgym.common.atomic_files import LinkedFile, Occupied, atomic_write
 from knotgym.datasets.exports.minari_export import to_minari
 from knotgym.loaders.frame_cache import CachedFrames, FrameCache, NoCache
 from knotgym.runs.staging import staging_folder

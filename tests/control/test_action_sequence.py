@@ -3,8 +3,8 @@
 import numpy as np
 
 from knotgym.control.action_sequence import NO_ACTIONS, ActionSequence, resting, step_ropes
-from knotgym.rope import Rope
-from knotgym.simulation import Simulation
+from knotgym.rope.model import Rope
+from knotgym.rope.simulation import Simulation
 
 
 def test_a_step_is_the_action_that_it_returns(rope: Rope) -> None:

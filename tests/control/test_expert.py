@@ -25,11 +25,11 @@ from knotgym.control.transition_graph import (
     TransitionGraphConfig,
     shipped_transition_graph,
 )
-from knotgym.datasets.states import read_states, shipped
-from knotgym.episode_batch import EpisodeBatch
-from knotgym.rope import Rope
-from knotgym.simulation import Simulation
-from knotgym.tasks import TaskConfig
+from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.tasks import TaskConfig
+from knotgym.rope.model import Rope
+from knotgym.rope.simulation import Simulation
+from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import codes_of

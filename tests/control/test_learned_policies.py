@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from knotgym.control.learned_policies import Model, ModelPolicy, load_model
 from knotgym.control.policies import InvalidPolicy, PolicyConfig, make_policy
 from knotgym.control.rollouts import rollout
-from knotgym.episode_batch import EpisodeBatch
-from knotgym.tasks import TaskConfig
+from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.tasks import TaskConfig
 
 OBSERVATIONS = ("state", "pixels", "both")
 

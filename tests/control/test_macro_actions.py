@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.configuration import InvalidConfig
+from knotgym.common.configuration import InvalidConfig
 from knotgym.control.action_sequence import step_ropes
 from knotgym.control.macro_actions import (
     KINDS,
@@ -17,8 +17,8 @@ from knotgym.control.macro_actions import (
     pass_strand,
     propose,
 )
-from knotgym.rope import Rope
-from knotgym.simulation import Simulation
+from knotgym.rope.model import Rope
+from knotgym.rope.simulation import Simulation
 
 CONFIG = MacroActionConfig()
 

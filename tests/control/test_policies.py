@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.atomic_files import sha256
 from knotgym.cli.main import main
+from knotgym.common.atomic_files import sha256
 from knotgym.control import policies
 from knotgym.control.basic_policies import RandomPolicy
 from knotgym.control.planner_config import PlannerConfig
@@ -22,8 +22,8 @@ from knotgym.control.policies import (
     register_policy,
 )
 from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.episode_batch import EpisodeBatch
-from knotgym.tasks import TaskConfig
+from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.tasks import TaskConfig
 
 QUICK = PlannerConfig(budget=8, batch_size=2)
 OURS = ("random", "constant", "scripted", "expert", "noisy-expert", "mixed")

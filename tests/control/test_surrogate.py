@@ -3,7 +3,7 @@ import pytest
 
 from knotgym.control.macro_actions import MacroAction, MacroActionConfig, move_aside, pass_strand
 from knotgym.control.surrogate import SurrogateConfig, surrogate_rollout
-from knotgym.rope import Array, Rope
+from knotgym.rope.model import Array, Rope
 from knotgym.topology.crossings import label
 from knotgym.topology.symmetry import Symmetry
 

@@ -24,7 +24,7 @@ import pytest
 from typer.testing import CliRunner
 
 import knotgym
-from knotgym.atomic_files import Occupied
+from knotgym.common.atomic_files import Occupied
 from knotgym.datasets import episode_verification
 from knotgym.datasets.episode_reader import EpisodeReader, InvalidEpisodeFile
 from knotgym.datasets.episode_verification import replay, show_episodes, verify_episodes
@@ -39,9 +39,9 @@ from knotgym.datasets.trajectory import (
     relabel_all,
     relabelled,
 )
+from knotgym.envs.observations import stacked
+from knotgym.envs.tasks import TaskConfig
 from knotgym.loaders import arrays
-from knotgym.rendering.observations import stacked
-from knotgym.tasks import TaskConfig
 
 ID = "knotgym/tie-nx2/random-v0"
 METADATA = MinariMetadata(
@@ -299,8 +299,8 @@ def test_an_error_leaves_nothing_under_the_final_name(
 @pytest.mark.slow  # the same by tests/test_atomic_files.py
 def test_a_kill_leaves_nothing_under_the_final_name(tmp_path: Path) -> None:
     script = (
-        "import os\nfrom knotgym.datasets.episode_writer import EpisodeWriter\nfrom knotgym.tasks"
-        f" import TaskConfig\nwith EpisodeWriter({str(tmp_path / 'a.h5')!r},"
+        "import os\nfrom knotgym.datasets.episode_writer import EpisodeWriter\nfrom"
+        f" knotgym.envs.tasks import TaskConfig\nwith EpisodeWriter({str(tmp_path / 'a.h5')!r},"
         " TaskConfig(task='tie')):\n    os.kill(os.getpid(), 9)"
     )
     assert (

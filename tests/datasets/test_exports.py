@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from knotgym.atomic_files import Occupied
+from knotgym.common.atomic_files import Occupied
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import replay
 from knotgym.datasets.episode_writer import EpisodeWriter
@@ -24,10 +24,10 @@ from knotgym.datasets.exports.forms import NothingToExport, UnknownForm, export
 from knotgym.datasets.exports.lerobot_export import task_text
 from knotgym.datasets.exports.minari_export import to_minari
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
-from knotgym.datasets.states import read_states, shipped, write_states
 from knotgym.datasets.trajectory import Episode
-from knotgym.env import KnotEnv
-from knotgym.tasks import TaskConfig
+from knotgym.envs.environment import KnotEnv
+from knotgym.envs.tasks import TaskConfig
+from knotgym.states.state_file import read_states, shipped, write_states
 
 from ..small_job import knotgym
 from .test_episodes import record

@@ -6,9 +6,9 @@ import gymnasium
 import pytest
 
 import knotgym
-from knotgym.datasets.states import States, read_states, shipped
-from knotgym.env import KnotEnv
-from knotgym.tasks import InvalidSetting
+from knotgym.envs.environment import KnotEnv
+from knotgym.envs.tasks import InvalidSetting
+from knotgym.states.state_file import States, read_states, shipped
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import is_unknot
 from knotgym.topology.reidemeister import without_bigons

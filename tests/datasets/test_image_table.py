@@ -14,8 +14,8 @@ import pytest
 from knotgym.datasets.image_rows import Row, record
 from knotgym.datasets.image_table import InvalidImages, decode, encode, read_table, write_rows
 from knotgym.datasets.image_verification import shard_faults
-from knotgym.datasets.states import read_states, shipped
 from knotgym.rendering.appearance import AppearanceConfig
+from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.gauss import GaussCode
 
 pytestmark = pytest.mark.skipif(

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from knotgym.configuration import UnreadableJson, read_json
+from knotgym.common.configuration import UnreadableJson, read_json
 from knotgym.datasets.manifest_check import (
     listed_faults,
     read_manifest,

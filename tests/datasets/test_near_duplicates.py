@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.datasets.near_duplicates import (
+from knotgym.states.near_duplicates import (
     NEAR,
     Spectra,
     distances,
@@ -12,8 +12,8 @@ from knotgym.datasets.near_duplicates import (
     nearest,
     pairs_within,
 )
-from knotgym.datasets.splits import kept_together
-from knotgym.datasets.states import read_states, shipped
+from knotgym.states.splits import kept_together
+from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry
 

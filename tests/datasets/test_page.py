@@ -17,7 +17,7 @@ import pytest
 from knotgym.datasets.page import page_data as data_module
 from knotgym.datasets.page.page_data import UnshownDataset, page_data
 from knotgym.datasets.page.page_writer import page_html
-from knotgym.datasets.states import States, write_states
+from knotgym.states.state_file import States, write_states
 
 from .. import chromium
 from ..chromium import Chromium

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import knotgym
-from knotgym.datasets.states import InvalidStates, States, read_states, shipped
+from knotgym.states.state_file import InvalidStates, States, read_states, shipped
 
 
 @pytest.fixture(scope="module")

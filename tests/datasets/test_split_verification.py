@@ -17,10 +17,10 @@ from knotgym.datasets.episode_verification import verify_episodes
 from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
 from knotgym.datasets.split_verification import duplicate_faults, split_faults
 from knotgym.datasets.state_verification import demonstration_faults, state_faults
-from knotgym.datasets.states import States, demonstrations_id, read_states, shipped, write_states
 from knotgym.datasets.trajectory import Episode
+from knotgym.envs.tasks import TaskConfig
 from knotgym.loaders import arrays
-from knotgym.tasks import TaskConfig
+from knotgym.states.state_file import States, demonstrations_id, read_states, shipped, write_states
 
 
 def ways(curated: Path, split: str) -> EpisodeReader:

@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.datasets import spread
 from knotgym.datasets.cards.state_card import spread_rows, summary
-from knotgym.datasets.near_duplicates import distances
-from knotgym.datasets.spread import (
+from knotgym.rope.model import Rope
+from knotgym.states import spread
+from knotgym.states.near_duplicates import distances
+from knotgym.states.spread import (
     Spread,
     bare_stretch,
     shape_distances,
     spread_of,
     visit_distance,
 )
-from knotgym.datasets.states import States
-from knotgym.rope import Rope
+from knotgym.states.state_file import States
 
 from ..conftest import curled
 

@@ -7,10 +7,10 @@ import h5py
 import numpy as np
 import pytest
 
-from knotgym.datasets.state_measures import quality_faults, repeated_sources, source_faults
-from knotgym.datasets.state_schema import DIGEST
 from knotgym.datasets.state_verification import state_faults
-from knotgym.datasets.states import States, content_digest, read_states, shipped, write_states
+from knotgym.states.schema import DIGEST
+from knotgym.states.state_file import States, content_digest, read_states, shipped, write_states
+from knotgym.states.state_measures import quality_faults, repeated_sources, source_faults
 
 ROWS = np.array([0, 90, 170])
 

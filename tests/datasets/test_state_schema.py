@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.datasets.state_schema import ATTRIBUTES, COLUMNS, ROOT
+from knotgym.common.hdf5_files import Column
 from knotgym.datasets.state_verification import state_faults
-from knotgym.datasets.states import States, read_states, shipped
-from knotgym.hdf5_files import Column
-from knotgym.rope import Rope
+from knotgym.rope.model import Rope
+from knotgym.states.schema import ATTRIBUTES, COLUMNS, ROOT
+from knotgym.states.state_file import States, read_states, shipped
 
 SIZES = {"nq": Rope().nq, "beads": Rope().config.beads}
 

@@ -14,12 +14,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.atomic_files import sha256
+from knotgym.common.atomic_files import sha256
 from knotgym.datasets.cards.state_card import summary
-from knotgym.datasets.state_schema import DIGEST
 from knotgym.datasets.state_verification import folder_faults, overlap_faults, state_faults
-from knotgym.datasets.states import read_states, shipped, write_states
 from knotgym.datasets.verification import OVERLAPS
+from knotgym.states.schema import DIGEST
+from knotgym.states.state_file import read_states, shipped, write_states
 
 from ..small_job import knotgym
 

@@ -8,7 +8,9 @@ import h5py
 import numpy as np
 import pytest
 
-from knotgym.datasets.states import (
+from knotgym.rendering.picture import draw
+from knotgym.rope.model import Rope
+from knotgym.states.state_file import (
     SHIPPED,
     InvalidStates,
     States,
@@ -16,8 +18,6 @@ from knotgym.datasets.states import (
     shipped,
     write_states,
 )
-from knotgym.rendering.picture import draw
-from knotgym.rope import Rope
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import diagram_form

@@ -15,8 +15,8 @@ import pytest
 from knotgym.datasets.cards.citation import citation_file
 from knotgym.datasets.exports.forms import NothingToExport
 from knotgym.datasets.exports.huggingface_export import ToUpload, to_huggingface
-from knotgym.datasets.states import read_states
 from knotgym.generate.episodes.suite_scores import CELL, LINE, score_tables
+from knotgym.states.state_file import read_states
 
 from ..small_job import knotgym
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from knotgym.common.errors import MissingFile
 from knotgym.datasets.walks_file import (
     InvalidWalks,
     Walks,
@@ -18,9 +19,8 @@ from knotgym.datasets.walks_file import (
     walks_of,
     write_walks,
 )
-from knotgym.errors import MissingFile
-from knotgym.rope import Rope
-from knotgym.simulation import Simulation
+from knotgym.rope.model import Rope
+from knotgym.rope.simulation import Simulation
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from knotgym.datasets.image_table import COLUMNS, write_rows
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.rendering.appearance import AppearanceConfig
-from knotgym.rope import Rope
+from knotgym.rope.model import Rope
 from knotgym.runs.run_options import RunOptions
 from knotgym.topology.crossings import label
 

@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
-from knotgym.configuration import InvalidConfig
+from knotgym.common.configuration import InvalidConfig
 from knotgym.control.action_sequence import ActionSequence
 from knotgym.generate.states.archive import Archive, ArchiveConfig, Elite, InvalidArchive
 from knotgym.topology.diagrams import planar_codes

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from knotgym.control.action_sequence import NO_ACTIONS, step_ropes
-from knotgym.datasets.spread import bare_stretch
 from knotgym.generate.states import candidates
 from knotgym.generate.states.archive import Archive, Elite
 from knotgym.generate.states.candidates import (
@@ -18,9 +17,10 @@ from knotgym.generate.states.candidates import (
     make_candidate,
 )
 from knotgym.generate.states.curves import LoopConfig
-from knotgym.quality import Limits, measure
-from knotgym.rope import Rope
-from knotgym.simulation import Simulation
+from knotgym.quality.measures import Limits, measure
+from knotgym.rope.model import Rope
+from knotgym.rope.simulation import Simulation
+from knotgym.states.spread import bare_stretch
 from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.reference_labeller import pyknotid_code

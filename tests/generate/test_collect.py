@@ -15,8 +15,8 @@ import h5py
 import numpy as np
 import pytest
 
-from knotgym.atomic_files import Occupied, sha256
 from knotgym.cli.main import main
+from knotgym.common.atomic_files import Occupied, sha256
 from knotgym.control.expert import Expert
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig
@@ -25,16 +25,16 @@ from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import verify_episodes
 from knotgym.datasets.episode_writer import EpisodeWriter
 from knotgym.datasets.minari_dataset import MinariMetadata, metadata_of, publish
-from knotgym.datasets.states import States, write_states
 from knotgym.datasets.trajectory import relabel_all
-from knotgym.episode_batch import EpisodeBatch
+from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig, InvalidCollection, collect
 from knotgym.loaders import NoLabels, Transitions
-from knotgym.rope import RopeConfig
+from knotgym.rope.model import RopeConfig
 from knotgym.runs.engine import request_of
 from knotgym.runs.run_options import InvalidRun, RunOptions
 from knotgym.runs.staging import staging_folder
-from knotgym.tasks import TaskConfig
+from knotgym.states.state_file import States, write_states
 
 from ..minari_list import check_minari
 from ..small_job import knotgym

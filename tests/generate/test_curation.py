@@ -6,11 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from knotgym.datasets.near_duplicates import NEAR, distances
-from knotgym.datasets.states import States
 from knotgym.generate.states.curation import is_near_duplicate, most_unlike
-from knotgym.reset_noise import noised
-from knotgym.rope import Rope
+from knotgym.rope.model import Rope
+from knotgym.rope.reset_noise import noised
+from knotgym.states.near_duplicates import NEAR, distances
+from knotgym.states.state_file import States
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import codes_of, knot_type
 

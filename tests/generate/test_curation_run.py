@@ -21,11 +21,11 @@ from knotgym.generate.states.curves import LoopConfig
 from knotgym.generate.states.generate_config import GenerateConfig, InvalidGenerateConfig
 from knotgym.generate.states.search import Replay, advance, confirm, new_archive
 from knotgym.generate.states.targeted_search import TargetPlan, reach
-from knotgym.quality import Limits
-from knotgym.rope import Rope, RopeConfig
+from knotgym.quality.measures import Limits
+from knotgym.rope.model import Rope, RopeConfig
+from knotgym.rope.simulation import Simulation
 from knotgym.runs.executors import InProcess
 from knotgym.runs.run_options import NotEnough
-from knotgym.simulation import Simulation
 from knotgym.topology.gauss import GaussCode
 
 from ..conftest import curled, trefoil

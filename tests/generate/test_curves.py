@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from knotgym.datasets.spread import spread_of
 from knotgym.generate.states.curves import (
     KNOTS,
     InvalidCurveFile,
@@ -14,8 +13,9 @@ from knotgym.generate.states.curves import (
     knot_of,
     plain_loop,
 )
-from knotgym.quality import Limits, measure
-from knotgym.rope import InvalidCurve, Rope
+from knotgym.quality.measures import Limits, measure
+from knotgym.rope.model import InvalidCurve, Rope
+from knotgym.states.spread import spread_of
 from knotgym.topology.crossings import label
 from knotgym.topology.knots import knot_type
 

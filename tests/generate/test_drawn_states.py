@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from knotgym.configuration import as_json
+from knotgym.common.configuration import as_json
+from knotgym.common.errors import KnotgymError
 from knotgym.datasets.state_verification import folder_faults, state_faults
-from knotgym.datasets.states import merge_states, read_states, shipped
-from knotgym.errors import KnotgymError
 from knotgym.generate.states.drawn_states import DrawnStatesConfig, DrawnUnit, draw_states
 from knotgym.generate.states.drawn_states_recipe import DrawnStatesRecipe
 from knotgym.runs.shards import Shard
+from knotgym.states.state_file import merge_states, read_states, shipped
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import knot_type, shows
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from knotgym.atomic_files import Occupied, sha256
+from knotgym.common.atomic_files import Occupied, sha256
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import DATASET, EVALUATION, episode_seed, rollout
-from knotgym.datasets.states import States, write_states
+from knotgym.envs.tasks import InvalidSetting, TaskConfig
 from knotgym.generate.episodes import evaluate as evaluation
 from knotgym.generate.episodes.evaluate import (
     EvaluateConfig,
@@ -26,11 +26,11 @@ from knotgym.generate.episodes.evaluate import (
     show,
     sources_of,
 )
-from knotgym.rope import RopeConfig
+from knotgym.rope.model import RopeConfig
 from knotgym.runs.executors import InProcess
 from knotgym.runs.run_options import Existing, InvalidRun
 from knotgym.runs.staging import staging_folder
-from knotgym.tasks import InvalidSetting, TaskConfig
+from knotgym.states.state_file import States, write_states
 
 
 def config(states_path: str, **settings: object) -> EvaluateConfig:

@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.atomic_files import Occupied
 from knotgym.cli.main import main
+from knotgym.common.atomic_files import Occupied
 from knotgym.datasets import image_table as tables
 from knotgym.datasets.image_rows import Row, record
 from knotgym.datasets.image_table import (
@@ -32,9 +32,6 @@ from knotgym.datasets.image_table import (
     write_rows,
 )
 from knotgym.datasets.image_verification import image_faults, row_faults
-from knotgym.datasets.near_duplicates import NEAR, distances, families
-from knotgym.datasets.splits import IMAGE_SPLITS
-from knotgym.difficulty import grade
 from knotgym.generate.images import image_recipe
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig, quotas
@@ -42,11 +39,14 @@ from knotgym.generate.images.seed_states import NoSeedStates, seed_states
 from knotgym.generate.images.selection import _options
 from knotgym.loaders import MissingExtra
 from knotgym.loaders import images as load
-from knotgym.quality import UNITS, Limits, measure
-from knotgym.relaxation import RelaxationConfig, relaxed
+from knotgym.quality.difficulty import grade
+from knotgym.quality.measures import UNITS, Limits, measure
 from knotgym.rendering.appearance import VARIED, AppearanceConfig
-from knotgym.rope import Array, Rope
+from knotgym.rope.model import Array, Rope
+from knotgym.rope.relaxation import RelaxationConfig, relaxed
 from knotgym.runs.run_options import InvalidRun, RunOptions
+from knotgym.states.near_duplicates import NEAR, distances, families
+from knotgym.states.splits import IMAGE_SPLITS
 from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry

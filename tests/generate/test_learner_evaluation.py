@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from knotgym.atomic_files import sha256
+from knotgym.common.atomic_files import sha256
 from knotgym.control.basic_policies import RandomPolicy
 from knotgym.control.policies import InvalidPolicy
+from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.learner_evaluation import EVALUATION, evaluate_learner
 from knotgym.generate.episodes.suite_scores import read_scores
-from knotgym.tasks import TaskConfig
 
 
 def test_scores_stand_beside_the_training_and_a_name_is_had_once(tmp_path: Path) -> None:

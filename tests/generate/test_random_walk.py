@@ -9,9 +9,8 @@ import h5py
 import numpy as np
 import pytest
 
-from knotgym.configuration import as_json, updated
+from knotgym.common.configuration import as_json, updated
 from knotgym.datasets.state_verification import folder_faults, state_faults
-from knotgym.datasets.states import read_states, write_states
 from knotgym.generate.states.generate_config import InvalidGenerateConfig
 from knotgym.generate.states.random_walk import (
     RandomWalkConfig,
@@ -23,8 +22,9 @@ from knotgym.generate.states.random_walk import (
 )
 from knotgym.generate.states.random_walk_recipe import RandomWalkRecipe
 from knotgym.generate.states.state_recipe import SpoiltCheckpoint
-from knotgym.quality import measure
-from knotgym.rope import Rope
+from knotgym.quality.measures import measure
+from knotgym.rope.model import Rope
+from knotgym.states.state_file import read_states, write_states
 from knotgym.topology.crossings import label
 
 from ..small_job import knotgym

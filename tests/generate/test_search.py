@@ -10,11 +10,11 @@ import pytest
 from knotgym.control.action_sequence import step_ropes
 from knotgym.generate.states.archive import Archive, Elite
 from knotgym.generate.states.search import SearchConfig, advance, new_archive, search_round
-from knotgym.quality import Limits, base_spacing, measure
-from knotgym.rope import Rope, base_shifts
+from knotgym.quality.measures import Limits, base_spacing, measure
+from knotgym.rope.model import Rope, base_shifts
+from knotgym.rope.simulation import Simulation
 from knotgym.runs.executors import InProcess, executor
 from knotgym.runs.pools import Pool
-from knotgym.simulation import Simulation
 from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.knots import is_unknot, knot_type
 from knotgym.topology.symmetry import shifted_base

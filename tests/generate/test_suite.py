@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from knotgym.atomic_files import sha256
+from knotgym.common.atomic_files import sha256
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.generate.episodes import collect as collecting
 from knotgym.generate.episodes.suite import (

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.atomic_files import sha256
+from knotgym.common.atomic_files import sha256
 
 pytestmark = pytest.mark.clients
 pytest.importorskip("torch")

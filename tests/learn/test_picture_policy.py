@@ -12,11 +12,11 @@ from rich.console import Console
 
 from knotgym.control.policies import InvalidPolicy, PolicyConfig, make_policy
 from knotgym.control.rollouts import rollout
-from knotgym.episode_batch import EpisodeBatch
+from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig, EpisodeRecipe
 from knotgym.generate.episodes.evaluate import EvaluateConfig, run
 from knotgym.runs.run_options import RunOptions
-from knotgym.tasks import TaskConfig
 
 pytestmark = pytest.mark.clients
 pytest.importorskip("torch")

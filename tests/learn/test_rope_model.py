@@ -12,8 +12,8 @@ import pytest
 
 from knotgym.learn.fitting import Stretches, error
 from knotgym.learn.rope_model import BEADS, CHORD, DURATION, FIRST_GUESS, Dynamics
-from knotgym.rope import Rope
-from knotgym.simulation import Simulation
+from knotgym.rope.model import Rope
+from knotgym.rope.simulation import Simulation
 
 pytestmark = pytest.mark.clients  # compiling it takes long
 
@@ -158,7 +158,7 @@ def test_a_fresh_compilation_moves_ropes_as_a_cached_one_does(tmp_path: Path) ->
     code = (
         "import hashlib, numpy as np\n"
         "from knotgym.learn.rope_model import FIRST_GUESS, Dynamics\n"
-        "from knotgym.simulation import Simulation\n"
+        "from knotgym.rope.simulation import Simulation\n"
         "points, rng = Simulation(4).points.copy(), np.random.default_rng(0)\n"
         "speeds = np.zeros_like(points)\n"
         "for _ in range(4):\n"

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from knotgym.atomic_files import Unwritable
+from knotgym.common.atomic_files import Unwritable
 from knotgym.datasets.episode_reader import Chosen
 from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
 from knotgym.datasets.trajectory import Episode
+from knotgym.envs.tasks import TaskConfig
 from knotgym.loaders import FrameCache, NoCache, Transitions, arrays, torch_dataset
 from knotgym.rendering.picture import PictureConfig
-from knotgym.rope import Rope
-from knotgym.tasks import TaskConfig
+from knotgym.rope.model import Rope
 from knotgym.topology.crossings import label
 
 from ..conftest import curled

@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 import knotgym
 from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
 from knotgym.datasets.trajectory import Episode
+from knotgym.envs.observations import observe
+from knotgym.envs.tasks import TaskConfig
 from knotgym.loaders import (
     MissingExtra,
     Transitions,
@@ -27,9 +29,7 @@ from knotgym.loaders import (
     to_tensordict,
     torch_dataset,
 )
-from knotgym.rendering.observations import observe
 from knotgym.rendering.picture import PictureConfig
-from knotgym.tasks import TaskConfig
 
 clients = pytest.mark.clients
 no_torch = pytest.mark.skipif(

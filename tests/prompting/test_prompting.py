@@ -20,6 +20,7 @@ import pytest
 
 from knotgym.datasets.image_rows import Row, record
 from knotgym.datasets.image_table import encode, write_rows
+from knotgym.envs.tasks import TaskConfig
 from knotgym.prompting.chat import (
     Chat,
     ChatConfig,
@@ -35,10 +36,9 @@ from knotgym.prompting.prompts import first
 from knotgym.prompting.reading_scores import ReadingScores
 from knotgym.prompting.transcripts import InvalidTranscript, read_transcripts
 from knotgym.rendering.appearance import AppearanceConfig
-from knotgym.rope import Rope
+from knotgym.rope.model import Rope
 from knotgym.runs.progress import Progress
 from knotgym.runs.run_options import Existing, InvalidRun
-from knotgym.tasks import TaskConfig
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from knotgym.datasets.image_table import decode, encode
+from knotgym.envs.tasks import TaskConfig
 from knotgym.prompting.chat import ChatConfig
 from knotgym.prompting.first_picture import example_rope, first_picture
 from knotgym.prompting.prompted_episodes import PromptConfig
 from knotgym.prompting.prompts import MODES, as_text
 from knotgym.prompting.sample_prompt import sample_prompt
-from knotgym.tasks import TaskConfig
 from knotgym.topology.crossings import label
 
 DOCS = Path(__file__).parents[2] / "docs"

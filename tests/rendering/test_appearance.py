@@ -16,7 +16,7 @@ from knotgym.rendering.appearance import (
 )
 from knotgym.rendering.picture import crossing_pixels, draw
 from knotgym.rendering.picture_check import shown_strands
-from knotgym.rope import Array, Rope
+from knotgym.rope.model import Array, Rope
 from knotgym.topology.crossings import find_crossings, label
 
 from ..conftest import curled

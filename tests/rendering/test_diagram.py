@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from knotgym.datasets.states import read_states, shipped
 from knotgym.rendering.camera import PictureConfig, PictureError, project
 from knotgym.rendering.diagram import BACKGROUND, _smooth, draw_diagram, side_of
+from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.crossings import find_crossings, label
 
 STATES = [

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.errors import KnotgymError
+from knotgym.common.errors import KnotgymError
 from knotgym.rendering.picture import (
     PictureConfig,
     PictureError,
@@ -522,7 +522,7 @@ def test_the_picture_needs_neither_mujoco_nor_opengl() -> None:
 
 def test_no_opengl_is_one_clear_line() -> None:
     code = (
-        "import numpy as np; from knotgym.errors import KnotgymError; from"
+        "import numpy as np; from knotgym.common.errors import KnotgymError; from"
         " knotgym.rendering.picture import PictureConfig, draw\ntry:\n    draw(np.eye(3) * 0.1,"
         " PictureConfig(renderer='mujoco'))\nexcept KnotgymError as error:\n    print(error)"
     )
@@ -638,7 +638,7 @@ def test_mujoco_leaves_the_process_without_a_word() -> None:
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
 def test_mujoco_refuses_to_draw_in_the_fork_of_a_process_that_drew() -> None:
     code = (
-        "import os, numpy as np; from knotgym.errors import KnotgymError; from"
+        "import os, numpy as np; from knotgym.common.errors import KnotgymError; from"
         " knotgym.rendering.picture import PictureConfig, draw\nconfig = PictureConfig(size=16,"
         " renderer='mujoco'); draw(np.eye(3) * 0.1, config); child = os.fork()\ntry:\n   "
         " draw(np.eye(3) * 0.1, config)\nexcept KnotgymError:\n   "

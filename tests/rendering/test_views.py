@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.datasets.states import read_states, shipped
 from knotgym.rendering.picture import (
     PictureConfig,
     PictureError,
@@ -18,6 +17,7 @@ from knotgym.rendering.picture import (
     draw_many,
 )
 from knotgym.rendering.picture_check import shown_strands
+from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.crossings import find_crossings
 
 from .test_picture import curves

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from knotgym.atomic_files import Occupied, atomic_write
+from knotgym.common.atomic_files import Occupied, atomic_write
 from knotgym.runs import engine
 from knotgym.runs.engine import CHECKPOINT, Batch
 from knotgym.runs.progress import Progress, Status

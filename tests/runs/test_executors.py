@@ -18,13 +18,13 @@ from typing import Any
 import pytest
 
 from knotgym.control.policies import PolicyConfig
+from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig, collect
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.runs.executors import executor, scheduler_of
 from knotgym.runs.pools import AHEAD, InvalidEngine, ordered
 from knotgym.runs.run_options import RunOptions
-from knotgym.tasks import TaskConfig
 
 from ..cli.test_generate_command import bytes_of, said
 from ..small_job import SECONDS, WANTED, knotgym, typed
@@ -330,7 +330,7 @@ def spoilt(room: Path, done: str, after: int) -> Path:
     path = room / "spoilt.py"
     path.write_text(
         "import itertools, os, signal\n"
-        "from knotgym.simulation import Simulation\n"
+        "from knotgym.rope.simulation import Simulation\n"
         "def spoilt(*words, **more):\n"
         f"    if next(Simulation.taken) >= {after}:\n        {done}\n"
         "    return Simulation.whole(*words, **more)\n"

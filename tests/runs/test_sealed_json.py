@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from knotgym.configuration import UnreadableJson
+from knotgym.common.configuration import UnreadableJson
 from knotgym.runs.sealed_json import read_sealed, write_sealed
 
 SAID = {"cycle": 3, "growth": [{"steps": 0.1}], "tried": {10: 1, 2: 3}, "of": (1, 2), "name": "é"}

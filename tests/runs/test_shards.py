@@ -16,10 +16,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from knotgym.datasets.image_table import points_of, read_rows, read_table
-from knotgym.datasets.near_duplicates import NEAR, apart, distances
-from knotgym.datasets.states import read_states
 from knotgym.generate.states.archive import Archive
 from knotgym.runs.shards import InvalidShard, Shard
+from knotgym.states.near_duplicates import NEAR, apart, distances
+from knotgym.states.state_file import read_states
 
 from ..cli.test_generate_command import bytes_of, said
 from ..small_job import knotgym, typed

@@ -15,7 +15,7 @@ import knotgym
 from knotgym.datasets.cards.citation import TO_CITE, plain
 from knotgym.datasets.cards.state_card import table
 from knotgym.datasets.image_table import GRADES, file_stem, read_table
-from knotgym.datasets.splits import IMAGE_SPLITS
+from knotgym.states.splits import IMAGE_SPLITS
 
 _TEXT = ("gauss_code", "gauss_code_chiral", "split", "grade")
 _COUNTED = (*_TEXT, "nx", "accepted")

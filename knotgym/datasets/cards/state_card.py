@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from knotgym.common.hdf5_files import Column
 from knotgym.datasets.cards.citation import TO_CITE, code_span, plain
-from knotgym.datasets.splits import STATE_SPLITS, overlap
-from knotgym.datasets.spread import spread_of
-from knotgym.datasets.state_schema import COLUMNS, DRAWING, RANDOM_WALK
-from knotgym.datasets.states import States
-from knotgym.hdf5_files import Column
+from knotgym.states.schema import COLUMNS, DRAWING, RANDOM_WALK, STATE_SPLITS
+from knotgym.states.splits import overlap
+from knotgym.states.spread import spread_of
+from knotgym.states.state_file import States
 from knotgym.topology.gauss import GaussCode
 
 

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from knotgym.atomic_files import sha256
+from knotgym.common.atomic_files import sha256
 from knotgym.datasets.exports.parquet_tables import TableColumn
 
 LICENCE = "https://creativecommons.org/licenses/by/4.0/"

@@ -6,8 +6,8 @@ import importlib
 import os
 from typing import Any
 
+from knotgym.common.errors import KnotgymError
 from knotgym.datasets.episode_reader import Count, uncounted
-from knotgym.errors import KnotgymError
 
 # each takes a dataset, where to write, and what to tell of how far it is
 FORMS = {

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import knotgym
-from knotgym.atomic_files import atomic_write, copy_file, require_output
+from knotgym.common.atomic_files import atomic_write, copy_file, require_output
 from knotgym.datasets.cards.citation import (
     BIBTEX,
     TO_CITE,
@@ -46,8 +46,9 @@ from knotgym.datasets.exports.parquet_tables import (
 from knotgym.datasets.gallery import write_gallery, write_picture_gallery
 from knotgym.datasets.image_table import arrow, file_stem, shards
 from knotgym.datasets.page.page_data import dataset_name
-from knotgym.datasets.splits import IMAGE_SPLITS, STATE_SPLITS
-from knotgym.datasets.states import read_states
+from knotgym.states.schema import STATE_SPLITS
+from knotgym.states.splits import IMAGE_SPLITS
+from knotgym.states.state_file import read_states
 
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (10**6, "100K<n<1M"))
 

@@ -15,15 +15,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from knotgym.atomic_files import atomic_write, copy_file, require_no_links, require_output
-from knotgym.configuration import read_json
+from knotgym.common.atomic_files import atomic_write, copy_file, require_no_links, require_output
+from knotgym.common.configuration import read_json
 from knotgym.datasets.cards.citation import TO_CITE, citation_file, plain
 from knotgym.datasets.cards.state_card import table
 from knotgym.datasets.episode_reader import episode_file
 from knotgym.datasets.exports.forms import NothingToExport
 from knotgym.datasets.gallery import write_episode_gallery
 from knotgym.datasets.minari_dataset import dataset_files
-from knotgym.datasets.states import leads_out
+from knotgym.states.state_file import leads_out
 
 _ROWS = (
     ("`observations`", "pictures uint8, vertices float32 (600,) in metres, or both"),

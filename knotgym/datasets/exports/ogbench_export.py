@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.atomic_files import atomic_write, require_output
+from knotgym.common.atomic_files import atomic_write, require_output
 from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
 from knotgym.datasets.exports.forms import NothingToExport
 from knotgym.datasets.minari_dataset import metadata_of

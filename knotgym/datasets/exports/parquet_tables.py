@@ -15,8 +15,8 @@ import numpy as np
 from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
 from knotgym.datasets.image_table import COLUMNS as PICTURE_COLUMNS
 from knotgym.datasets.image_table import arrow, arrow_type, encode, feature
-from knotgym.datasets.state_schema import COLUMNS as STATE_COLUMNS
-from knotgym.datasets.states import States
+from knotgym.states.schema import COLUMNS as STATE_COLUMNS
+from knotgym.states.state_file import States
 
 
 class TableColumn(NamedTuple):

@@ -15,16 +15,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.configuration import as_json, read_json
+from knotgym.common.configuration import as_json, read_json
+from knotgym.common.errors import KnotgymError
 from knotgym.datasets.cards.state_card import growth
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.image_table import read_table
 from knotgym.datasets.manifest_check import read_manifest, run_report
-from knotgym.datasets.states import States, read_states
-from knotgym.errors import KnotgymError
-from knotgym.quality_limits import UNITS
+from knotgym.quality.limits import UNITS
 from knotgym.rendering.camera import rope_colours
-from knotgym.rope import Array, RopeConfig
+from knotgym.rope.model import Array, RopeConfig
+from knotgym.states.state_file import States, read_states
 from knotgym.topology.crossings import find_crossings
 
 UNIT = 1e-4  # metres

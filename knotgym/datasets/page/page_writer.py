@@ -14,7 +14,7 @@ from importlib.resources import files
 from string import Template
 from typing import Any
 
-from knotgym.atomic_files import atomic_write
+from knotgym.common.atomic_files import atomic_write
 
 _SCRIPTS = ("rope.js", "plots.js", "page.js")
 

@@ -16,24 +16,24 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from knotgym.atomic_files import require_output, sha256
-from knotgym.configuration import as_json, differences
+from knotgym.common.atomic_files import require_output, sha256
+from knotgym.common.configuration import as_json, differences
+from knotgym.common.errors import KnotgymError
 from knotgym.control.expert import Expert
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import Rollout, rollout
 from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
 from knotgym.datasets.machine import machine
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
-from knotgym.datasets.states import minari_root, read_states, ships, states_file
-from knotgym.errors import KnotgymError
+from knotgym.envs.tasks import OBSERVATIONS, TaskConfig
 from knotgym.generate.episodes.digests import digests, require_unchanged, sources
-from knotgym.rope import RopeConfig
+from knotgym.rope.model import RopeConfig
 from knotgym.runs.engine import Batch, run
 from knotgym.runs.progress import Progress, Status, tell_if_long
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.sealed_json import read_sealed, write_sealed
 from knotgym.runs.staging import require_no_interrupted_run
-from knotgym.tasks import OBSERVATIONS, TaskConfig
+from knotgym.states.state_file import minari_root, read_states, ships, states_file
 
 REPORT = "collection.json"
 LABELS = ("", "expert")

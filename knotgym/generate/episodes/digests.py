@@ -8,15 +8,15 @@ import json
 from collections.abc import Iterable
 from typing import Any
 
-from knotgym.atomic_files import sha256
-from knotgym.configuration import differences
+from knotgym.common.atomic_files import sha256
+from knotgym.common.configuration import differences
 from knotgym.control.policies import PolicyConfig, policy_digests
-from knotgym.datasets.states import shipped, ships, states_file
-from knotgym.episode_batch import SHIPPED, state_origins
+from knotgym.envs.episode_batch import SHIPPED, state_origins
+from knotgym.envs.tasks import TaskConfig
 from knotgym.runs.engine import whole_request
 from knotgym.runs.run_options import InvalidRun
 from knotgym.runs.shards import Shard
-from knotgym.tasks import TaskConfig
+from knotgym.states.state_file import shipped, ships, states_file
 
 
 def sources(policies: Iterable[PolicyConfig], tasks: Iterable[TaskConfig]) -> dict[str, Any]:

@@ -19,14 +19,15 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 import knotgym
-from knotgym.atomic_files import Occupied, atomic_write, require_output
-from knotgym.configuration import as_json, read_json
+from knotgym.common.atomic_files import Occupied, atomic_write, require_output
+from knotgym.common.configuration import as_json, read_json
+from knotgym.common.errors import KnotgymError
 from knotgym.control.learned_policies import is_learner, learner_card
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import EVALUATION, Rollout, rollout
 from knotgym.datasets.trajectory import Episode
-from knotgym.episode_batch import OWN, SHIPPED, state_origins
-from knotgym.errors import KnotgymError
+from knotgym.envs.episode_batch import OWN, SHIPPED, state_origins
+from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import reference_scores
 from knotgym.generate.episodes.digests import digests, require_unchanged, sources
 from knotgym.generate.episodes.unfinished_evaluation import PlayedEpisode, Unfinished, kept_beside
@@ -39,7 +40,6 @@ from knotgym.runs.run_options import REFUSE_EXISTING, Existing, InvalidRun
 from knotgym.runs.shards import Shard
 from knotgym.runs.staging import may_be_finished
 from knotgym.runs.tables import narrow_table
-from knotgym.tasks import TaskConfig
 
 _SETUP = ("policy", "task", "split", "nx")  # columns
 SIDE_BY_SIDE = 8  # episodes of one piece of work

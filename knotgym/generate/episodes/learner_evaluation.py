@@ -11,7 +11,7 @@ from typing import Any
 
 from rich.console import Console
 
-from knotgym.atomic_files import atomic_write
+from knotgym.common.atomic_files import atomic_write
 from knotgym.control.policies import Policy, PolicyConfig, register_policy
 from knotgym.generate.episodes.evaluate import EvaluateConfig, as_text, run
 

@@ -20,12 +20,12 @@ from pathlib import Path
 from typing import Any
 
 import knotgym
-from knotgym.atomic_files import Occupied, atomic_write, require_output, sha256
-from knotgym.configuration import read_json
+from knotgym.common.atomic_files import Occupied, atomic_write, require_output, sha256
+from knotgym.common.configuration import read_json
+from knotgym.common.errors import KnotgymError, one_line
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import MIXED, PolicyConfig
-from knotgym.datasets.states import minari_root
-from knotgym.errors import KnotgymError, one_line
+from knotgym.envs.tasks import TASKS, TaskConfig
 from knotgym.generate.episodes.collect import (
     REPORT,
     CollectConfig,
@@ -41,7 +41,7 @@ from knotgym.runs.executors import cores
 from knotgym.runs.progress import Progress, duration
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.staging import has_work, require_no_interrupted_run, staging_folder
-from knotgym.tasks import TASKS, TaskConfig
+from knotgym.states.state_file import minari_root
 
 SETUPS = tuple((task, nx) for task in TASKS for nx in (2, 3, 4))
 POLICIES = MIXED  # random, scripted, noisy-expert, expert: cheapest first

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from knotgym.atomic_files import atomic_write
+from knotgym.common.atomic_files import atomic_write
 from knotgym.runs.engine import REQUEST, require_startable
 from knotgym.runs.progress import Progress
 from knotgym.runs.run_options import Existing, InvalidRun

@@ -17,11 +17,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.configuration import as_json
+from knotgym.common.configuration import as_json
+from knotgym.common.streams import Stream, generator
 from knotgym.datasets.image_folder import finish
 from knotgym.datasets.image_rows import Row, TableFile, write_table_file
 from knotgym.datasets.image_table import arrow, shard_name
-from knotgym.datasets.splits import IMAGE_SPLITS
 from knotgym.generate.images.images_config import (
     ImagesConfig,
     InvalidImagesConfig,
@@ -35,7 +35,7 @@ from knotgym.generate.images.walks import WALKS, Frames, Unit, Walk
 from knotgym.runs.engine import Batch, run
 from knotgym.runs.progress import Progress, Status, tell_if_long
 from knotgym.runs.run_options import NotEnough, RunOptions
-from knotgym.streams import Stream, generator
+from knotgym.states.splits import IMAGE_SPLITS
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import codes_of
 

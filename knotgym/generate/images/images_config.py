@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from knotgym.errors import KnotgymError
+from knotgym.common.errors import KnotgymError
+from knotgym.common.streams import Stream, generator
 from knotgym.generate.images.selection import SelectionConfig
 from knotgym.generate.images.walks import WalkConfig
 from knotgym.rendering.appearance import AppearanceConfig
-from knotgym.streams import Stream, generator
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import LISTED_NX
 

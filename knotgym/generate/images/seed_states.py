@@ -16,13 +16,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.atomic_files import sha256
-from knotgym.datasets.near_duplicates import families
-from knotgym.datasets.states import read_states, shipped
-from knotgym.errors import KnotgymError
+from knotgym.common.atomic_files import sha256
+from knotgym.common.errors import KnotgymError
 from knotgym.generate.states.archive import Archive
-from knotgym.rope import Array, Rope
-from knotgym.simulation import Simulation
+from knotgym.rope.model import Array, Rope
+from knotgym.rope.simulation import Simulation
+from knotgym.states.near_duplicates import families
+from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.crossings import label
 from knotgym.topology.knots import knot_type
 from knotgym.topology.symmetry import canonical_form

@@ -18,11 +18,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from knotgym.configuration import check_numbers
-from knotgym.datasets.near_duplicates import NEAR, Spectra
-from knotgym.difficulty import grade_of
-from knotgym.label_limits import LabelLimits, at_base
-from knotgym.rope import Array
+from knotgym.common.configuration import check_numbers
+from knotgym.quality.difficulty import grade_of
+from knotgym.quality.label_limits import LabelLimits, at_base
+from knotgym.rope.model import Array
+from knotgym.states.near_duplicates import NEAR, Spectra
 from knotgym.topology.crossings import Crossings, find_crossings
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry

@@ -11,10 +11,10 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from knotgym.atomic_files import atomic_write
-from knotgym.errors import KnotgymError
+from knotgym.common.atomic_files import atomic_write
+from knotgym.common.errors import KnotgymError
+from knotgym.common.hdf5_files import require_regular
 from knotgym.generate.images.walks import Frames, Unit, make_walks
-from knotgym.hdf5_files import require_regular
 
 _DTYPES = {
     "points": "<f8",

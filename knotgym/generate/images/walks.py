@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.configuration import InvalidConfig, check_numbers
+from knotgym.common.configuration import InvalidConfig, check_numbers
+from knotgym.common.streams import Stream, generator
 from knotgym.control.action_sequence import step_ropes
 from knotgym.control.macro_actions import (
     MacroAction,
@@ -24,13 +25,12 @@ from knotgym.control.macro_actions import (
     move_aside,
     propose,
 )
-from knotgym.difficulty import ease
-from knotgym.label_limits import LabelLimits, pressed_together, visits_too_close
-from knotgym.quality import Limits, measure
-from knotgym.relaxation import RelaxationConfig, relaxed
-from knotgym.rope import Array, Rope, RopeConfig
-from knotgym.simulation_pool import simulation_of
-from knotgym.streams import Stream, generator
+from knotgym.quality.difficulty import ease
+from knotgym.quality.label_limits import LabelLimits, pressed_together, visits_too_close
+from knotgym.quality.measures import Limits, measure
+from knotgym.rope.model import Array, Rope, RopeConfig
+from knotgym.rope.relaxation import RelaxationConfig, relaxed
+from knotgym.rope.simulation_pool import simulation_of
 from knotgym.topology.crossings import count_crossings, find_crossings
 from knotgym.topology.reference_labeller import pyknotid_code
 

@@ -18,13 +18,13 @@ from typing import Any
 import h5py
 import numpy as np
 
-from knotgym.atomic_files import atomic_write, new_hdf5
-from knotgym.configuration import check_numbers
+from knotgym.common.atomic_files import atomic_write, new_hdf5
+from knotgym.common.configuration import check_numbers
+from knotgym.common.errors import KnotgymError
+from knotgym.common.hdf5_files import Column, member, opened_hdf5, read_column
 from knotgym.control.action_sequence import ActionSequence
 from knotgym.control.transition_counts import TransitionCounts
-from knotgym.errors import KnotgymError
-from knotgym.hdf5_files import Column, member, opened_hdf5, read_column
-from knotgym.rope import Array
+from knotgym.rope.model import Array
 from knotgym.topology.diagrams import chiralities
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import mirror_images

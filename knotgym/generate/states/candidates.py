@@ -16,18 +16,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.configuration import check_numbers
+from knotgym.common.configuration import check_numbers
+from knotgym.common.streams import generator_of
 from knotgym.control.action_sequence import NO_ACTIONS, ActionSequence, resting, step_ropes
 from knotgym.generate.states.archive import Elite
 from knotgym.generate.states.curves import LoopConfig, plain_loop
 from knotgym.generate.states.hill_climb import HillClimbConfig, hill_climb
 from knotgym.generate.states.search import readings
-from knotgym.quality import Limits, Quality, measure, noise_survival
-from knotgym.reset_noise import noised
-from knotgym.rope import Array, Rope, RopeConfig, base_shifts
-from knotgym.simulation import Simulation
-from knotgym.simulation_pool import simulation_of
-from knotgym.streams import generator_of
+from knotgym.quality.measures import Limits, Quality, measure, noise_survival
+from knotgym.rope.model import Array, Rope, RopeConfig, base_shifts
+from knotgym.rope.reset_noise import noised
+from knotgym.rope.simulation import Simulation
+from knotgym.rope.simulation_pool import simulation_of
 from knotgym.topology.crossings import find_crossings, label, label_many
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.reference_labeller import pyknotid_code

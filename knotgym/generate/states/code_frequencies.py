@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from knotgym.configuration import check_numbers
-from knotgym.errors import KnotgymError
-from knotgym.rope import Rope, RopeConfig
-from knotgym.simulation import Simulation
-from knotgym.streams import Stream, generator
+from knotgym.common.configuration import check_numbers
+from knotgym.common.errors import KnotgymError
+from knotgym.common.streams import Stream, generator
+from knotgym.rope.model import Rope, RopeConfig
+from knotgym.rope.simulation import Simulation
 from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import is_unknot

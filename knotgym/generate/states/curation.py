@@ -12,9 +12,9 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from knotgym.datasets.near_duplicates import NEAR, distances
-from knotgym.datasets.spread import shape_distances
-from knotgym.rope import Array
+from knotgym.rope.model import Array
+from knotgym.states.near_duplicates import NEAR, distances
+from knotgym.states.spread import shape_distances
 from knotgym.topology.gauss import GaussCode
 
 

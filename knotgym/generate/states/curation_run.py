@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from knotgym.common.streams import Stream, derived_seed, generator, key
 from knotgym.generate.states.archive import Archive, Elite
 from knotgym.generate.states.candidates import Candidate, CandidateTask, make_candidate
 from knotgym.generate.states.code_frequencies import empirical_shares
@@ -21,11 +22,10 @@ from knotgym.generate.states.curves import knot_curve
 from knotgym.generate.states.generate_config import GenerateConfig, InvalidGenerateConfig
 from knotgym.generate.states.search import SearchConfig, new_archive, search_round
 from knotgym.generate.states.targeted_search import Target, TargetPlan, reach
-from knotgym.rope import Array, Rope
+from knotgym.rope.model import Array, Rope
 from knotgym.runs.engine import CHECKPOINT, Batch
 from knotgym.runs.run_options import NotEnough
 from knotgym.runs.shards import Shard
-from knotgym.streams import Stream, derived_seed, generator, key
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import UNKNOT

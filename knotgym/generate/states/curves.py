@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from knotgym.configuration import check_numbers
-from knotgym.errors import KnotgymError
-from knotgym.quality import Limits, measure
-from knotgym.rope import Array, InvalidCurve, Rope
+from knotgym.common.configuration import check_numbers
+from knotgym.common.errors import KnotgymError
+from knotgym.quality.measures import Limits, measure
+from knotgym.rope.model import Array, InvalidCurve, Rope
 from knotgym.topology.crossings import label
 from knotgym.topology.knots import knot_type
 

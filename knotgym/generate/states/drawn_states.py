@@ -14,17 +14,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.configuration import check_numbers
+from knotgym.common.configuration import check_numbers
+from knotgym.common.streams import Stream, generator_of, key
 from knotgym.control.action_sequence import step_ropes
 from knotgym.drawing.drawn_curve import DrawingConfig, UndrawnCode, drawn_curve
+from knotgym.envs.tasks import MAX_NX
 from knotgym.generate.states.generate_config import InvalidGenerateConfig
 from knotgym.generate.states.random_walk import RESET_NOISE
-from knotgym.quality import Limits, Quality, measure, noise_survival
-from knotgym.rope import Array, RopeConfig
-from knotgym.simulation import Simulation
-from knotgym.simulation_pool import simulation_of
-from knotgym.streams import Stream, generator_of, key
-from knotgym.tasks import MAX_NX
+from knotgym.quality.measures import Limits, Quality, measure, noise_survival
+from knotgym.rope.model import Array, RopeConfig
+from knotgym.rope.simulation import Simulation
+from knotgym.rope.simulation_pool import simulation_of
 from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.diagrams import NotPlanar, chiralities, is_planar
 from knotgym.topology.gauss import GaussCode

@@ -20,11 +20,9 @@ import mujoco
 import numpy as np
 
 import knotgym
-from knotgym.atomic_files import atomic_write, sha256
-from knotgym.configuration import as_json
-from knotgym.datasets.splits import kept_together, split
-from knotgym.datasets.state_schema import DRAWING
-from knotgym.datasets.states import States, write_states
+from knotgym.common.atomic_files import atomic_write, sha256
+from knotgym.common.configuration import as_json
+from knotgym.common.streams import Stream, generator
 from knotgym.generate.states import state_folder
 from knotgym.generate.states.curation import is_near_duplicate
 from knotgym.generate.states.drawn_states import (
@@ -37,15 +35,17 @@ from knotgym.generate.states.drawn_states import (
 )
 from knotgym.generate.states.generate_config import InvalidGenerateConfig
 from knotgym.generate.states.state_recipe import SpoiltCheckpoint
-from knotgym.quality import UNITS, Quality
+from knotgym.quality.measures import UNITS, Quality
 from knotgym.rendering.picture import draw_many
-from knotgym.rope import RopeConfig
+from knotgym.rope.model import RopeConfig
 from knotgym.runs.engine import CHECKPOINT, Batch, run
 from knotgym.runs.progress import Progress, Status
 from knotgym.runs.run_options import NotEnough, RunOptions
 from knotgym.runs.sealed_json import read_sealed, write_sealed
 from knotgym.runs.shards import Shard
-from knotgym.streams import Stream, generator
+from knotgym.states.schema import DRAWING
+from knotgym.states.splits import kept_together, split
+from knotgym.states.state_file import States, write_states
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import based_diagrams, diagram_of, type_of
 from knotgym.topology.knots import LISTED_NX, codes_of, knot_type, shows

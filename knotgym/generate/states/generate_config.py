@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from knotgym.configuration import as_json, differences
+from knotgym.common.configuration import as_json, differences
+from knotgym.common.errors import KnotgymError
 from knotgym.control.planner_config import PlannerConfig
-from knotgym.errors import KnotgymError
 from knotgym.generate.states.candidates import CandidateConfig
 from knotgym.generate.states.code_frequencies import FrequencyConfig
 from knotgym.generate.states.search import SearchSettings
-from knotgym.rope import RopeConfig
+from knotgym.rope.model import RopeConfig
 from knotgym.topology.knots import LISTED_NX
 
 

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.configuration import check_numbers
+from knotgym.common.configuration import check_numbers
 from knotgym.control.action_sequence import NO_ACTIONS, ActionSequence, step_ropes
-from knotgym.quality import Limits, measure, spots_of, tightest_spot
-from knotgym.rope import Array
-from knotgym.simulation import Simulation
+from knotgym.quality.measures import Limits, measure, spots_of, tightest_spot
+from knotgym.rope.model import Array
+from knotgym.rope.simulation import Simulation
 from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.gauss import GaussCode
 

@@ -16,14 +16,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.actions import drawn_actions
-from knotgym.configuration import check_numbers
-from knotgym.datasets.splits import STATE_SPLITS
+from knotgym.common.configuration import check_numbers
+from knotgym.common.streams import Stream, generator, key
 from knotgym.generate.states.generate_config import InvalidGenerateConfig
-from knotgym.quality import Quality, measure, noise_survival
-from knotgym.rope import Array, Rope, RopeConfig
-from knotgym.simulation_pool import simulation_of
-from knotgym.streams import Stream, generator, key
+from knotgym.quality.measures import Quality, measure, noise_survival
+from knotgym.rope.actions import drawn_actions
+from knotgym.rope.model import Array, Rope, RopeConfig
+from knotgym.rope.simulation_pool import simulation_of
+from knotgym.states.schema import STATE_SPLITS
 from knotgym.topology.crossings import find_crossings
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import LISTED_NX, is_unknot

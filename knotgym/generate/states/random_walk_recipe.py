@@ -20,12 +20,8 @@ import mujoco
 import numpy as np
 
 import knotgym
-from knotgym.atomic_files import atomic_write, sha256
-from knotgym.configuration import as_json
-from knotgym.datasets.near_duplicates import pairs_within
-from knotgym.datasets.splits import STATE_SPLITS
-from knotgym.datasets.state_schema import RANDOM_WALK
-from knotgym.datasets.states import States, write_states
+from knotgym.common.atomic_files import atomic_write, sha256
+from knotgym.common.configuration import as_json
 from knotgym.generate.states import state_folder
 from knotgym.generate.states.random_walk import (
     STARTS,
@@ -37,13 +33,16 @@ from knotgym.generate.states.random_walk import (
     walk,
 )
 from knotgym.generate.states.state_recipe import SpoiltCheckpoint
-from knotgym.quality import UNITS, Quality
+from knotgym.quality.measures import UNITS, Quality
 from knotgym.rendering.picture import draw_many
-from knotgym.rope import Array, Rope
+from knotgym.rope.model import Array, Rope
 from knotgym.runs.engine import CHECKPOINT, Batch, run
 from knotgym.runs.progress import Progress, Status
 from knotgym.runs.run_options import InvalidRun, NotEnough, RunOptions
 from knotgym.runs.sealed_json import read_sealed, write_sealed
+from knotgym.states.near_duplicates import pairs_within
+from knotgym.states.schema import RANDOM_WALK, STATE_SPLITS
+from knotgym.states.state_file import States, write_states
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import codes_of, knot_type
 

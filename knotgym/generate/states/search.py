@@ -16,18 +16,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.configuration import InvalidConfig, check_numbers
+from knotgym.common.configuration import InvalidConfig, check_numbers
+from knotgym.common.streams import Stream, generator
 from knotgym.control.action_sequence import NO_ACTIONS, ActionSequence, step_ropes
 from knotgym.control.macro_actions import MacroActionConfig, WaypointController, propose
 from knotgym.control.transition_counts import TransitionCounts, TransitionRecorder
 from knotgym.generate.states.archive import Archive, ArchiveConfig, Elite
-from knotgym.quality import Limits, base_spacing, measure
-from knotgym.rope import Array, Rope, RopeConfig, base_shifts
+from knotgym.quality.measures import Limits, base_spacing, measure
+from knotgym.rope.model import Array, Rope, RopeConfig, base_shifts
+from knotgym.rope.simulation import Simulation
+from knotgym.rope.simulation_pool import simulation_of
 from knotgym.runs.engine import Batch
 from knotgym.runs.pools import Pool
-from knotgym.simulation import Simulation
-from knotgym.simulation_pool import simulation_of
-from knotgym.streams import Stream, generator
 from knotgym.topology.crossings import find_crossings, label_many
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry, mirror_images, shifted_base

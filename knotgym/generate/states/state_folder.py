@@ -17,25 +17,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.actions import steps_taken
-from knotgym.atomic_files import sha256
+from knotgym.common.atomic_files import sha256
+from knotgym.common.streams import Stream, generator
 from knotgym.datasets.cards.state_card import card, summary
 from knotgym.datasets.episode_writer import EpisodeWriter
 from knotgym.datasets.gallery import write_gallery
 from knotgym.datasets.machine import machine
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
-from knotgym.datasets.splits import STATE_SPLITS, kept_together, split
-from knotgym.datasets.states import States, demonstrations_id, write_states
 from knotgym.datasets.trajectory import Episode
+from knotgym.envs.reward import success_at_last
+from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.states.candidates import Candidate
 from knotgym.generate.states.curation_run import CurationRun
-from knotgym.quality import UNITS, Quality
+from knotgym.quality.measures import UNITS, Quality
 from knotgym.rendering.picture import draw_many
-from knotgym.reward import success_at_last
-from knotgym.rope import RopeConfig
-from knotgym.simulation_pool import simulation_of
-from knotgym.streams import Stream, generator
-from knotgym.tasks import TaskConfig
+from knotgym.rope.actions import steps_taken
+from knotgym.rope.model import RopeConfig
+from knotgym.rope.simulation_pool import simulation_of
+from knotgym.states.schema import STATE_SPLITS
+from knotgym.states.splits import kept_together, split
+from knotgym.states.state_file import States, demonstrations_id, write_states
 from knotgym.topology.crossings import label_many
 from knotgym.topology.knot_table import UNKNOT
 from knotgym.topology.knots import knot_type

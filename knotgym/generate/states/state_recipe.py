@@ -19,15 +19,15 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from knotgym.atomic_files import atomic_write, sha256
-from knotgym.configuration import as_json
-from knotgym.errors import KnotgymError, MissingFile
+from knotgym.common.atomic_files import atomic_write, sha256
+from knotgym.common.configuration import as_json
+from knotgym.common.errors import KnotgymError, MissingFile
 from knotgym.generate.states import state_folder
 from knotgym.generate.states.archive import Archive
 from knotgym.generate.states.candidates import Candidate
 from knotgym.generate.states.curation_run import CurationRun
 from knotgym.generate.states.generate_config import GenerateConfig
-from knotgym.quality import Quality
+from knotgym.quality.measures import Quality
 from knotgym.runs.engine import Batch, run
 from knotgym.runs.progress import Progress, Status, tell_if_long
 from knotgym.runs.run_options import RunOptions

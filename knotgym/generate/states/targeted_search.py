@@ -9,17 +9,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from knotgym.common.streams import generator_of
 from knotgym.control.action_sequence import NO_ACTIONS, ActionSequence, step_ropes
 from knotgym.control.planner import Node, plan
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.transition_graph import shipped_transition_graph
 from knotgym.generate.states.archive import Elite
 from knotgym.generate.states.search import SearchConfig, readings
-from knotgym.quality import Limits
-from knotgym.rope import Array
-from knotgym.simulation import Simulation
-from knotgym.simulation_pool import simulation_of
-from knotgym.streams import generator_of
+from knotgym.quality.measures import Limits
+from knotgym.rope.model import Array
+from knotgym.rope.simulation import Simulation
+from knotgym.rope.simulation_pool import simulation_of
 from knotgym.topology.gauss import GaussCode
 
 

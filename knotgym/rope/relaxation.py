@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from knotgym.configuration import InvalidConfig, check_numbers
-from knotgym.rope import Array, InvalidCurve, Rope
+from knotgym.common.configuration import InvalidConfig, check_numbers
+from knotgym.rope.model import Array, InvalidCurve, Rope
 from knotgym.topology.crossings import label
 
 

@@ -9,7 +9,7 @@ survival of noise) are about the rope and not about reading it; they bear on `ac
 
 from __future__ import annotations
 
-from knotgym.quality_limits import Limits, Quality
+from knotgym.quality.limits import Limits, Quality
 
 READING = (
     "crossing_angle",

@@ -15,7 +15,7 @@ from numbers import Integral
 from pathlib import Path
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from knotgym.errors import KnotgymError, one_line
+from knotgym.common.errors import KnotgymError, one_line
 
 Config = TypeVar("Config")
 
@@ -109,7 +109,7 @@ def updated(config: Config, changes: Mapping[str, Any], where: str = "") -> Conf
         InvalidConfig: an unknown field, or a value of another type than the field's.
         KnotgymError: the configuration refuses the value.
 
-    >>> from knotgym.tasks import TaskConfig
+    >>> from knotgym.envs.tasks import TaskConfig
     >>> updated(TaskConfig(task="tie"), {"nx": 3}).nx
     3
     """

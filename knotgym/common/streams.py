@@ -17,7 +17,7 @@ from enum import IntEnum, unique
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.errors import KnotgymError
+from knotgym.common.errors import KnotgymError
 
 COUNTERS = 3  # in a key; those not named are 0
 _WORD, _MOST = 2**32, 2**63 - 1  # what an int64 column holds

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from knotgym.envs.tasks import TaskConfig
 from knotgym.rendering.picture import PictureConfig, draw, draw_many
-from knotgym.tasks import TaskConfig
 from knotgym.topology.crossings import label, label_many
 from knotgym.topology.gauss import GaussCode
 

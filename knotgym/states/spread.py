@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.datasets.near_duplicates import distances
+from knotgym.states.near_duplicates import distances
 from knotgym.topology.crossings import find_crossings
 
 MOST = 500  # configurations that pairs are made of

@@ -1,7 +1,7 @@
 """The measures of a state's quality, their units, and what a curated state must have of them.
 
-`knotgym.quality` measures. Every unit is one that a person can check with a ruler: pixels are those
-of the 128 x 128 picture, 5.2 mm each; the rope is two of them wide.
+Every unit is one that a person can check with a ruler: pixels are those of the 128 x 128 picture,
+5.2 mm each; the rope is two of them wide. `knotgym.quality.measures` takes the measures.
 """
 
 from __future__ import annotations
@@ -11,6 +11,10 @@ from dataclasses import dataclass, field, fields
 # square pixels inside the axes of an eye that shows some background; where none is shown it says
 # which way is better
 FACE = 20.0
+
+# scale of the reset noise, radians per joint and metres: the environment's default, and the noise
+# that `Quality.noise_survival` is measured at
+RESET_NOISE = 0.015
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,18 @@ and `format_version`, ATTRIBUTES and DIGEST; `quality/*` may hold other measures
 
 from __future__ import annotations
 
-from knotgym.hdf5_files import Column
-from knotgym.quality_limits import UNITS
+from knotgym.common.hdf5_files import Column
+from knotgym.quality.limits import UNITS
 
 FORMAT = "knotgym-states"
 # 2: demonstrations of each split are a dataset of their own, which `source/dataset` names
 # 3: drawn states, and `source/drawing`
 FORMAT_VERSION = 3
 READ_VERSIONS = (1, 2, FORMAT_VERSION)
+
+STATE_SPLITS = ("train", "test")
+# parts of "train" and "test" that share no diagram, see `States.rows`
+CODE_SPLITS = ("train-code", "test-code")
 
 ATTRIBUTES = {
     "knotgym": "version of this package",
@@ -41,12 +45,12 @@ ROOT = (
     Column("split", "text", (), "", '"train" or "test"'),
 )
 QUALITY = tuple(
-    Column(f"quality/{name}", "float64", (), unit, "see `knotgym.quality_limits.Quality`")
+    Column(f"quality/{name}", "float64", (), unit, "see `knotgym.quality.limits.Quality`")
     for name, unit in UNITS.items()
 )
 # Laid at rest at start_qpos, a rope that takes the first `steps` actions ends in the row's qpos bit
 # for bit. A file whose `policy` is RANDOM_WALK in all rows has no column of actions: those of a row
-# are drawn from its stream (`knotgym.actions.drawn_actions`).
+# are drawn from its stream (`knotgym.rope.actions.drawn_actions`).
 SOURCE = (
     Column(
         "source/start_qpos",

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from knotgym.rope import Rope, RopeConfig
-from knotgym.simulation import Simulation
+from knotgym.rope.model import Rope, RopeConfig
+from knotgym.rope.simulation import Simulation
 
 _simulations: dict[tuple[int, RopeConfig], Simulation] = {}
 

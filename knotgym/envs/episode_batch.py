@@ -14,9 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.datasets.splits import fitting_tasks, start_nx
-from knotgym.datasets.states import States, read_states, shipped, ships, states_file
-from knotgym.rendering.observations import (
+from knotgym.envs.knot_tasks import fitting_tasks, start_nx
+from knotgym.envs.observations import (
     SYMBOLS,
     numbers,
     picture_config,
@@ -25,16 +24,18 @@ from knotgym.rendering.observations import (
     state,
     symbols,
 )
+from knotgym.envs.reward import Outcome
+from knotgym.envs.tasks import InvalidSetting, TaskConfig
 from knotgym.rendering.picture import draw
-from knotgym.reset_noise import start_qpos
-from knotgym.reward import Outcome
-from knotgym.rope import Array, Rope, RopeConfig
-from knotgym.simulation import Simulation
-from knotgym.tasks import CODE_SPLITS, InvalidSetting, TaskConfig
+from knotgym.rope.model import Array, Rope, RopeConfig
+from knotgym.rope.reset_noise import start_qpos
+from knotgym.rope.simulation import Simulation
+from knotgym.rope.towing import TowBound, centres, distances_towed
+from knotgym.states.schema import CODE_SPLITS
+from knotgym.states.state_file import States, read_states, shipped, ships, states_file
 from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import UNKNOT
-from knotgym.towing import TowBound, centres, distances_towed
 
 OWN, SHIPPED = "own", "shipped"  # the state file asked for, or the one that ships
 

@@ -20,7 +20,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.errors import KnotgymError, MissingFile, one_line
+from knotgym.common.errors import KnotgymError, MissingFile, one_line
 
 # whatever h5py, and what reads its arrays, says to foreign bytes
 _FOREIGN = (

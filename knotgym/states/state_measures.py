@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.datasets.state_schema import RANDOM_WALK
-from knotgym.datasets.states import States
-from knotgym.quality import NOISE_DRAWS, measure, noise_survival
-from knotgym.rope import Array, Rope
-from knotgym.streams import InvalidSeed, Stream, generator, key
-from knotgym.tasks import TaskConfig
+from knotgym.common.streams import InvalidSeed, Stream, generator, key
+from knotgym.quality.limits import RESET_NOISE
+from knotgym.quality.measures import NOISE_DRAWS, measure, noise_survival
+from knotgym.rope.model import Array, Rope
+from knotgym.states.schema import RANDOM_WALK
+from knotgym.states.state_file import States
 from knotgym.topology.crossings import Crossings
 
 # of a measure, beside 1: other processors round otherwise
@@ -64,7 +64,7 @@ def quality_faults(states: States, row: int, crossings: Crossings | None = None)
             rng = generator(Stream.RANDOM_WALK_NOISE, seed, rope, step)
         except InvalidSeed:
             return  # a fault of the seed
-        again = noise_survival(states.points[row], TaskConfig.reset_noise, rng)
+        again = noise_survival(states.points[row], RESET_NOISE, rng)
         yield from measure_faults({"noise_survival": survival}, {"noise_survival": again})
 
 

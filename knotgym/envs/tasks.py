@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from knotgym.errors import KnotgymError
-from knotgym.reward import FAILURE_REWARD, SUCCESS_REWARD, RewardRule
+from knotgym.common.errors import KnotgymError
+from knotgym.envs.reward import FAILURE_REWARD, SUCCESS_REWARD, RewardRule
+from knotgym.quality.limits import RESET_NOISE
+from knotgym.rendering.views import check_depth, checked_views
+from knotgym.states.schema import CODE_SPLITS, STATE_SPLITS
 
 if TYPE_CHECKING:
-    from knotgym.rope import RopeConfig
+    from knotgym.rope.model import RopeConfig
 
-SPLITS = ("train", "test")  # of a state file
-# of these the rows of other diagrams, and of diagrams held out: see `States.rows`
-CODE_SPLITS = ("train-code", "test-code")
 OBSERVATIONS = ("pixels", "state", "both", "symbolic")
 LAYOUTS = ("beside", "stacked")  # of the two halves of a picture
-VIEWS = ("top", "left", "front")  # of the rope, see `rendering.camera`
 MAX_NX = 11  # the largest of the hard unknots; a rope has hardly room for more
 
 # task -> (crossings of the start, crossings of the goal) for a difficulty nx
@@ -37,25 +36,6 @@ class UnknownKeyword(InvalidSetting, TypeError):
 
     A TypeError in Python's own words, for TorchRL tries again without `frameskip` on no other.
     """
-
-
-def checked_views(views: Sequence[str], error: type[KnotgymError]) -> tuple[str, ...]:
-    """Views as a tuple (JSON has lists); raise error unless each is of VIEWS and named once."""
-    named = tuple(views) if isinstance(views, (tuple, list)) else ()
-    if not named or any(view not in VIEWS for view in named) or len({*named}) < len(named):
-        raise error(
-            f"views must be a list of {', '.join(VIEWS)}, each at most once, one at least; got"
-            f" {views!r}"
-        )
-    return named
-
-
-def check_depth(depth: object, renderer: str, error: type[KnotgymError]) -> None:
-    """Raise error unless depth is a bool, and drawn by a renderer that draws it."""
-    if not isinstance(depth, bool):
-        raise error(f"depth must be true or false, got {depth!r}")
-    if depth and renderer == "mujoco":
-        raise error("depth is drawn by renderer 'opencv' (or 'auto', the same), not by 'mujoco'")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +87,7 @@ class TaskConfig:
     horizon: int = 50
     hold: int = 1
     tow_limit: float | None = None
-    reset_noise: float = 0.015
+    reset_noise: float = RESET_NOISE
     image_size: int = 128
     views: tuple[str, ...] = ("top",)
     depth: bool = False
@@ -122,7 +102,7 @@ class TaskConfig:
     def __post_init__(self) -> None:
         for name, known in {
             "task": tuple(TASKS),
-            "split": (*SPLITS, *CODE_SPLITS),
+            "split": (*STATE_SPLITS, *CODE_SPLITS),
             "observation": OBSERVATIONS,
             "layout": LAYOUTS,
             "camera": ("orthographic", "perspective"),
@@ -197,7 +177,7 @@ class TaskConfig:
     @property
     def rope(self) -> RopeConfig:
         """The usual rope, an action's time cut into `integrator_steps`."""
-        from knotgym.rope import RopeConfig  # here, so that loaders need no simulator
+        from knotgym.rope.model import RopeConfig  # here, so that loaders need no simulator
 
         usual = RopeConfig()
         return replace(

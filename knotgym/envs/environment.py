@@ -12,10 +12,10 @@ from gymnasium.error import ResetNeeded
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from knotgym.episode_batch import EpisodeBatch
-from knotgym.rendering.observations import SYMBOLS
-from knotgym.simulation import InvalidAction
-from knotgym.tasks import InvalidSetting, TaskConfig, UnknownKeyword
+from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.observations import SYMBOLS
+from knotgym.envs.tasks import InvalidSetting, TaskConfig, UnknownKeyword
+from knotgym.rope.simulation import InvalidAction
 from knotgym.topology.crossing_kernel import warn_of_compilation
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def observation_space(config: TaskConfig, beads: int = 100) -> spaces.Space[Any]
 
 
 def action_space() -> spaces.Space[NDArray[np.float32]]:
-    """(x, y, z, fx, fy, fz), see `knotgym.actions`."""
+    """(x, y, z, fx, fy, fz), see `knotgym.rope.actions`."""
     return cast("spaces.Space[NDArray[np.float32]]", spaces.Box(-1.0, 1.0, (6,), np.float32))
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from knotgym.configuration import check_numbers
+from knotgym.common.configuration import check_numbers
 from knotgym.topology.crossings import Crossings, visit_spacing
 
 

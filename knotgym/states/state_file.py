@@ -20,9 +20,18 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.atomic_files import atomic_write, new_hdf5
-from knotgym.datasets.near_duplicates import repeated
-from knotgym.datasets.state_schema import (
+from knotgym.common.atomic_files import atomic_write, new_hdf5
+from knotgym.common.errors import KnotgymError
+from knotgym.common.hdf5_files import (
+    Column,
+    members,
+    opened_hdf5,
+    read_attribute,
+    read_column,
+    stored_column,
+)
+from knotgym.states.near_duplicates import repeated
+from knotgym.states.schema import (
     ATTRIBUTES,
     COLUMNS,
     DIGEST,
@@ -30,15 +39,6 @@ from knotgym.datasets.state_schema import (
     FORMAT_VERSION,
     READ_VERSIONS,
     ROOT,
-)
-from knotgym.errors import KnotgymError
-from knotgym.hdf5_files import (
-    Column,
-    members,
-    opened_hdf5,
-    read_attribute,
-    read_column,
-    stored_column,
 )
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import diagram_form
@@ -162,7 +162,7 @@ def shipped(name: str = "readable") -> Path:
     """
     if name not in SHIPPED:
         raise InvalidStates(f"no set of states {name!r} ships; there is {', '.join(SHIPPED)}")
-    return Path(str(files("knotgym.datasets") / "curated" / SHIPPED[name]))
+    return Path(str(files("knotgym.states") / "curated" / SHIPPED[name]))
 
 
 def ships(named: str | None) -> bool:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from knotgym.rope import Array, Rope, clearance, closed_directions
+from knotgym.rope.model import Array, Rope, clearance, closed_directions
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 

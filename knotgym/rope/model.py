@@ -20,8 +20,8 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.errors import KnotgymError
-from knotgym.kinematics import backward, forward
+from knotgym.common.errors import KnotgymError
+from knotgym.rope.kinematics import backward, forward
 
 Array = NDArray[np.float64]
 

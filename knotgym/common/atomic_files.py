@@ -21,7 +21,7 @@ from typing import Any
 
 import h5py
 
-from knotgym.errors import KnotgymError
+from knotgym.common.errors import KnotgymError
 
 
 class Unwritable(KnotgymError, OSError):

@@ -15,9 +15,9 @@ import numpy as np
 from mujoco.batch import Batch, SimulationError
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.actions import decode_actions, encode_actions
-from knotgym.errors import KnotgymError
-from knotgym.rope import Array, Rope
+from knotgym.common.errors import KnotgymError
+from knotgym.rope.actions import decode_actions, encode_actions
+from knotgym.rope.model import Array, Rope
 
 _BLOWN_UP = [
     int(w.value)

@@ -15,10 +15,10 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike
 
-from knotgym.quality_limits import FACE, UNITS, Limits, Quality
+from knotgym.quality.limits import FACE, UNITS, Limits, Quality
 from knotgym.rendering.picture import DEFAULT, PictureConfig, project
-from knotgym.reset_noise import noised
-from knotgym.rope import Array
+from knotgym.rope.model import Array
+from knotgym.rope.reset_noise import noised
 from knotgym.topology.crossings import Crossings, find_crossings, label_many
 from knotgym.topology.diagrams import faces
 from knotgym.topology.gauss import GaussCode

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.streams import generator_of
+from knotgym.common.streams import generator_of
 
 if TYPE_CHECKING:
-    from knotgym.rope import RopeConfig  # not at run time, so that loaders need no simulator
+    from knotgym.rope.model import RopeConfig  # not at run time, so that loaders need no simulator
 
 Array = NDArray[np.float64]
 

@@ -12,16 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.datasets.near_duplicates import families, nearest
-from knotgym.tasks import SPLITS, TaskConfig
+from knotgym.states.near_duplicates import families, nearest
+from knotgym.states.schema import STATE_SPLITS
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knot_table import UNKNOT
 from knotgym.topology.symmetry import diagram_form
 
 if TYPE_CHECKING:
-    from knotgym.datasets.states import States
+    from knotgym.states.state_file import States
 
-STATE_SPLITS = SPLITS
 # of pictures; test-code shows codes that only it and test-nx show, test-nx more crossings
 IMAGE_SPLITS = (*STATE_SPLITS, "test-code", "test-nx")
 
@@ -111,31 +109,3 @@ def overlap(states: States, nx: int) -> dict[str, Any]:
             float(nearest(states.points[test], states.points[every])[0].min()) if near else None
         ),
     }
-
-
-def start_nx(task: TaskConfig, states: States) -> int:
-    """Crossings that episodes of a task on a file's states begin with.
-
-    A tie begins at the least diagram of the knot that its goals are: the plain loop, or of another
-    knot the fewest crossings that the file has.
-    """
-    knots = set(states.knot[states.nx == task.goal_nx].tolist())
-    if task.task != "tie" or not knots or UNKNOT in knots:
-        return task.start_nx
-    return int(states.nx[np.isin(states.knot, sorted(knots))].min())
-
-
-def fitting_tasks(states: States, split: str) -> str:
-    """The ties and conversions between states of a file's one knot, as a user is told them."""
-    there = [nx for nx in sorted(set(states.nx.tolist())) if len(states.rows(nx, split))]
-    least = int(states.nx.min())
-    ties = [nx for nx in there if nx > least and least in there]
-    if least in there and len(set(states.gauss_code[states.rows(least, split)].tolist())) > 1:
-        ties = [least, *ties]
-    steps = [nx for nx in there if nx - 1 in there]
-    fitting = [
-        f"{name} with nx = {', '.join(map(str, which))}"
-        for name, which in (("tie", ties), ("convert", steps))
-        if which
-    ]
-    return "; ".join(fitting) or "none"

@@ -1,0 +1,1 @@
+"""The rope: its model, kinematics, simulation and actions."""

@@ -1,0 +1,1 @@
+"""Files of rope states: schema, reading, writing, splits; the curated sets that ship."""
