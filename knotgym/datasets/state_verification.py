@@ -23,7 +23,7 @@ from knotgym.datasets.state_measures import (
     source_faults,
     spread_faults,
 )
-from knotgym.datasets.state_schema import COLUMNS, RANDOM_WALK, REPLAYED
+from knotgym.datasets.state_schema import COLUMNS, DRAWING, RANDOM_WALK, REPLAYED
 from knotgym.datasets.states import InvalidStates, States, content_digest, read_states
 from knotgym.drawing.drawn_curve import DrawingConfig, drawn_curve
 from knotgym.errors import KnotgymError, MissingFile
@@ -107,7 +107,11 @@ def folder_faults(folder: Path, count: Count = uncounted) -> Iterator[str]:
 
 
 def demonstration_faults(states: States, name: str, demonstrations: EpisodeReader) -> Iterator[str]:
-    """Rows that say they come from an episode of the dataset `name` and don't."""
+    """Rows that name an episode of the dataset `name` which doesn't lead to them.
+
+    The episode of a drawn state ends in its code, with that state as its goal; that of any other
+    state ends in the state itself.
+    """
     source = states.source
     if not {"dataset", "trajectory", "step"} <= source.keys():
         return
@@ -116,6 +120,12 @@ def demonstration_faults(states: States, name: str, demonstrations: EpisodeReade
         where = f"states.h5 row {row}: episode {k} of {name}"
         if not 0 <= k < len(demonstrations) or not 0 <= step <= demonstrations.lengths[k]:
             yield f"{where} has no state {step}"
+        elif states.source["policy"][row] == DRAWING and states.nx[row]:
+            episode = demonstrations.episode(k)
+            if str(episode.gauss_code[step]) != str(states.gauss_code[row]):
+                yield f"{where} doesn't lead to its code: its state {step} shows another"
+            elif not np.array_equal(episode.goal_points, states.points[row]):
+                yield f"{where} has another goal"
         elif not np.array_equal(demonstrations.column(k, "points")[step], states.points[row]):
             yield f"{where} doesn't lead to it: its state {step} lies elsewhere"
         elif demonstrations.task.split != states.split[row]:

@@ -22,11 +22,11 @@ import numpy as np
 import knotgym
 from knotgym.atomic_files import atomic_write, sha256
 from knotgym.configuration import as_json
+from knotgym.datasets.near_duplicates import NEAR, distances
 from knotgym.datasets.splits import STATE_SPLITS
 from knotgym.datasets.state_schema import RANDOM_WALK
 from knotgym.datasets.states import States, write_states
 from knotgym.generate.states import state_folder
-from knotgym.generate.states.curation import is_near_duplicate
 from knotgym.generate.states.random_walk import (
     STARTS,
     RandomWalkConfig,
@@ -200,7 +200,8 @@ class RandomWalkRecipe:
             kind = state.code.nx, self.config.split(state.rope)
             if have[kind] >= self.config.wanted(*kind):
                 continue
-            if is_near_duplicate(state.points, [one.points for one in self.accepted]):
+            others = [one.points for one in self.accepted]
+            if others and (distances(state.points, np.stack(others)) < NEAR).any():
                 self.rejected[state.code.nx]["near-duplicate"] += 1
                 continue
             have[kind] += 1
