@@ -38,7 +38,7 @@ class Stream(IntEnum):
     TARGETED_SEARCH = 7  # nx, code, number of the planner's search
     SEARCH_ROPE = 8  # round, rope of the batch
     SEARCH_PARENTS = 9  # round
-    SEARCH_REPLAYS = 10  # round
+    SEARCH_REPLAYS = 10  # round, wave of the planner after it
     EPISODE = 13  # number of the episode: the seed of its environment
     POLICY = 14  # number of the episode
     IMAGE_WALK = 15  # number of the walk

@@ -260,7 +260,7 @@ def test_a_million_states_are_said_to_take_long(
 ) -> None:
     monkeypatch.setattr("knotgym.generate.states.state_recipe.run", lambda *_: None)
     assert knotgym("generate", "--count", 1000000, "--workers", 2, "--out", tmp_path / "a") == 0
-    assert "this would take about 46 days with 2 workers" in capfd.readouterr().out
+    assert "this would take about 17 days with 2 workers" in capfd.readouterr().out
 
 
 # Before hours of work.

@@ -161,7 +161,7 @@ def followed(
     simulation: Simulation,
     start: Array,
     sequence: ActionSequence,
-    symmetry: Symmetry = Symmetry(),
+    symmetry: Symmetry,
 ) -> Demonstration:
     """Lead rope 0 through a sequence moved by a symmetry, up to where the simulation fails."""
     forces = symmetry.vectors(sequence.forces.astype(np.float64)).astype(np.float32)

@@ -81,7 +81,7 @@ class GenerateConfig:
     wave: int = 64
     planned: int = 8
     batch: int = 10
-    stalled: int = 8
+    stalled: int = 3
     search: SearchSettings = SearchSettings()
     planner: PlannerConfig = PlannerConfig(budget=400)
     drawing: DrawingConfig = DrawingConfig()

@@ -82,9 +82,7 @@ def reach(target: Target) -> Found:
     near.sort(key=lambda one: distances(one[1]) + len(one[0].sequence))
     elite, shown, goal = near[min(target.number, len(near) - 1)]
     hops = distances.hops.get(shown, target.planner.unknown_hops)
-    steps = min(
-        target.search.longest - len(elite.sequence), PACE * (hops + target.number)
-    )
+    steps = min(target.search.longest - len(elite.sequence), PACE * (hops + target.number))
     begin = _Way(elite.sequence, elite.state)
     met: dict[GaussCode, Node] = {}  # the first that shows a code
     planned = plan(

@@ -167,9 +167,7 @@ def finish(
     )
 
 
-def write_demonstrations(
-    recipe: StateRecipe, states: States, folder: Path, carried: Path
-) -> None:
+def write_demonstrations(recipe: StateRecipe, states: States, folder: Path, carried: Path) -> None:
     """Write one Minari dataset for each nx and split below `folder`, with pixels and states: an
     episode for each state that has a demonstration, in their order.
     """

@@ -50,7 +50,7 @@ from knotgym.generate.states.demonstrations import (
 from knotgym.generate.states.drawn_states import DrawnOnes, DrawnUnit, MadeState, draw_states
 from knotgym.generate.states.generate_config import GenerateConfig, InvalidGenerateConfig
 from knotgym.generate.states.planned_sequences import Found, Target, reach
-from knotgym.generate.states.search import SearchConfig, new_archive, search_round
+from knotgym.generate.states.search import SearchConfig, new_archive, replays, search_round
 from knotgym.quality import Quality
 from knotgym.rope import Rope, RopeConfig
 from knotgym.runs.engine import CHECKPOINT, Batch, run
@@ -278,16 +278,23 @@ class StateRecipe:
         """A round of play, and whether the next is worth it: not if it added fewer codes than the
         planner finds in the same time.
         """
-        yield from search_round(self.archive, self.search)
+        wanted = {self.codes[nx][index].plain for nx, index in unknown}
+        yield from search_round(self.archive, self.search, wanted=wanted)
         known = self._known()
-        left = [code for code in unknown if not self._ways((*code, 0), known)]
-        gained = len(unknown) - len(left)
+        gained = sum(bool(self._ways((*code, 0), known)) for code in unknown)
         self.play_over = len(self.archive.growth) >= FIRST_ROUNDS and gained < self.config.stalled
 
     def _plan(self, unknown: list[tuple[int, int]]) -> Iterator[Batch]:
         """Search for the codes searched for least, once each with its mirror image."""
-        unknown = sorted(unknown, key=lambda code: self.searches[code])
         wanted = frozenset(self.codes[nx][index].plain for nx, index in unknown)
+        repeated = replays(
+            self.archive, self.search, len(self.archive.growth), 1 + self.cycle, wanted=wanted
+        )
+        yield repeated
+        self.actions += sum(len(one) for unit in repeated.units for one in unit.sequences)
+        known = self._known()
+        unknown = [code for code in unknown if not self._ways((*code, 0), known)]
+        unknown.sort(key=lambda code: self.searches[code])
         shortest = [
             next((one for one in elites if one.exact), None)
             for elites in self.archive.niches.values()
@@ -332,9 +339,7 @@ class StateRecipe:
             seed = key(Stream.CANDIDATE, self.config.seed, nx, index, self.shard.first + copy)
             ways = tuple(self._ways(slot, known))
             code, start = self.codes[nx][index].plain, self.start.points
-            tasks.append(
-                DemonstrationTask(self.config, self.knot, code, index, start, ways, seed)
-            )
+            tasks.append(DemonstrationTask(self.config, self.knot, code, index, start, ways, seed))
         slots = iter(pending)
 
         def absorb(task: DemonstrationTask, made: Demonstrated) -> None:
@@ -508,9 +513,7 @@ class StateRecipe:
             "passed_over": {
                 str(nx): [
                     str(codes[index])
-                    for index in sorted(
-                        i for n, i in {*self.drawings, *self.searches} if n == nx
-                    )
+                    for index in sorted(i for n, i in {*self.drawings, *self.searches} if n == nx)
                     if self._is_passed_over(nx, index)
                 ]
                 for nx, codes in self.codes.items()
@@ -560,7 +563,10 @@ def _origin(archive: Archive) -> str:
 def _columns(
     states: Mapping[Slot, MadeState], ways: Mapping[Slot, Demonstration]
 ) -> dict[str, Any]:
-    """States and demonstrations as arrays by name, those of different lengths one after another."""
+    """States and demonstrations as arrays by name, those of different lengths one after another.
+
+    Splitting an empty array gives one empty part, so that readers follow the rows of the slots.
+    """
     made, nq, beads = list(states.values()), Rope().nq, len(Rope().loop())
 
     def joined(parts: list[Any], *each: int) -> Any:
@@ -591,7 +597,9 @@ def _states_in(columns: Any) -> Iterator[tuple[Slot, MadeState]]:
     actions = np.split(columns["actions"], np.cumsum(columns["steps"])[:-1])
     names = ("slot", "policy", "code", "seed", "start_qpos", "qpos", "points", "quality")
     rows = zip(*(columns[name] for name in names), strict=True)
-    for (slot, policy, code, seed, start_qpos, qpos, points, quality), taken in zip(rows, actions):
+    for (slot, policy, code, seed, start_qpos, qpos, points, quality), taken in zip(
+        rows, actions, strict=False
+    ):
         nx, index, copy = slot.tolist()
         yield (
             (nx, index, copy),
@@ -615,8 +623,12 @@ def _demonstrations_in(columns: Any) -> Iterator[tuple[Slot, Demonstration]]:
     actions = np.split(columns["way_actions"], ends[:-1])
     # T + 1 states around T actions
     states = ends + np.arange(1, len(ends) + 1)
-    points, shares = (np.split(columns[f"way_{name}"], states[:-1]) for name in ("points", "shares"))
-    rows = zip(columns["way_slot"], columns["way_start_qpos"], actions, points, shares)
+    points, shares = (
+        np.split(columns[f"way_{name}"], states[:-1]) for name in ("points", "shares")
+    )
+    rows = zip(
+        columns["way_slot"], columns["way_start_qpos"], actions, points, shares, strict=False
+    )
     for slot, start_qpos, taken, seen, applied in rows:
         nx, index, copy = slot.tolist()
         yield (nx, index, copy), Demonstration(start_qpos, taken, seen, applied)
