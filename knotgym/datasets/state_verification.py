@@ -25,6 +25,7 @@ from knotgym.datasets.state_measures import (
 )
 from knotgym.datasets.state_schema import COLUMNS, DRAWING, RANDOM_WALK, REPLAYED
 from knotgym.datasets.states import InvalidStates, States, content_digest, read_states
+from knotgym.datasets.trajectory import Episode
 from knotgym.drawing.drawn_curve import DrawingConfig, drawn_curve
 from knotgym.errors import KnotgymError, MissingFile
 from knotgym.rendering.picture import draw
@@ -120,17 +121,22 @@ def demonstration_faults(states: States, name: str, demonstrations: EpisodeReade
         where = f"states.h5 row {row}: episode {k} of {name}"
         if not 0 <= k < len(demonstrations) or not 0 <= step <= demonstrations.lengths[k]:
             yield f"{where} has no state {step}"
-        elif states.source["policy"][row] == DRAWING and states.nx[row]:
-            episode = demonstrations.episode(k)
-            if str(episode.gauss_code[step]) != str(states.gauss_code[row]):
-                yield f"{where} doesn't lead to its code: its state {step} shows another"
-            elif not np.array_equal(episode.goal_points, states.points[row]):
-                yield f"{where} has another goal"
-        elif not np.array_equal(demonstrations.column(k, "points")[step], states.points[row]):
-            yield f"{where} doesn't lead to it: its state {step} lies elsewhere"
+        elif fault := _unlike(states, row, demonstrations.episode(k), step):
+            yield f"{where} {fault}"
         elif demonstrations.task.split != states.split[row]:
             yield f"{where} is of the {demonstrations.task.split} split, the row of the other"
     demonstrations.close()
+
+
+def _unlike(states: States, row: int, episode: Episode, step: int) -> str:
+    """How an episode fails to lead to a row, "" if it does."""
+    if states.source["policy"][row] != DRAWING or not states.nx[row]:
+        if np.array_equal(episode.points[step], states.points[row]):
+            return ""
+        return f"doesn't lead to it: its state {step} lies elsewhere"
+    if str(episode.gauss_code[step]) != str(states.gauss_code[row]):
+        return f"doesn't lead to its code: its state {step} shows another"
+    return "" if np.array_equal(episode.goal_points, states.points[row]) else "has another goal"
 
 
 def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iterator[str]:
