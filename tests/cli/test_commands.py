@@ -493,7 +493,7 @@ def test_what_show_prints_fits_a_pipe(
     assert knotgym("dataset", "show", curated / name) == 0
     lines = [line for line in capfd.readouterr().out.splitlines() if str(curated) not in line]
     assert lines and all("{" not in line and "…" not in line for line in lines)
-    tables = [line for line in lines if " candidates made" not in line and "; " not in line]
+    tables = [line for line in lines if " drawings made" not in line and "; " not in line]
     assert max(map(len, tables)) <= 100
 
 

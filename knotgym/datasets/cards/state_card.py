@@ -1,4 +1,4 @@
-"""The dataset card: what a folder of curated states holds, in prose and numbers."""
+"""The dataset card: what a folder of states holds, in prose and numbers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from knotgym.datasets.cards.citation import TO_CITE
 from knotgym.datasets.splits import STATE_SPLITS
 from knotgym.datasets.spread import spread_of
-from knotgym.datasets.state_schema import COLUMNS, DRAWING, RANDOM_WALK
+from knotgym.datasets.state_schema import COLUMNS, RANDOM_WALK
 from knotgym.datasets.states import States
 from knotgym.hdf5_files import Column
 from knotgym.topology.gauss import GaussCode
@@ -53,6 +53,7 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         config: the whole configuration.
     """
     facts = summary(states)
+    demonstrated = any(states.source.get("dataset", ()))
     lines = [
         "---",
         "license: cc-by-4.0",
@@ -63,7 +64,7 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         "",
         f"{len(states)} configurations of a closed rope in MuJoCo (knot type {report['knot']}),"
         f" each labelled with its Gauss code, made by `knotgym generate` {report['version']}"
-        f" (MuJoCo {report['mujoco']}) with seed {config['seed']}. {_holds(report)}"
+        f" (MuJoCo {report['mujoco']}) with seed {config['seed']}. {_holds(report, demonstrated)}"
         " `gallery.png` shows all states, `manifest.json` lists checksums, configuration and"
         " counts. `knotgym dataset verify` recomputes every label and replays every trajectory.",
         "",
@@ -94,7 +95,7 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         _made(report),
         "",
         *table(
-            ("nx", "reason", "candidates"),
+            ("nx", "reason", "rejected"),
             [
                 (nx, reason, count)
                 for nx, reasons in report["rejected"].items()
@@ -133,20 +134,15 @@ def _made(report: Mapping[str, Any]) -> str:
             f"{report['attempts']} ropes walked, {report['actions']} environment steps in all. A"
             " configuration can be rejected for several reasons."
         )
-    if report.get("source") == DRAWING:
-        passed = sum(len(codes) for codes in report["passed_over"].values())
-        return (
-            f"{report['attempts']} drawings were made. One can be rejected for several reasons."
-            f" {passed} codes of those begun have fewer states than wanted (`passed_over` in"
-            " `manifest.json`)."
-        )
+    passed = sum(len(codes) for codes in report["passed_over"].values())
     return (
-        f"{report['attempts']} candidates were made, in {report['actions']} environment steps with"
-        " the search. One can be rejected for several reasons."
+        f"{report['attempts']} drawings were made, and {report['actions']} actions were simulated"
+        " to find action sequences and follow them. A drawing can be rejected for several reasons."
+        f" {passed} codes were passed over (`passed_over` in `manifest.json`)."
     )
 
 
-def _holds(report: Mapping[str, Any]) -> str:
+def _holds(report: Mapping[str, Any], demonstrated: bool) -> str:
     """Where the states come from, and what else is in the folder."""
     if report.get("source") == RANDOM_WALK:
         return (
@@ -154,16 +150,17 @@ def _holds(report: Mapping[str, Any]) -> str:
             " opened up, only over-twisted ones were left out; a row's actions are drawn from its"
             " stream. A state is laid at rest."
         )
-    if report.get("source") == DRAWING:
-        return (
-            "`states.h5` holds one row a state, drawn from its code: a row's drawing is made again"
-            " from its seed, laid in the simulator, stirred and left to rest by the row's actions."
-            " There are no ways from the plain loop."
-        )
+    states = (
+        "`states.h5` holds one row a state. Most are drawn from their codes: a row's drawing is"
+        " made again from its seed, laid in the simulator, stirred and left to rest by the row's"
+        " actions. Those of policy `play` are where an action sequence ended, at rest."
+    )
+    if not demonstrated:
+        return states
     return (
-        "`states.h5` holds one row a state, `minari/` the trajectories that lead from the start to"
-        " each of them (train and test are datasets of their own), `archive.h5` what the search"
-        " found (`--archive` goes on from it)."
+        f"{states} `minari/` holds for each state an action sequence from the start to its Gauss"
+        " code (train and test are datasets of their own), `archive.h5` the action sequences found"
+        " (`--archive` goes on from it)."
     )
 
 
@@ -203,7 +200,7 @@ def _growth_section(report: Mapping[str, Any]) -> list[str]:
     return [
         "## Growth",
         "",
-        "Codes known to the search, and states accepted, by environment steps.",
+        "Codes with an action sequence, and states accepted, by simulated actions.",
         "",
         *table(
             ("steps", *(f"nx {nx}: known / accepted" for nx in rows[-1]["known"])),
