@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -176,13 +177,22 @@ def test_what_play_met_and_keeps_all_limits_is_a_state(rope: Rope, tmp_path: Pat
 
 
 def test_a_code_without_a_sequence_is_passed_over_for_the_next() -> None:
-    recipe = StateRecipe(replace(SMALL, nx=(2,), count=2, searches=1))
+    recipe = StateRecipe(replace(SMALL, nx=(2,), count=4, searches=1))
     recipe.begin()
-    first, second, third = (index for index, _ in list(recipe.codes[2].slots())[:3])
-    assert [slot[1] for slot in recipe._window(2)] == [first, second]
-    recipe.searches[2, first] = 1
-    assert [slot[1] for slot in recipe._window(2)] == [second, third]
-    assert recipe.report()["passed_over"]["2"] == [str(recipe.codes[2][first])]
+    order = [index for index, _ in recipe.codes[2].slots()]
+    assert [index for _, index, _ in recipe._window(2, {})[1]] == order[:5]  # a quarter more
+    recipe.searches[2, order[0]] = 1
+    assert [index for _, index, _ in recipe._window(2, {})[1]] == order[1:6]
+    assert recipe.report()["passed_over"]["2"] == [str(recipe.codes[2][order[0]])]
+
+
+def test_codes_whose_sequences_are_known_first_fill_the_count() -> None:
+    recipe = StateRecipe(replace(SMALL, nx=(2,), count=4))
+    order = [index for index, _ in recipe.codes[2].slots()]
+    known = {recipe.codes[2][index].plain: list[Any]([None]) for index in order[1:5]}
+    ready, unknown = recipe._window(2, known)
+    assert [index for _, index, _ in ready] == order[1:5]
+    assert [index for _, index, _ in unknown] == order[:1]
 
 
 def test_shards_deal_out_every_state_once() -> None:

@@ -224,30 +224,51 @@ class StateRecipe:
 
     def _wave(self) -> Iterator[Batch] | None:
         """The next wave of work; None if there is nothing left that could be done."""
-        lacking = [slot for nx in self.config.nx for slot in self._window(nx)]
-        lacking = [slot for slot in lacking if slot not in self.states]
-        tied = [slot for slot in lacking if self.has_ways(slot[0])]
-        known = self._known() if tied else {}
-        unknown = list(dict.fromkeys(slot[:2] for slot in tied if not self._ways(slot, known)))
+        known = self._known() if any(map(self.has_ways, self.config.nx)) else {}
+        lacking, unknown = list[Slot](), list[Slot]()
+        for nx in self.config.nx:
+            ready, rest = self._window(nx, known)
+            if len(ready) < self.codes[nx].wanted:
+                unknown += rest
+            lacking += [slot for slot in ready if slot not in self.states]
         if unknown:
-            return self._plan(unknown) if self.play_over else self._play(unknown)
-        pending = [slot for slot in tied if slot not in self.demonstrations]
+            codes = list(dict.fromkeys(slot[:2] for slot in unknown))
+            return self._plan(codes) if self.play_over else self._play(codes)
+        pending = [
+            slot for slot in lacking if self.has_ways(slot[0]) and slot not in self.demonstrations
+        ]
         if pending:
             return self._demonstrate(pending[: self.config.wave], known)
         return self._draw(lacking) if lacking else None
 
-    def _window(self, nx: int) -> list[Slot]:
-        """The slots with nx crossings that are wanted now: as many as states are, in their order,
-        but for those of codes that are passed over.
+    def _window(
+        self, nx: int, known: Mapping[GaussCode, list[Elite]]
+    ) -> tuple[list[Slot], list[Slot]]:
+        """The slots with nx crossings that are worked on, but for those of codes passed over.
+
+        Of more codes than states are wanted, sequences are looked for to a quarter more: the last
+        few of a fixed choice would take as long as all others.
+
+        Returns:
+            Those that have a state, or need only be followed or drawn, at most as many as states
+            are wanted; and those to whose codes no sequence is known.
         """
-        codes, found = self.codes[nx], list[Slot]()
+        codes, ways = self.codes[nx], self.has_ways(nx)
+        most = int((1.25 if ways else 1) * codes.wanted)
+        made, ready, unknown = list[Slot](), list[Slot](), list[Slot]()
         for index, copy in codes.slots():
-            if len(found) == codes.wanted:
-                break
             slot = nx, index, copy
-            if slot in self.states or not self._is_passed_over(nx, index):
-                found.append(slot)
-        return found
+            if len(made) + len(ready) + len(unknown) == most:
+                break
+            if slot in self.states:
+                made.append(slot)
+            elif self._is_passed_over(nx, index):
+                continue
+            elif not ways or slot in self.demonstrations or self._ways(slot, known):
+                ready.append(slot)
+            else:
+                unknown.append(slot)
+        return (made + ready)[: codes.wanted], unknown
 
     def _is_passed_over(self, nx: int, index: int) -> bool:
         """Whether what may be spent on a code is spent."""
@@ -475,18 +496,12 @@ class StateRecipe:
         common = ", ".join(f"{reason} {count}" for reason, count in rejected.most_common(4))
         tied = sum(codes.wanted for nx, codes in self.codes.items() if self.has_ways(nx))
         known = self._known() if tied else {}
-        ways = [
-            slot
-            for nx in self.config.nx
-            if self.has_ways(nx)
-            for slot in self._window(nx)
-            if slot in self.demonstrations or self._ways(slot, known)
-        ]
-        facts = {"action sequences": f"{len(ways)} of {tied}"} if tied else {}
+        ways = sum(len(self._window(nx, known)[0]) for nx in self.config.nx if self.has_ways(nx))
+        facts = {"action sequences": f"{ways} of {tied}"} if tied else {}
         facts["simulated actions"] = f"{self.steps()}"
         facts["drawings"] = f"{self.drawings.total()}, rejected: {common or 'none'}"
         work = SEQUENCE_WORTH * tied + self.wanted
-        share = (SEQUENCE_WORTH * len(ways) + len(self.states)) / work
+        share = (SEQUENCE_WORTH * ways + len(self.states)) / work
         return Status(len(self.states), self.wanted, "states", facts, share=share)
 
     def finish(self, folder: Path, request: dict[str, Any]) -> Path:
