@@ -47,7 +47,7 @@ class DemonstrationTask(NamedTuple):
         config: of the run.
         knot: of the rope, its name in the knot table.
         code: to end in, without chirality.
-        index: of the code among those of its nx.
+        which: of the code among those of its nx.
         start: configuration (beads, 3) where the sequences begin.
         elites: whose sequences lead to the code or its mirror image.
         seed: key of the stream that it draws from.
@@ -56,7 +56,7 @@ class DemonstrationTask(NamedTuple):
     config: GenerateConfig
     knot: str
     code: GaussCode
-    index: int
+    which: int
     start: Array
     elites: tuple[Elite, ...]
     seed: tuple[int, ...]
@@ -247,5 +247,5 @@ def _state(
     if faults:
         return None
     return MadeState(
-        PLAY, code, task.index, task.seed, made.start_qpos, made.actions, qpos, points, quality
+        PLAY, code, task.which, task.seed, made.start_qpos, made.actions, qpos, points, quality
     )

@@ -113,8 +113,8 @@ def demonstrations_of(
         "dataset", str (n,), and "trajectory", int64 (n,), the episode there; "" and -1 without.
     """
     ids = [
-        demonstrations_id(*one, knot=knot) if has else ""
-        for *one, has in zip(nx.tolist(), splits.tolist(), demonstrated, strict=True)
+        demonstrations_id(crossings, split, knot) if has else ""
+        for crossings, split, has in zip(nx.tolist(), splits.tolist(), demonstrated, strict=True)
     ]
     return {
         "dataset": np.array(ids, dtype=np.str_),
