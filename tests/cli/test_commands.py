@@ -245,6 +245,22 @@ def test_a_time_left_grows_while_nothing_happens() -> None:
     assert int(second) > int(first)
 
 
+def test_the_time_left_goes_by_the_share_of_the_work_where_it_is_known() -> None:
+    times, written = iter([0.0, 0.0, 20.0, 20.0]), io.StringIO()
+    progress = Progress(console=Console(file=written, width=200), clock=lambda: next(times))
+    progress.show(lambda: Status(0, 40, "states", share=0.0))
+    progress.show(lambda: Status(0, 40, "states", share=0.25))
+    assert "20 s  states 0 of 40; time left, about 60 s" in written.getvalue()
+
+
+def test_a_run_says_a_line_before_it_imports_anything_heavy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("knotgym.generate.states.state_recipe.run", lambda *_: None)
+    assert knotgym("generate", "--count", 1, "--out", tmp_path / "a") == 0
+    assert re.match(r"\s+0 s  loading\n", capfd.readouterr().out)
+
+
 @pytest.mark.parametrize(
     ("seconds", "told"), [(3000, ""), (9e6, "about 52 days"), (2e9, "32 years")]
 )
