@@ -139,6 +139,7 @@ def train(given: argparse.Namespace) -> None:
             ModelPolicy(lambda seen: model.predict(seen, deterministic=True)[0], "ppo"),
             given.out,
             _told(model, course, config),
+            files=[given.out / MODEL],
             quiet=given.quiet,
             **tried_at,
         )

@@ -14,16 +14,19 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import NamedTuple
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 from rope_states import tangled
 
-from knotgym.datasets.gallery import contact_sheet, write_png
+from knotgym.datasets.gallery import Tile, contact_sheet, write_png
 from knotgym.quality import UNITS, Limits, Quality, measure, noise_survival
 from knotgym.rendering.picture import draw
+from knotgym.rendering.video import OUTCOMES
 from knotgym.rope import Array
 from knotgym.topology.crossings import find_crossings
 
-EACH = 6  # pictures on either side of a limit
+EACH = 3  # pictures on either side of a limit
 SHORT = {
     "degrees": "deg",
     "pixels": "px",
@@ -64,7 +67,7 @@ def main() -> None:
     missed = Counter(fault for state in seen for fault in state.faults)
     accepted = sum(not state.faults for state in seen)
     print(f"{len(seen)} states; {accepted} keep to every limit")
-    images, captions, colours = [], [], []
+    tiles = []
     for limit in fields(Limits):
         name = limit.name
         print(f"{name:24} missed by {missed[name]}")
@@ -75,24 +78,29 @@ def main() -> None:
             share = float((getattr(state.quality, name) - bound) / bound)
             return -share if name in ("excess_crossing_number", "total_curvature") else share
 
-        fine = sorted((state for state in seen if not state.faults), key=over)[:EACH]
+        fine = sorted((state for state in seen if not state.faults), key=over)
         short = sorted((state for state in seen if state.faults == [name]), key=over, reverse=True)
-        for group, colour in ((short[:EACH], (255, 120, 120)), (fine, (120, 255, 120))):
-            for k in range(EACH):
-                images.append(
-                    draw(group[k].points)
-                    if k < len(group)
-                    else np.zeros((128, 128, 3), dtype=np.uint8)
+        # a limit that too few states miss, and no other, fills no row
+        if min(len(fine), len(short)) < EACH:
+            continue
+        for word, group in (("failed", short), ("reached", fine)):
+            for state in group[:EACH]:
+                value = f"{getattr(state.quality, name):.3g} {SHORT[UNITS[name]]}"
+                verdict = f"{'rejected' if word == 'failed' else 'accepted'}: {value}"
+                tiles.append(
+                    Tile(enlarged(state.points), (name.replace("_", " "), verdict), OUTCOMES[word])
                 )
-                word = "accepted" if group is fine else "rejected"
-                value = (
-                    f"{word}: {getattr(group[k].quality, name):.3g} {SHORT[UNITS[name]]}"
-                    if k < len(group)
-                    else f"no {word}"
-                )
-                captions.append((name.replace("_", " "), value))
-                colours.append(colour)
-    write_png(args.out, contact_sheet(np.stack(images), captions, colours, columns=2 * EACH))
+    write_png(args.out, contact_sheet(tiles, columns=2 * EACH))
+
+
+def enlarged(points: Array) -> NDArray[np.uint8]:
+    """The middle of the picture that an agent sees, or all of it, in large pixels."""
+    picture = draw(points)
+    rope = np.argwhere(picture.any(axis=2))
+    edge = 16 if rope.min() >= 16 and rope.max() < 112 else 0
+    middle = picture[edge : 128 - edge, edge : 128 - edge]
+    large = cv2.resize(middle, (192, 192), interpolation=cv2.INTER_NEAREST)
+    return np.asarray(large, dtype=np.uint8)
 
 
 if __name__ == "__main__":

@@ -32,11 +32,11 @@ from rich.console import Console
 from rich.table import Table
 
 from knotgym.atomic_files import atomic_write
-from knotgym.datasets.gallery import contact_sheet, write_png
+from knotgym.datasets.gallery import Tile, contact_sheet, write_png
 from knotgym.generate.states.drawn_states import DrawnUnit, draw_states
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.quality import Limits
-from knotgym.rendering.picture import PictureConfig, draw
+from knotgym.rendering.diagram import draw_diagram
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import UNKNOT, based_diagrams, prime_diagrams
 from knotgym.topology.knots import is_unknot, shows
@@ -107,17 +107,14 @@ def knot_row(name: str, number: int, drawings: int, seed: int) -> dict[str, Any]
 
 
 def page(rows: list[dict[str, Any]]) -> NDArray[np.uint8]:
-    """States accepted, SHOWN of each nx, zoomed to fill their tiles."""
-    images, captions = [], []
+    """States accepted, SHOWN of each nx."""
+    tiles = []
     for nx in sorted({row["nx"] for row in rows}):
         kept = [row for row in rows if row["nx"] == nx and "points" in row]
         for row in kept[:SHOWN]:
-            points = np.array(row["points"])
-            points[:, :2] -= points[:, :2].mean(axis=0)
-            zoom = 0.23 / np.abs(points[:, :2]).max()
-            images.append(draw(points, PictureConfig(size=256, zoom=zoom)))
-            captions.append((f"nx {nx}, {'128' if row['at_128'] else '256'} pixels", ""))
-    return contact_sheet(np.stack(images), captions, columns=SHOWN)
+            caption = f"nx {nx}, {'128' if row['at_128'] else '256'} pixels"
+            tiles.append(Tile(draw_diagram(row["points"]), (caption,)))
+    return contact_sheet(tiles, columns=SHOWN)
 
 
 def main() -> None:

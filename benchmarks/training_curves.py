@@ -3,8 +3,8 @@
     python benchmarks/training_curves.py ppo-tie ppo-unknot --out docs/ppo-training
 
 Success, explored as in training, over the environment's steps, a line for each folder, with
-Wilson's 95 % interval. Rows of `curve.json` are counted together, --window steps of them. Writes
-OUT.svg, and OUT.json with the rows behind it.
+Wilson's 95 % interval, which is for the states trained on. Rows of `curve.json` are counted
+together, --window steps of them. Writes OUT.svg, and OUT.json with the rows behind it.
 """
 
 from __future__ import annotations
@@ -14,15 +14,39 @@ import itertools
 import json
 import math
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-
-from learner_curves import COLOURS, HIGH, PALE, picture, text
+from xml.sax.saxutils import escape
 
 from knotgym.runs.intervals import wilson
 
 WIDE, LEFT, TOP, LABELS = 560, 70, 30, 240  # pixels
+INK, PALE = "#222222", "#767676"
+COLOURS = ("#2a6f97", "#b5482e", "#4f772d", "#6d597a")  # of the lines of a curve
+HIGH = 240  # pixels, of the field of a curve
 Row = dict[str, Any]
+
+
+def text(x: float, y: float, words: object, anchor: str = "middle", colour: str = INK) -> str:
+    """A line of words."""
+    return (
+        f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" fill="{colour}">'
+        f"{escape(str(words))}</text>"
+    )
+
+
+def picture(width: float, height: float, parts: Sequence[str]) -> str:
+    """A whole SVG file."""
+    return "\n".join(
+        [
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}"'
+            f' width="{width:.0f}" font-family="sans-serif" font-size="13">',
+            f'<rect width="{width:.0f}" height="{height:.0f}" fill="#ffffff"/>',
+            *parts,
+            "</svg>\n",
+        ]
+    )
 
 
 def course(folder: Path, window: int) -> dict[str, Any]:

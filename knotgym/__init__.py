@@ -5,7 +5,9 @@ with Gymnasium, and for OGBench knotgym/tie-nx2-v0 and the like (`adapters.ogben
 The names below are imported when they are first used.
 """
 
+import os
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import gymnasium
@@ -78,6 +80,39 @@ __all__ = [
     "shipped",
     "verify",
 ]
+
+
+def _is_writable(folder: Path) -> bool:
+    """Return whether a folder, or the nearest one above it that is there, can be written to."""
+    there = next(one for one in (folder, *folder.parents) if one.exists())
+    return there.is_dir() and os.access(there, os.W_OK)
+
+
+def _require_kernel_cache() -> None:
+    """Give numba a temporary folder for its machine code where it has no other.
+
+    Numba caches beside the package or in the user's cache folder, and where it can write to neither
+    it refuses to import a cached function. The folder goes when the process ends.
+    """
+    user = (
+        Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")).absolute()
+        / "numba"
+    )
+    beside = Path(__file__).parent / "__pycache__"
+    # Numba would take the folder, whose files are unpickled, from a .numba_config.yaml in the
+    # current folder unless the variable is set; "" stands for its own default
+    if os.environ.setdefault("NUMBA_CACHE_DIR", "") or any(map(_is_writable, (beside, user))):
+        return
+    import atexit
+    import shutil
+    import tempfile
+
+    folder = tempfile.mkdtemp(prefix="knotgym-numba-")  # of this user alone: the cache is code
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    os.environ["NUMBA_CACHE_DIR"] = folder  # worker processes inherit it
+
+
+_require_kernel_cache()
 
 for _task in ("unknot", "tie", "convert"):
     gymnasium.register(

@@ -16,9 +16,12 @@ from knotgym.episode_batch import EpisodeBatch
 from knotgym.rendering.observations import SYMBOLS
 from knotgym.simulation import InvalidAction
 from knotgym.tasks import InvalidSetting, TaskConfig, UnknownKeyword
+from knotgym.topology.crossing_kernel import warn_of_compilation
 
 if TYPE_CHECKING:
     from gymnasium.vector import AutoresetMode
+
+    from knotgym.rendering.window import Window
 
 _FPS = 5  # an action lasts 0.192 s
 _NEXT_STEP, _SAME_STEP, _DISABLED = "NextStep", "SameStep", "Disabled"  # Gymnasium's values
@@ -50,11 +53,17 @@ def action_space() -> spaces.Space[NDArray[np.float32]]:
 class KnotEnv(gym.Env[Any, NDArray[np.float32]]):
     """One rope; see `TaskConfig` for the keywords and `EpisodeBatch.info` for what `info` holds."""
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": _FPS}
+    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": _FPS}
 
     def __init__(self, task: str, render_mode: str | None = "rgb_array", **settings: Any) -> None:
+        warn_of_compilation()
         self.config = task_config(task, settings)
-        self.render_mode = _checked(render_mode)
+        self.render_mode = _checked(render_mode, "rgb_array", "human")
+        self._window: Window | None = None
+        if render_mode == "human":
+            from knotgym.rendering.window import Window  # pygame is needed for this mode alone
+
+            self._window = Window(_FPS)
         self.episodes = EpisodeBatch(self.config)
         self.observation_space = observation_space(
             self.config, self.episodes.simulation.rope.config.beads
@@ -67,6 +76,7 @@ class KnotEnv(gym.Env[Any, NDArray[np.float32]]):
         """Start over; options `start` and `goal` pick rows of the state file."""
         super().reset(seed=seed)
         self.episodes.begin(0, self.np_random, options)
+        self._show()
         return self.episodes.observation(0), self.episodes.info(0)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -78,17 +88,37 @@ class KnotEnv(gym.Env[Any, NDArray[np.float32]]):
         """
         _require_reset(self.episodes)
         reward, terminated, truncated = self.episodes.step(np.asarray(action)[None], np.array([0]))
+        info = self.episodes.info(0)
+        ended = terminated[0] or truncated[0]
+        self._show("reached" if info["is_success"] else "failed" if ended else "")
         return (
             self.episodes.observation(0),
             float(reward[0]),
             bool(terminated[0]),
             bool(truncated[0]),
-            self.episodes.info(0),
+            info,
         )
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The rope and its goal, uint8 (views * size, 2 size, 3)."""
+        """The rope and its goal, uint8 (views * size, 2 size, 3); None unless "rgb_array"."""
         return self.episodes.rgb(0) if self.render_mode == "rgb_array" else None
+
+    def close(self) -> None:
+        """Close the window of render mode "human"."""
+        if self._window is not None:
+            self._window.close()
+
+    def _show(self, outcome: str = "") -> None:
+        """Draw the state in the window of render mode "human"."""
+        if self._window is not None:
+            self._window.show(
+                self.episodes.simulation.points[0],
+                self.episodes.goal_points(0),
+                int(self.episodes.steps[0]),
+                self.config.horizon,
+                outcome,
+                self.config.views,
+            )
 
 
 class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]):
@@ -117,8 +147,9 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         render_mode: str | None = "rgb_array",
         **settings: Any,
     ) -> None:
+        warn_of_compilation()
         self.config = task_config(task, settings)
-        self.render_mode = _checked(render_mode)
+        self.render_mode = _checked(render_mode, "rgb_array")
         if num_envs < 1:
             raise InvalidSetting(f"num_envs must be at least 1, got {num_envs}")
         self.num_envs = num_envs
@@ -260,7 +291,8 @@ def _require_reset(episodes: EpisodeBatch) -> None:
         raise ResetNeeded("reset the environment before its first step")
 
 
-def _checked(render_mode: str | None) -> str | None:
-    if render_mode not in (None, "rgb_array"):
-        raise InvalidSetting(f'no render_mode {render_mode!r}; there is "rgb_array" or None')
+def _checked(render_mode: str | None, *known: str) -> str | None:
+    if render_mode not in (None, *known):
+        modes = ", ".join(f'"{mode}"' for mode in known)
+        raise InvalidSetting(f"no render_mode {render_mode!r}; there is {modes} or None")
     return render_mode

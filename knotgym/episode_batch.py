@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from knotgym.datasets.splits import fitting_tasks, start_nx
 from knotgym.datasets.states import States, read_states, shipped, ships, states_file
 from knotgym.rendering.observations import (
     SYMBOLS,
@@ -29,9 +30,10 @@ from knotgym.reset_noise import start_qpos
 from knotgym.reward import Outcome
 from knotgym.rope import Array, Rope, RopeConfig
 from knotgym.simulation import Simulation
-from knotgym.tasks import InvalidSetting, TaskConfig
+from knotgym.tasks import CODE_SPLITS, InvalidSetting, TaskConfig
 from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.knot_table import UNKNOT
 from knotgym.towing import TowBound, centres, distances_towed
 
 OWN, SHIPPED = "own", "shipped"  # the state file asked for, or the one that ships
@@ -59,8 +61,13 @@ class EpisodeBatch:
         self.count = count
         self.simulation = Simulation(count, Rope(config.rope), threads)
         self._picture = picture_config(config)
-        starts, goals = _side(config, config.start_nx), _side(config, config.goal_nx)
+        starts, goals = _sides(config)
         self._starts, self._goals = starts.states, goals.states
+        self._start_nx = starts.nx
+        self._rows = {
+            "start": starts.states.rows(starts.nx, config.split),
+            "goal": goals.states.rows(goals.nx, config.split)[: config.max_goals],
+        }
         self._came_from = {"start_states": starts.origin, "goal_states": goals.origin}
         self._goal_images: dict[int, NDArray[np.uint8]] = {}
         self.codes = [GaussCode(())] * count
@@ -77,9 +84,16 @@ class EpisodeBatch:
 
     def rows(self, side: str) -> NDArray[np.int64]:
         """The rows of the state file that the "start" or the "goal" is drawn from."""
-        if side == "start":
-            return self._starts.rows(self.config.start_nx, self.config.split)
-        return self._goals.rows(self.config.goal_nx, self.config.split)[: self.config.max_goals]
+        return self._rows[side]
+
+    def goal_rows(self, start: int) -> NDArray[np.int64]:
+        """The rows that the goal of an episode from a start row is drawn from: no goal shows the
+        start's code.
+        """
+        rows = self._rows["goal"]
+        if self._start_nx != self.config.goal_nx:
+            return rows
+        return rows[self._goals.gauss_code[rows] != self._starts.gauss_code[start]]
 
     def begin(
         self, index: int, rng: np.random.Generator, options: dict[str, Any] | None = None
@@ -93,19 +107,19 @@ class EpisodeBatch:
                 refused.
         """
         wanted = dict(options or {})
-        start, start_states = self._choose(wanted.pop("start", None), self._starts, "start", rng)
-        goal, goal_states = self._choose(wanted.pop("goal", None), self._goals, "goal", rng)
+        start = self._choose(wanted.pop("start", None), self.rows("start"), "start", rng)
+        goal = self._choose(wanted.pop("goal", None), self.goal_rows(start), "goal", rng)
         if wanted:
             raise InvalidSetting(
                 f"no reset option {', '.join(map(repr, wanted))}; there is start, goal"
             )
         self.start_row[index], self.goal_row[index] = start, goal
-        code = GaussCode.parse(str(start_states.gauss_code_chiral[start]))
+        code = GaussCode.parse(str(self._starts.gauss_code_chiral[start]))
         self.simulation.lay(
             start_qpos(
                 self.simulation.rope,
-                start_states.qpos[start],
-                start_states.points[start],
+                self._starts.qpos[start],
+                self._starts.points[start],
                 code,
                 self.config.reset_noise,
                 rng,
@@ -114,7 +128,7 @@ class EpisodeBatch:
         )
         self.origins[index] = centres(self.simulation.points[[index]])[0]
         self.codes[index] = code
-        self.goals[index] = GaussCode.parse(str(goal_states.gauss_code[goal]))
+        self.goals[index] = GaussCode.parse(str(self._goals.gauss_code[goal]))
         self.steps[index] = self.held[index] = 0
         self.failed[index] = False
         self.beads[index], self.forces[index], self.applied_shares[index] = -1, 0.0, 1.0
@@ -227,14 +241,13 @@ class EpisodeBatch:
         return stacked(seen) if self.config.layout == "stacked" else seen
 
     def _choose(
-        self, row: object, side: States, name: str, rng: np.random.Generator
-    ) -> tuple[int, States]:
-        nx = self.config.start_nx if name == "start" else self.config.goal_nx
-        rows = self.rows(name)
+        self, row: object, rows: NDArray[np.int64], name: str, rng: np.random.Generator
+    ) -> int:
+        nx = self._start_nx if name == "start" else self.config.goal_nx
         # drawn even if unused: the noise that follows doesn't depend on options
         drawn = int(rows[rng.integers(len(rows))])
         if row is None:
-            return drawn, side
+            return drawn
         if isinstance(row, np.ndarray) and not row.ndim:  # as numeric infos say it
             row = row.item()
         if isinstance(row, bool) or not isinstance(row, (int, np.integer)) or row not in rows:
@@ -244,14 +257,15 @@ class EpisodeBatch:
                 f"{name} must be a row with nx = {nx} of the {self.config.split} split{first}:"
                 f" {_few(rows)}; got {row!r}"
             )
-        return int(row), side
+        return int(row)
 
 
 class _TaskSide(NamedTuple):
-    """The states that a side of a task draws from, and whose they are: OWN or SHIPPED."""
+    """What a side of a task draws from: states, whose they are (OWN or SHIPPED), and their nx."""
 
     states: States
     origin: str
+    nx: int
 
 
 def state_origins(config: TaskConfig) -> dict[str, str]:
@@ -260,30 +274,72 @@ def state_origins(config: TaskConfig) -> dict[str, str]:
     Raises:
         InvalidSetting: they cannot be had.
     """
-    return {
-        "start": _side(config, config.start_nx).origin,
-        "goal": _side(config, config.goal_nx).origin,
-    }
+    starts, goals = _sides(config)
+    return {"start": starts.origin, "goal": goals.origin}
 
 
-def _side(config: TaskConfig, nx: int) -> _TaskSide:
-    """The states that a side of the task draws from.
+def _sides(config: TaskConfig) -> tuple[_TaskSide, _TaskSide]:
+    """The states that a task's starts, and those that its goals, are drawn from.
 
-    They come from the file asked for. Plain loops alone come from the one that ships, where that
-    file has none of either split.
+    They come from the file asked for; plain loops, and they alone, from the set that ships where
+    that file has none of either split.
+
+    Raises:
+        InvalidSetting: there are none, or no rope can be pulled from a start to a goal.
     """
-    path, origin = states_file(config.states), SHIPPED if ships(config.states) else OWN
-    states = _of_our_rope(path)
+    path = states_file(config.states)
+    own = _of_our_rope(path)
+    starts, goals = (_side(config, path, own, nx) for nx in (start_nx(config, own), config.goal_nx))
+    knots = [
+        sorted(set(side.states.knot[side.states.rows(side.nx, config.split)].tolist()))
+        for side in (starts, goals)
+    ]
+    if len({*knots[0], *knots[1]}) > 1:
+        raise InvalidSetting(
+            f"task {config.task!r} with nx = {config.nx} would start as {', '.join(knots[0])} and"
+            f" end as {', '.join(knots[1])}, and no pull changes the knot type; {_fit(config, own)}"
+        )
+    codes = goals.states.gauss_code[goals.states.rows(goals.nx, config.split)[: config.max_goals]]
+    if starts.nx == goals.nx and len(set(codes.tolist())) < 2:
+        raise InvalidSetting(
+            f"a tie to nx = {goals.nx} starts at the least diagram of {knots[0][0]} in {path},"
+            f" which shows its only goal's code already; {_fit(config, own)}"
+        )
+    return starts, goals
+
+
+def _side(config: TaskConfig, path: Path, own: States, nx: int) -> _TaskSide:
+    """The states with nx crossings that a side of the task draws from."""
+    states, origin = own, SHIPPED if ships(config.states) else OWN
     if nx == 0 and not (states.nx == 0).any():
         path, origin = shipped(), SHIPPED
         states = _of_our_rope(path)
     if not len(states.rows(nx, config.split)):
+        if config.split in CODE_SPLITS and len(states.rows(nx, config.split[:-5])):
+            raise InvalidSetting(
+                f"split {config.split!r} has no state with nx = {nx} of {path}: too few diagrams"
+                " are shown to hold one out; give split 'train' or 'test'"
+            )
+        if set(own.knot.tolist()) not in (set(), {UNKNOT}):
+            advice = _fit(config, own)
+        elif there := sorted(set(states.split[states.nx == nx].tolist())):
+            advice = f"Give split {' or '.join(map(repr, there))}"
+        else:
+            advice = f"Make some: knotgym-generate --nx {nx}"
         raise InvalidSetting(
             f"no states with nx = {nx} in split {config.split!r} of {path}, asked for by task"
-            f" {config.task!r} with nx = {config.nx}; it has {_contents(states)}. Make some:"
-            f" knotgym-generate --nx {nx}"
+            f" {config.task!r} with nx = {config.nx}; it has {_contents(states)}."
+            f" {advice}"
         )
-    return _TaskSide(states, origin)
+    return _TaskSide(states, origin, nx)
+
+
+def _fit(config: TaskConfig, own: States) -> str:
+    """Which tasks go with the states of a file."""
+    knots = sorted(set(own.knot.tolist()))
+    if len(knots) > 1:
+        return f"these states are {', '.join(knots)}: keep one type, with knotgym dataset select"
+    return f"tasks that fit these states of {knots[0]}: {fitting_tasks(own, config.split)}"
 
 
 def _of_our_rope(path: Path) -> States:

@@ -18,11 +18,28 @@ class MissingFile(KnotgymError, FileNotFoundError):
     """There is no such file or dataset."""
 
 
-class MissingExtra(KnotgymError, ImportError):
-    """An optional dependency isn't installed."""
+def install_command(extra: str) -> str:
+    """Return the command that installs an extra, to be run in a checkout.
 
-    def __init__(self, needed: str, how: str) -> None:
-        super().__init__(f"this needs {needed}, which isn't installed; install it: {how}")
+    The name on the package index belongs to the published system, so no command names it.
+
+    >>> install_command("learn")
+    "pip install '.[learn]'"
+    """
+    return f"pip install '.[{extra}]'"
+
+
+class MissingExtra(KnotgymError, ImportError):
+    """An optional dependency isn't installed.
+
+    Args:
+        needed: the missing module or package.
+        how: the command that installs it.
+        user: what needs it.
+    """
+
+    def __init__(self, needed: str, how: str, user: str = "this") -> None:
+        super().__init__(f"{user} needs {needed}, which isn't installed; install it: {how}")
 
 
 def one_line(error: BaseException) -> str:

@@ -39,8 +39,8 @@ class Stream(IntEnum):
     SEARCH_ROPE = 8  # round, rope of the batch
     SEARCH_PARENTS = 9  # round
     SEARCH_REPLAYS = 10  # round, wave of the planner after it
-    EPISODE = 13  # number of the episode: the seed of its environment
-    POLICY = 14  # number of the episode
+    EPISODE = 13  # number of the episode: the seed of its environment, in datasets
+    POLICY = 14  # number of the episode, attempt: draws of the policy, in datasets
     IMAGE_WALK = 15  # number of the walk
     IMAGE_WAVE = 16  # wave: where its walks set out from
     IMAGE_CHOICE = 17  # number of the frame
@@ -51,6 +51,9 @@ class Stream(IntEnum):
     IMAGE_APPEARANCE = 22  # row
     IMAGE_GRAIN = 23  # the noise of one picture, whose seed is stored
     EXPERT_LABEL = 24  # number of the episode, step: the plan that labels it
+    EVALUATION_EPISODE = 25  # number of the episode: the seed of its environment, scored
+    EVALUATION_POLICY = 26  # number of the episode: draws of the policy, scored
+    INTERVAL = 27  # bootstraps of confidence intervals
     RANDOM_WALK = 30  # rope: all its actions, see `actions.drawn_actions`
     RANDOM_WALK_NOISE = 31  # rope, step: noise survival of the state saved there
     DRAWING = 40  # nx, code, number of the drawing

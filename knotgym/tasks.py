@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from knotgym.rope import RopeConfig
 
 SPLITS = ("train", "test")  # of a state file
+# of these the rows of other diagrams, and of diagrams held out: see `States.rows`
+CODE_SPLITS = ("train-code", "test-code")
 OBSERVATIONS = ("pixels", "state", "both", "symbolic")
 LAYOUTS = ("beside", "stacked")  # of the two halves of a picture
 VIEWS = ("top", "left", "front")  # of the rope, see `rendering.camera`
@@ -65,7 +67,8 @@ class TaskConfig:
     Attributes:
         task: "unknot", "tie" or "convert".
         nx: crossings of the tangled side; convert starts at nx - 1.
-        split: rows of the state file to draw from, "train" or "test".
+        split: rows of the state file to draw from: "train" or "test"; or "train-code" and
+            "test-code", parts of those two that share no code even up to symmetry.
         states: "readable" (the same as None), "random-walk" or "hard-unknots", sets that ship,
             see `datasets.states.shipped`; or path of a state file, or of the run that made it, or
             id of a Minari dataset that carries one. Plain loops, and they alone, come from the
@@ -119,7 +122,7 @@ class TaskConfig:
     def __post_init__(self) -> None:
         for name, known in {
             "task": tuple(TASKS),
-            "split": SPLITS,
+            "split": (*SPLITS, *CODE_SPLITS),
             "observation": OBSERVATIONS,
             "layout": LAYOUTS,
             "camera": ("orthographic", "perspective"),
@@ -143,6 +146,11 @@ class TaskConfig:
             if not whole or value < least or (most is not None and value > most):
                 right = f"from {least} to {most}" if most else f"of at least {least}"
                 raise InvalidSetting(f"{name} must be a whole number {right}, got {value!r}")
+        if self.split in CODE_SPLITS and self.nx < 2:
+            raise InvalidSetting(
+                f"split {self.split!r} needs diagrams to hold out, and with nx = {self.nx} there is"
+                " one up to symmetry; give an nx of at least 2, or split 'train' or 'test'"
+            )
         if self.hold > self.horizon:
             raise InvalidSetting(
                 f"hold {self.hold} is longer than the horizon of {self.horizon} steps: no episode"

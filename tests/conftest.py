@@ -11,6 +11,7 @@ from hypothesis import settings
 from numpy.typing import NDArray
 
 from knotgym.datasets.states import States, read_states, shipped, write_states
+from knotgym.drawing.drawn_curve import drawn_curve
 from knotgym.generate.states.archive import Archive
 from knotgym.generate.states.search import SearchConfig, advance, new_archive
 from knotgym.rendering.picture import draw
@@ -18,6 +19,8 @@ from knotgym.rope import Rope
 from knotgym.runs.executors import InProcess
 from knotgym.simulation import Simulation
 from knotgym.topology.crossings import label
+from knotgym.topology.gauss import GaussCode
+from knotgym.topology.knots import codes_of, knot_type
 
 from .small_job import SECONDS, WANTED, begun, knotgym
 
@@ -158,3 +161,26 @@ def rough_play(row: int) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
     actions = rng.uniform(-1, 1, ({9: 5, 29: 9}[row], 64, 6)).astype(np.float32)[:, row]
     actions[:, 3:] = np.sign(actions[:, 3:])
     return states.qpos[start], actions
+
+
+@pytest.fixture(scope="session")
+def trefoils(rope: Rope) -> States:
+    """Trefoils drawn from their codes: in each split two with three crossings, of both codes, and
+    two with four.
+    """
+    codes = [*codes_of("3_1", 3), *codes_of("3_1", 4)[:2]]
+    points, shown = list[NDArray[np.float64]](), list[GaussCode]()
+    for number, code in enumerate([code for code in codes for _ in range(2)]):
+        points.append(drawn_curve(code, np.random.default_rng(number), rope))
+        shown.append(label(points[-1]))
+    return States(
+        qpos=np.array([rope.qpos(one) for one in points]),
+        points=np.array([rope.points(rope.qpos(one)) for one in points]),
+        image=np.array([draw(one) for one in points]),
+        gauss_code=np.array([str(code) for code in shown]),
+        gauss_code_chiral=np.array([code.chiral for code in shown]),
+        knot=np.array([knot_type(code) for code in shown]),
+        nx=np.array([code.nx for code in shown]),
+        split=np.array(["train", "test"] * len(codes)),
+        attributes={"rope": rope.config.fingerprint},
+    )

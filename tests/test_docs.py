@@ -10,10 +10,7 @@ import importlib
 import importlib.util
 import inspect
 import json
-import os
 import re
-import subprocess
-import sys
 import tomllib
 from dataclasses import fields
 from pathlib import Path
@@ -31,12 +28,16 @@ from knotgym.cli.main import app
 from knotgym.control import transition_counts
 from knotgym.control.learned_policies import load_model
 from knotgym.datasets import episode_reader, image_table, states
+from knotgym.datasets.cards.state_card import overlap_rows
+from knotgym.datasets.states import SHIPPED, shipped
+from knotgym.datasets.verification import OVERLAPS
 from knotgym.generate.states import archive
 from knotgym.generate.states.archive import Archive
 from knotgym.quality_limits import UNITS
 from knotgym.tasks import TaskConfig
 
-ROOT = Path(__file__).parents[1]
+from .scripts import ROOT, run_script
+
 DOCS = ROOT / "docs"
 PAGES = [
     ROOT / "README.md",
@@ -169,28 +170,23 @@ def test_the_ten_lines_of_the_readme_run(capsys: pytest.CaptureFixture[str]) -> 
     assert " -> " in first and second.startswith("177 ")
 
 
-def test_the_example_to_train_has_fewer_than_forty_lines() -> None:
-    assert len(blocks(ROOT / "README.md")[1].splitlines()) < 40
-
-
 @pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="torch isn't installed")
-def test_the_example_to_train_learns_a_policy_that_evaluate_takes(tmp_path: Path) -> None:
+@pytest.mark.parametrize("observation", ["state", "both"])
+def test_the_example_to_train_learns_a_policy_that_evaluate_takes(
+    observation: str, tmp_path: Path
+) -> None:
     typed(
         *("collect", "--task", "unknot", "--nx", 2, "--policy", "scripted", "--episodes", 4),
-        *("--id", "knotgym/unknot-nx2/expert-v0", "--observation", "state", "--horizon", 5),
+        *("--id", "knotgym/unknot-nx2/expert-v0", "--observation", observation, "--horizon", 5),
         *("--workers", 1, "--quiet", "--out", tmp_path),
     )
-    (tmp_path / "train.py").write_text(blocks(ROOT / "README.md")[1], encoding="utf-8")
-    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
-    subprocess.run(
-        [sys.executable, "train.py"],
-        cwd=tmp_path,
-        env={**os.environ, "MINARI_DATASETS_PATH": str(tmp_path), "PYTHONPATH": path},
-        check=True,
+    run_script(
+        ROOT / "examples" / "learners" / "clone.py",
+        *("--data", tmp_path / "knotgym/unknot-nx2/expert-v0", "--epochs", 2),
+        *("--out", tmp_path / "cloned.pt"),
     )
-    policy = load_model(tmp_path / "cloned.pt")
-    actions = policy(np.zeros((3, 600), dtype=np.float32))
+    actions = load_model(tmp_path / "cloned.pt")(np.zeros((3, 600), dtype=np.float32))
     assert actions.shape == (3, 6) and (np.abs(actions) <= 1).all()
 
 
@@ -247,18 +243,17 @@ def test_a_path_in_the_table_of_look_ups_exists(path: str) -> None:
     assert (ROOT / path).is_file()
 
 
-def test_every_command_and_option_is_on_the_page_of_commands() -> None:
-    place = importlib.util.spec_from_file_location("hooks", DOCS / "hooks.py")
+def test_the_page_of_commands_is_what_the_commands_say() -> None:
+    place = importlib.util.spec_from_file_location("commands_page", DOCS / "commands.py")
     assert place is not None and place.loader is not None
-    hooks = importlib.util.module_from_spec(place)
-    place.loader.exec_module(hooks)
-    text = hooks.on_page_markdown((DOCS / "commands.md").read_text(encoding="utf-8"))
-    assert hooks.MARK not in text
-    commands = dict(hooks.commands("knotgym", typer.main.get_command(app)))
+    page = importlib.util.module_from_spec(place)
+    place.loader.exec_module(page)
+    text = (DOCS / "commands.md").read_text(encoding="utf-8")
+    assert text == page.whole_page(), "run python docs/commands.py"
+    commands = dict(page.commands("knotgym", typer.main.get_command(app)))
     assert {"knotgym generate", "knotgym collect", "knotgym dataset verify"} <= commands.keys()
     for name, command in commands.items():
-        start = text.index(f"## `{name}`")
-        part = text[start : text.find("\n## ", start)] if text.find("\n## ", start) > 0 else text
+        part = text.partition(f"## `{name}`\n")[2].partition("\n## ")[0]
         assert command.help and " ".join(command.help.split()) in " ".join(part.split())
         for parameter in command.params:
             assert parameter.help, f"{name}: {parameter.name} says nothing"
@@ -440,21 +435,29 @@ def test_the_citation_has_the_version_of_the_package() -> None:
     assert all((ROOT / name).is_file() for name in project["license-files"])
 
 
-def test_readme_has_the_two_lines_that_upload_what_a_run_made() -> None:
-    part = (ROOT / "README.md").read_text(encoding="utf-8").split("## Hand it on")[1]
-    first, second = re.findall(r"^    (.+)$", part.split("\n## ")[0], re.M)
+def test_the_quick_start_has_the_two_lines_that_upload_what_a_run_made() -> None:
+    part = (DOCS / "index.md").read_text(encoding="utf-8").split("A folder to upload")[1]
+    first, second = re.findall(r"^    (.+)$", part, re.M)[:2]
     assert re.fullmatch(r"knotgym dataset export \S+ --to huggingface --out upload", first)
     assert re.fullmatch(r"hf upload USER/\S+ upload --repo-type dataset", second)
 
 
-def test_every_extra_is_named_by_readme() -> None:
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"][
-        "optional-dependencies"
-    ]
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    missing = [
-        name
-        for name in extras
-        if name != "check" and f"`{name}`" not in text and f"[{name}]" not in text  # CI's own
-    ]
-    assert missing == []
+def test_what_train_and_test_share_is_as_computed() -> None:
+    said = [line for line in (DOCS / "environment.md").read_text().splitlines() if "| `" in line]
+    for name, file in SHIPPED.items():
+        shared = json.loads((shipped().parent / OVERLAPS).read_text())[file]
+        counts = {nx: {"overlap": found} for nx, found in shared.items()}
+        for row in overlap_rows(counts):
+            assert f"| `{name}` | {' | '.join(row)} |" in said
+
+
+def test_every_extra_is_in_the_table_of_the_quick_start() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert names(tables(DOCS / "index.md")["Install"]) == project["optional-dependencies"].keys()
+
+
+def test_readme_says_how_the_learner_from_pictures_was_trained_where_its_score_stands() -> None:
+    for page, heading in (("README.md", "## Which task"), ("docs/benchmark.md", "# Benchmark")):
+        text = (ROOT / page).read_text(encoding="utf-8")
+        part = " ".join(text.split(heading)[1].split("\n## ")[0].split())
+        assert "vertices and forces" in part and "94,955 labelled macro-actions" in part

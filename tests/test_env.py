@@ -4,6 +4,7 @@ was asked for.
 
 import json
 import pickle
+import sys
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -24,6 +25,7 @@ from knotgym.episode_batch import state_origins
 from knotgym.errors import MissingFile
 from knotgym.rendering.observations import SYMBOLS, symbols
 from knotgym.rendering.picture import PictureConfig, draw
+from knotgym.rendering.window import NoWindow, Window
 from knotgym.simulation import InvalidAction
 from knotgym.tasks import InvalidSetting, TaskConfig
 from knotgym.topology.crossings import label
@@ -109,8 +111,12 @@ def registered(states_path: str) -> Callable[..., gym.Env[Any, Any]]:
 @pytest.mark.parametrize("observation", MODES)
 @pytest.mark.parametrize("task", TASKS)
 def test_gymnasium_finds_no_fault(
-    registered: Callable[..., gym.Env[Any, Any]], task: str, observation: str
+    registered: Callable[..., gym.Env[Any, Any]],
+    task: str,
+    observation: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")  # the check opens a window, too
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         # coordinates have no bounds
@@ -125,8 +131,9 @@ def test_gymnasium_finds_no_fault_in_a_bare_environment(make: Make, observation:
 
 @pytest.mark.parametrize("observation", ["pixels", "both"])
 def test_gymnasium_finds_no_fault_in_three_views_with_depth(
-    registered: Callable[..., gym.Env[Any, Any]], observation: str
+    registered: Callable[..., gym.Env[Any, Any]], observation: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     env = registered(
         "tie", observation=observation, views=["top", "left", "front"], depth=True, image_size=32
     )
@@ -503,7 +510,7 @@ def test_a_row_of_the_other_split_is_refused(make: Make, states: States) -> None
         ({"numeric_infos": 1}, "numeric_infos must be True or False, got 1"),
         ({"camera": "fisheye"}, "no camera 'fisheye'"),
         ({"renderer": "filament"}, "no renderer 'filament'"),
-        ({"render_mode": "human"}, "no render_mode 'human'"),
+        ({"render_mode": "ansi"}, 'no render_mode \'ansi\'; there is "rgb_array", "human" or None'),
         ({"horizon": 0}, "horizon must be a whole number of at least 1, got 0"),
         ({"hold": 0}, "hold must be a whole number of at least 1, got 0"),
         ({"image_size": 4}, "image_size must be a whole number from 16 to 2048, got 4"),
@@ -808,6 +815,50 @@ def test_render_gives_nothing_where_no_mode_was_asked_for(make: Make) -> None:
     env = make("tie", render_mode=None)
     env.reset(seed=0)
     assert env.render() is None
+
+
+def test_a_window_without_pygame_names_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(NoWindow, match="needs pygame, .*: pip install pygame$"):
+        KnotEnv("tie", render_mode="human")
+
+
+def test_a_window_shows_the_start_and_every_step_of_an_episode(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    shown: list[tuple[int, str]] = []
+    monkeypatch.setattr(Window, "__init__", lambda *_: None)
+    monkeypatch.setattr(Window, "show", lambda _, *given: shown.append((given[2], given[4])))
+    monkeypatch.setattr(Window, "close", lambda _: shown.append((-1, "")))
+    env = gym.make("knotgym/Tie-v0", nx=2, horizon=2, render_mode="human", observation="state")
+    env.reset(seed=0)
+    for _ in range(2):
+        env.step(np.zeros(6, np.float32))
+    assert env.render() is None
+    env.close()
+    assert shown == [(0, ""), (1, ""), (2, "failed"), (-1, "")]
+
+
+@pytest.mark.clients
+def test_the_window_opens_shows_the_rope_and_closes(monkeypatch: pytest.MonkeyPatch) -> None:
+    pygame = pytest.importorskip("pygame")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    env = gym.make("knotgym/Tie-v0", nx=2, render_mode="human", observation="state")
+    env.reset(seed=0)
+    env.step(np.zeros(6, np.float32))
+    seen = pygame.surfarray.array3d(pygame.display.get_surface())
+    assert seen.shape[0] == 768 and (seen.max(axis=2) > 200).sum() > 500
+    env.close()
+    assert pygame.display.get_surface() is None
+
+
+@pytest.mark.clients
+def test_a_window_without_a_display_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("pygame")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "nonesuch")
+    env = KnotEnv("tie", render_mode="human")
+    with pytest.raises(NoWindow, match="needs a display .*; without one use 'rgb_array'"):
+        env.reset(seed=0)
 
 
 @pytest.mark.parametrize("few", [1, 3, 1000])

@@ -17,7 +17,6 @@ IMPORTS = {
     "lazy_exports.py": "a package's own table",
     "loaders/converters.py": "libraries, names in the code",
     "loaders/perception.py": "libraries, names in the code",
-    "prompting/chat.py": "libraries, names in the code",
     "rendering/mujoco_renderer.py": "backends of MuJoCo, names in the code",
 }
 

@@ -118,6 +118,27 @@ def test_importing_a_room_pulls_in_neither_torch_nor_dask_nor_a_renderer(room: s
     assert modules_after(f"import {room}") & {"torch", "dask", "distributed", *DRAWING} == set()
 
 
+def test_the_package_runs_where_no_machine_code_can_be_kept(tmp_path: Path) -> None:
+    copy = tmp_path / "knotgym"
+    shutil.copytree(ROOT / "knotgym", copy, ignore=shutil.ignore_patterns("__pycache__"))
+    for folder in (copy, *(one for one in copy.rglob("*") if one.is_dir())):
+        (folder / "__pycache__").touch()  # in the way of a folder: root may write everywhere
+    temporary = tmp_path / "tmp"
+    temporary.mkdir()
+    environment = {name: value for name, value in os.environ.items() if "CACHE" not in name}
+    environment |= {"HOME": "/dev/null", "TMPDIR": str(temporary), "PYTHONPATH": str(tmp_path)}
+    lines = (
+        "import knotgym, os; from knotgym.topology.crossings import label;"
+        " assert knotgym.__file__.startswith(os.environ['PYTHONPATH']), knotgym.__file__;"
+        " label(knotgym.Rope().loop()); print(os.environ['NUMBA_CACHE_DIR'])"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", lines], env=environment, cwd=tmp_path, capture_output=True, text=True
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert str(temporary) in ended.stdout and not any(temporary.iterdir())
+
+
 def test_datasets_do_not_import_the_environment() -> None:
     modules = modules_after(STATES)
     assert (

@@ -101,8 +101,16 @@ def train(given: argparse.Namespace) -> None:
     agent = _trained(given, task, settings, progress)
     if tried_at is not None:
         told = {**_told(agent, commit, settings, given.seed), **progress.told()}
+        saved = sorted((given.out / OFFICIAL / "ckpt").rglob("agent*"))  # in folders by date
+        files = [path for path in saved if path.is_file()][-1:]
         evaluate_learner(
-            "dreamerv3", DreamerPolicy(agent), given.out, told, quiet=given.quiet, **tried_at
+            "dreamerv3",
+            DreamerPolicy(agent),
+            given.out,
+            told,
+            files=files,
+            quiet=given.quiet,
+            **tried_at,
         )
 
 

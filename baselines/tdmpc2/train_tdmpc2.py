@@ -115,7 +115,10 @@ def train(given: argparse.Namespace) -> None:
         agent._plan_val = agent._plan  # not compiled: fewer and fewer episodes are under way
         told = {**_told(agent, commit, settings, given.seed), **progress.told()}
         policy = TdMpcPolicy(agent, torch)
-        evaluate_learner("tdmpc2", policy, given.out, told, quiet=given.quiet, **tried_at)
+        files = [given.out / MODEL]
+        evaluate_learner(
+            "tdmpc2", policy, given.out, told, files=files, quiet=given.quiet, **tried_at
+        )
 
 
 def check_settings(settings: Settings, horizon: int) -> None:

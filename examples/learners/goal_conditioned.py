@@ -102,6 +102,7 @@ def main() -> None:
         ModelPolicy(acting(agent, jax.random.PRNGKey(given.seed)), name),
         given,
         training.ended(),
+        "agent.msgpack",
     )
 
 

@@ -103,7 +103,8 @@ def main() -> None:
     else:
         learner.save_policy(str(given.out / "policy.pt"))
         policy = ModelPolicy(load_model(given.out / "policy.pt"), name)
-    measure(name, policy, given, {**training.ended(), "relabel": given.relabel})
+    told = {**training.ended(), "relabel": given.relabel}
+    measure(name, policy, given, told, "model.d3")
 
 
 if __name__ == "__main__":

@@ -71,18 +71,19 @@ def _called(source: str) -> str:
 
 
 def measure(
-    name: str, policy: Policy, given: argparse.Namespace, training: dict[str, Any]
+    name: str, policy: Policy, given: argparse.Namespace, training: dict[str, Any], model: str
 ) -> dict[str, Any]:
     """Try a policy at every set-up asked for, episodes 0 to N - 1 of seed 0, on state observations.
 
     Writes `evaluation.json` and returns what it holds: that of `knotgym evaluate --out`, and how
-    the learner was trained.
+    the learner was trained; `model` is the file of its weights in the folder.
     """
     return evaluate_learner(
         name,
         policy,
         given.out,
         training,
+        files=[given.out / model],
         tasks=words(given.task),
         nx=numbers(given.nx),
         splits=words(given.split),

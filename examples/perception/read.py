@@ -25,7 +25,7 @@ import numpy as np
 try:
     import torch
 except ModuleNotFoundError as error:
-    raise SystemExit("read.py needs torch: pip install 'knotgym[torch,huggingface]'") from error
+    raise SystemExit("read.py needs torch: pip install '.[torch,huggingface]'") from error
 from misread import Misread, page
 from torch import Tensor, nn
 from torch.nn import functional

@@ -35,14 +35,16 @@ class OGBenchEnv(KnotEnv):
         super().__init__(task, render_mode, **{"numeric_infos": True, **settings})
         require_one_side(self.config)
         self.observation_space = rope_space(self.config)
-        starts, goals = self.episodes.rows("start"), self.episodes.rows("goal")
+        rows = self.episodes.rows("start")
+        starts = [int(rows[k * len(rows) // TASKS]) for k in range(TASKS)]
+        goals = [self.episodes.goal_rows(start) for start in starts]
         self.task_infos = [
             {
                 "task_name": f"task{k + 1}",
-                "start": int(starts[k * len(starts) // TASKS]),
-                "goal": int(goals[k * len(goals) // TASKS]),
+                "start": start,
+                "goal": int(goals[k][k * len(goals[k]) // TASKS]),
             }
-            for k in range(TASKS)
+            for k, start in enumerate(starts)
         ]
 
     def reset(

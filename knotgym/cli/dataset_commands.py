@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from knotgym.cli.options import QuietOption
+from knotgym.cli.options import OverwriteOption, QuietOption
 from knotgym.runs.progress import Progress
 
 dataset_app = typer.Typer(no_args_is_help=True, help="Look at, check and convert datasets.")
@@ -40,20 +40,24 @@ def show(path: PathOrId) -> None:
 @dataset_app.command()
 def gallery(
     path: PathOrId,
-    out: Annotated[Path, typer.Option(help="PNG to write.")] = Path("gallery.png"),
+    out: Annotated[
+        Path | None, typer.Option(help="PNG to write; gallery.png in the folder by default.")
+    ] = None,
     columns: Annotated[int, typer.Option(min=1, help="Pictures in a row.")] = 8,
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Draw a contact sheet, each picture with its code.
+    """Draw a contact sheet: knot diagrams, each with its code.
 
-    Of all states; of pictures, or of the ends of episodes, the first 64.
+    It shows all states, or the ends of the first 64 episodes, each framed green if it reached its
+    goal and red if it failed. Of a perception table it shows the first 64 pictures as they are.
     """
     with Progress(quiet, lines=False) as progress:
-        from knotgym.atomic_files import require_writable
         from knotgym.cli.inspection import gallery as draw
+        from knotgym.cli.places import folder_of
 
-        require_writable(out)
-        progress.say(f"{out}: {draw(path, out, columns)}")
+        out = out or folder_of(path) / "gallery.png"
+        progress.say(f"{out}: {draw(path, out, columns, overwrite)}")
 
 
 @dataset_app.command()
@@ -109,6 +113,7 @@ def merge(
         str,
         typer.Option("--id", help="Make a Minari dataset of this id, such as knotgym/all-v0."),
     ] = "",
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Put shards of one run, or datasets of one kind, together.
@@ -126,44 +131,51 @@ def merge(
     if not dataset_id and out is None:
         raise typer.BadParameter("say where to: --out FILE, or --id for a Minari dataset")
     with Progress(quiet, lines=False) as progress:
-        from knotgym.atomic_files import require_writable
         from knotgym.cli.inspection import merge as put_together
         from knotgym.cli.inspection import merge_to_minari
 
-        if out is not None:
-            require_writable(out)
         progress.stage("merging")
         if dataset_id:
-            progress.say(merge_to_minari(sources, dataset_id, out, progress.stage))
+            progress.say(merge_to_minari(sources, dataset_id, out, overwrite, progress.stage))
         elif out is not None:
-            progress.say(put_together(sources, out, progress.stage))
+            progress.say(put_together(sources, out, overwrite, progress.stage))
 
 
 @dataset_app.command()
 def replay(
     path: PathOrId,
     out: Annotated[
-        Path, typer.Option(help="Video to write: .gif, or .mp4 or .webm with the extra video.")
-    ] = Path("replay.gif"),
+        Path | None,
+        typer.Option(
+            help=(
+                "Video to write: .gif, or .mp4 or .webm with the extra video; replay.gif in the"
+                " folder by default."
+            )
+        ),
+    ] = None,
     row: Annotated[int, typer.Option(min=0, help="Which state or episode.")] = 0,
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Act out how a state or an episode came to be, check it bit for bit, and film it.
 
-    The pull is an arrow, and both codes stand below.
+    The pull is an arrow, both codes stand below, and the last frame says "reached" or "failed".
     """
     with Progress(quiet, lines=False) as progress:
-        from knotgym.atomic_files import require_writable
         from knotgym.cli.inspection import film
+        from knotgym.cli.places import folder_of
 
-        require_writable(out)
-        progress.say(f"{out}: {film(path, row, out, progress)}")
+        out = out or folder_of(path) / "replay.gif"
+        progress.say(f"{out}: {film(path, row, out, overwrite, progress)}")
 
 
 @dataset_app.command()
 def page(
     path: PathOrId,
-    out: Annotated[Path, typer.Option(help="HTML file to write.")] = Path("page.html"),
+    out: Annotated[
+        Path | None, typer.Option(help="HTML file to write; page.html in the folder by default.")
+    ] = None,
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Write one HTML file to browse a dataset in, without a network.
@@ -171,12 +183,12 @@ def page(
     States turn in three dimensions, episodes play; 10 MB at most, large sets are sampled.
     """
     with Progress(quiet, lines=False) as progress:
-        from knotgym.atomic_files import require_writable
         from knotgym.cli.inspection import page as write
+        from knotgym.cli.places import folder_of
 
-        require_writable(out)
+        out = out or folder_of(path) / "page.html"
         progress.stage("writing the page")
-        progress.say(f"{out}: {write(path, out)}")
+        progress.say(f"{out}: {write(path, out, overwrite)}")
 
 
 @dataset_app.command()
@@ -200,13 +212,12 @@ def export(
             )
         ),
     ] = "compact",
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Convert a dataset to another form, or to a folder to upload."""
     with Progress(quiet, lines=False) as progress:
-        from knotgym.atomic_files import require_writable
         from knotgym.cli.inspection import export as convert
 
-        require_writable(out)
         progress.stage("exporting")
-        progress.say(f"{out}: {convert(path, out, to, progress.stage)}")
+        progress.say(f"{out}: {convert(path, out, to, overwrite, progress.stage)}")

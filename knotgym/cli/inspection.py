@@ -4,29 +4,31 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from knotgym.atomic_files import atomic_write
+from knotgym.atomic_files import atomic_write, require_no_links, require_output, require_writable
 from knotgym.cli.places import Place, UnknownDataset, episodes_at, name_of, place, places
 from knotgym.cli.summaries import print_episodes, print_images, print_states, print_transcripts
 from knotgym.datasets import verification
-from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
+from knotgym.datasets.episode_reader import Count, EpisodeReader, episode_file, uncounted
 from knotgym.datasets.episode_writer import merge_episodes
 from knotgym.datasets.exports.forms import export as convert
 from knotgym.datasets.exports.huggingface_export import ToUpload, to_huggingface
 from knotgym.datasets.exports.minari_export import to_minari
 from knotgym.datasets.foreign_file import try_files
-from knotgym.datasets.gallery import contact_sheet, write_gallery, write_png
-from knotgym.datasets.image_table import decode, read_rows, read_table
+from knotgym.datasets.gallery import (
+    write_episode_gallery,
+    write_gallery,
+    write_picture_gallery,
+)
+from knotgym.datasets.image_table import read_table, shards
 from knotgym.datasets.manifest_check import read_manifest
-from knotgym.datasets.minari_dataset import compact, merge_datasets
+from knotgym.datasets.minari_dataset import compact, dataset_files, merge_datasets
 from knotgym.datasets.page.page_data import dataset_name, page_data
 from knotgym.datasets.page.page_writer import write_page
 from knotgym.datasets.states import (
@@ -40,16 +42,12 @@ from knotgym.datasets.states import (
 from knotgym.errors import KnotgymError
 from knotgym.generate.merge_shards import merge_shards, shard_folder_of
 from knotgym.prompting.transcripts import transcripts_at
-from knotgym.rendering.picture import draw
-from knotgym.rendering.video import FRAMES_PER_SECOND, film_frame, require_film, write_film
+from knotgym.rendering.video import film_frames, require_film, write_film
 from knotgym.rope import Array, Rope
 from knotgym.runs.executors import executor
 from knotgym.runs.progress import Progress
-from knotgym.runs.staging import Occupied
 from knotgym.simulation import Simulation
-from knotgym.topology.crossings import label
 
-_SHOWN = 64  # pictures or episodes of a gallery, at most
 _LARGE = 4_000_000  # bytes of a table that is checked sooner by several processes than by this one
 
 
@@ -60,12 +58,6 @@ def demonstrations(path: Path) -> list[Place]:
 
 class UntrueReplay(KnotgymError, RuntimeError):
     """A replay ended elsewhere than the dataset says."""
-
-
-def refuse_existing(path: Path) -> None:
-    """Raise Occupied if there is something at `path`."""
-    if path.exists():
-        raise Occupied(f"{path} is there already; choose another --out, or remove it")
 
 
 def show(named: str, console: Console) -> None:
@@ -119,64 +111,60 @@ def checked(named: str) -> str:
     return ", ".join(f"{count} {what}" for what, count in told.items() if count)
 
 
-def gallery(named: str, out: Path, columns: int) -> str:
+def gallery(named: str, out: Path, columns: int, overwrite: bool) -> str:
     """Draw a contact sheet of what a path or an id names; the fact to tell of it."""
-    refuse_existing(out)
-    kind, path = places(named)[0]
-    if kind == "states":
-        states = read_states(states_at(path))
-        write_gallery(out, states, columns)
-        return f"{len(states)} states"
-    if kind == "images":
-        count, shown = len(read_table(path, columns=["nx"])), []
-        columns_read = ["image", "gauss_code_chiral", "split"]
-        for row in islice(read_rows(path, columns=columns_read), _SHOWN):
-            picture = np.asarray(cv2.resize(decode(row["image"]), (128, 128)), np.uint8)
-            shown.append((picture, row["gauss_code_chiral"], row["split"]))
-        what = "pictures"
-    else:
-        readers = [EpisodeReader(one.path) for one in places(named)]
-        shown = list(islice((end for reader in readers for end in _ends(reader)), _SHOWN))
-        count, what = sum(map(len, readers)), "episodes, each at its end"
-        for reader in readers:
-            reader.close()
-    pictures = np.stack([picture for picture, _, _ in shown])
-    captions = [(code or "loop", more) for _, code, more in shown]
-    write_png(out, contact_sheet(pictures, captions, columns=min(columns, len(shown))))
-    return f"{len(shown)} of {count} {what}" if len(shown) < count else f"{count} {what}"
+    require_output(out, folder=False, overwrite=overwrite)
+    found = places(named)
+    kind, path = found[0]
+    with atomic_write(out, overwrite=overwrite) as temporary:
+        if kind == "states":
+            states = read_states(states_at(path), images=False)
+            write_gallery(temporary, states, columns)
+            shown = count = len(states)
+            what = "states"
+        elif kind == "images":
+            shown, what = write_picture_gallery(temporary, path, columns), "pictures"
+            count = len(read_table(path, columns=["nx"]))
+        else:
+            shown = write_episode_gallery(temporary, [one.path for one in found], columns)
+            count = sum(len(EpisodeReader(one.path)) for one in found)
+            what = "episodes, each at its end"
+    return f"{shown} of {count} {what}" if shown < count else f"{count} {what}"
 
 
-def _ends(reader: EpisodeReader) -> Iterator[tuple[NDArray[np.uint8], str, str]]:
-    """The last picture of each episode, its code, and who got there."""
-    for row in range(len(reader)):
-        points = reader.column(row, "points")[-1]
-        reached = "reached" if reader.column(row, "is_success")[-1] else "not reached"
-        yield draw(points), label(points).chiral, f"episode {row}  {reached}"
-
-
-def export(named: str, out: Path, form: str = "compact", count: Count = uncounted) -> str:
+def export(
+    named: str,
+    out: Path,
+    form: str = "compact",
+    overwrite: bool = False,
+    count: Count = uncounted,
+) -> str:
     """Write another form of what a path or an id names, the compact one as a file, or a folder with
     one for each dataset; the fact to tell of it. `count` is told before each episode.
     """
+    require_writable(out)  # each form then checks what it would replace
+    require_own_files(named)
     if form == "huggingface":
-        return _upload(named, out, count)
+        to_huggingface(_sources(named), out, count, overwrite=overwrite)
+        size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
+        return f"{size / 1e6:.1f} MB to upload"
     found = episodes_at(named)
     if form == "minari":
-        to_minari([one.path for one in found], out)
+        to_minari([one.path for one in found], out, overwrite=overwrite)
         return f"a Minari root with {len(found)} datasets; upload the folder in it"
     if form != "compact":
         if len(found) > 1:
             raise UnknownDataset(
                 f"{named} has {len(found)} datasets; export them to {form} one by one"
             )
-        convert(found[0].path, out, form, count)
+        convert(found[0].path, out, form, count, overwrite=overwrite)
         return f"{len(EpisodeReader(found[0].path))} episodes for {form}"
-    refuse_existing(out)
     refuse_minaris_folder(out)
     if len(found) == 1:
-        compact(found[0].path, out, count)
+        compact(found[0].path, out, count, overwrite=overwrite)
     else:
-        with atomic_write(out) as folder:
+        require_output(out, folder=True, overwrite=overwrite)
+        with atomic_write(out, overwrite=overwrite) as folder:
             folder.mkdir()
             for one in found:
                 compact(one.path, folder / f"{name_of(one.path)}.h5", count)
@@ -186,11 +174,21 @@ def export(named: str, out: Path, form: str = "compact", count: Count = uncounte
     return f"{sum(map(len, readers))} episodes{where}, {size / 1e6:.1f} MB"
 
 
-def _upload(named: str, out: Path, count: Count) -> str:
-    """Write a folder for Hugging Face of what a path or an id names; the fact to tell of it."""
-    to_huggingface(_sources(named), out, count)
-    size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
-    return f"{size / 1e6:.1f} MB to upload"
+def require_own_files(named: str) -> None:
+    """Refuse to copy from a dataset whose files are links to elsewhere.
+
+    Raises:
+        LinkedFile: one is; see `require_no_links`.
+    """
+    root = Path(named) if Path(named).exists() else minari_root() / named
+    for kind, path in places(named):
+        inside = [one.path for one in demonstrations(path)] if kind == "states" else []
+        files = shards(path) if kind == "images" else []
+        if kind == "states":
+            files = [states_at(path)]
+        for dataset in [path] if kind == "episodes" else inside:
+            files += dataset_files(episode_file(dataset).parent) if dataset.is_dir() else [dataset]
+        require_no_links(root, files)
 
 
 def _sources(named: str) -> ToUpload:
@@ -217,23 +215,30 @@ def refuse_minaris_folder(out: Path) -> None:
 
 
 def merge_to_minari(
-    sources: Sequence[str], dataset_id: str, root: Path | None, count: Count = uncounted
+    sources: Sequence[str],
+    dataset_id: str,
+    root: Path | None,
+    overwrite: bool,
+    count: Count = uncounted,
 ) -> str:
     """Make a Minari dataset of several; the fact to tell of it."""
+    for source in sources:
+        require_own_files(source)
     paths = [place(source, "episodes").path for source in sources]
-    made = merge_datasets(paths, dataset_id, root, count)
+    made = merge_datasets(paths, dataset_id, root, count, overwrite=overwrite)
     return f"{made}: {len(EpisodeReader(made))} episodes"
 
 
-def page(named: str, out: Path) -> str:
+def page(named: str, out: Path, overwrite: bool) -> str:
     """Write one HTML file to browse what a path or an id names; the fact to tell of it."""
-    refuse_existing(out)
+    require_output(out, folder=False, overwrite=overwrite)
     data = page_data(**_sources(named)._asdict())
-    write_page(out, data)
+    with atomic_write(out, overwrite=overwrite) as temporary:
+        write_page(temporary, data)
     return " ".join([f"{data['says']}, {out.stat().st_size / 1e6:.1f} MB.", *data["notices"]])
 
 
-def merge(sources: Sequence[str], out: Path, count: Count = uncounted) -> str:
+def merge(sources: Sequence[str], out: Path, overwrite: bool, count: Count = uncounted) -> str:
     """Put datasets of one kind together, or the shards of one run; the fact to tell of it."""
     run_shards = [shard for source in sources if (shard := shard_folder_of(source))]
     if run_shards:
@@ -243,10 +248,12 @@ def merge(sources: Sequence[str], out: Path, count: Count = uncounted) -> str:
                 f"shards of a run are merged with each other alone; {others} of these"
                 f" {len(sources)} are none"
             )
-        made = merge_shards(run_shards, out)
+        made = merge_shards(run_shards, out, overwrite=overwrite)
         return f"{made} is the whole run, of {len(run_shards)} shards"
-    refuse_existing(out)
+    require_output(out, folder=False, overwrite=overwrite)
     refuse_minaris_folder(out)
+    for source in sources:
+        require_own_files(source)
     found = [place(source) for source in sources]
     kinds = {one.kind for one in found}
     if "images" in kinds:
@@ -260,43 +267,45 @@ def merge(sources: Sequence[str], out: Path, count: Count = uncounted) -> str:
         )
     if kinds == {"states"}:
         merged = merge_states([read_states(states_at(path)) for _, path in found], distinct=True)
-        write_states(out, merged)
+        with atomic_write(out, overwrite=overwrite) as temporary:
+            write_states(temporary, merged)
         return f"{out}: {len(merged)} states"
     paths = [path for _, path in found]
-    merge_episodes(paths, out, concatenate=True, distinct=True, count=count)
+    with atomic_write(out, overwrite=overwrite) as temporary:
+        merge_episodes(paths, temporary, concatenate=True, distinct=True, count=count)
     return f"{out}: {len(EpisodeReader(out))} episodes"
 
 
-def film(named: str, row: int, out: Path, progress: Progress) -> str:
+def film(named: str, row: int, out: Path, overwrite: bool, progress: Progress) -> str:
     """Act out a state's provenance or an episode and write it as a video; the fact to tell of it.
 
     Raises:
         UnknownDataset: there is no such row, or nothing is known of how it came to be.
         UntrueReplay: it ended elsewhere; nothing is written.
     """
+    require_output(out, folder=False, overwrite=overwrite)
     require_film(out)
-    refuse_existing(out)
     kind, path = place(named, "states", "episodes")
     scene = (_state_scene if kind == "states" else _episode_scene)(path, row)
     simulation, steps = Simulation(1, scene.rope), len(scene.actions)
     simulation.lay(scene.start_qpos[None])
-    frames = []
-    for step in range(steps + 1):
+    ropes, pulls = [simulation.points[0].copy()], []
+    for step, action in enumerate(scene.actions):
         progress.stage("steps acted out", step, steps)
-        points, pull = simulation.points[0].copy(), None
-        if step < steps:
-            beads, forces = simulation.read_actions(scene.actions[step][None])
-            pull = int(beads[0]), forces[0] / scene.rope.config.max_force
-        frames.append(film_frame(points, scene.goal, f"step {step} of {steps}", pull))
-        if step < steps:
-            simulation.act(scene.actions[step][None])
+        beads, forces = simulation.read_actions(action[None])
+        pulls.append((int(beads[0]), forces[0] / scene.rope.config.max_force))
+        simulation.act(action[None])
+        ropes.append(simulation.points[0].copy())
     if not np.array_equal(simulation.points[0], scene.end):
         raise UntrueReplay(
             f"row {row} of {named} acted out again ends elsewhere, first bead"
             f" {np.abs(simulation.points[0] - scene.end).max():.3g} m away at most"
         )
     progress.stage("writing")
-    write_film(out, frames + frames[-1:] * FRAMES_PER_SECOND)
+    headings = [f"step {step} of {steps}" for step in range(steps + 1)]
+    frames = film_frames(ropes, scene.goal, headings, pulls, scene.reached)
+    with atomic_write(out, overwrite=overwrite) as temporary:
+        write_film(temporary, frames)
     return f"bit for bit the same, {steps} steps"
 
 
@@ -308,6 +317,7 @@ class _Scene(NamedTuple):
     actions: NDArray[np.float32]
     end: Array
     goal: Array
+    reached: NDArray[np.bool_]
 
 
 def _state_scene(path: Path, row: int) -> _Scene:
@@ -319,7 +329,8 @@ def _state_scene(path: Path, row: int) -> _Scene:
         )
     actions = states.source["actions"][row, : states.source["steps"][row]]
     end = states.points[row]
-    return _Scene(Rope(), states.source["start_qpos"][row], actions, end, goal=end)
+    reached = np.arange(len(actions) + 1) == len(actions)
+    return _Scene(Rope(), states.source["start_qpos"][row], actions, end, end, reached)
 
 
 def _episode_scene(path: Path, row: int) -> _Scene:
@@ -333,6 +344,7 @@ def _episode_scene(path: Path, row: int) -> _Scene:
         episode.actions,
         episode.points[-1],
         episode.goal_points,
+        episode.is_success,
     )
 
 

@@ -7,15 +7,18 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
-from knotgym.cli.options import QuietOption, ResumeOption, SettingsOption, with_settings
-from knotgym.errors import KnotgymError
+from knotgym.cli.options import (
+    OverwriteOption,
+    QuietOption,
+    RestartOption,
+    ResumeOption,
+    SettingsOption,
+    with_settings,
+)
+from knotgym.errors import MissingExtra, install_command
 from knotgym.runs.progress import Progress
-
-
-class MissingLearn(KnotgymError, ImportError):
-    """What learning needs isn't installed."""
+from knotgym.runs.run_options import Existing
 
 
 def train(
@@ -30,18 +33,23 @@ def train(
         int, typer.Option(help="Of everything; the same seed and data give the same weights.")
     ] = 0,
     resume: ResumeOption = False,
+    restart: RestartOption = False,
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Train a learner that sees pictures alone; `knotgym evaluate --policy FOLDER` measures it."""
     for library in ("torch", "safetensors"):
         if importlib.util.find_spec(library) is None:
-            raise MissingLearn(
-                f"knotgym train needs {library}, which isn't installed: pip install"
-                " 'knotgym[learn]'"
-            )
-    with Progress(quiet, console=Console(stderr=True)) as progress:
+            raise MissingExtra(library, install_command("learn"), "knotgym train")
+    with Progress(quiet) as progress:
         from knotgym.learn.training import TrainConfig
         from knotgym.learn.training import train as run
 
         config = with_settings(TrainConfig(steps=steps, seed=seed), settings)
-        run(data, out, config, resume=resume, progress=progress)
+        run(
+            data,
+            out,
+            config,
+            existing=Existing(resume=resume, restart=restart, overwrite=overwrite),
+            progress=progress,
+        )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import errno
 import functools
 import os
@@ -13,9 +14,11 @@ from concurrent.futures import BrokenExecutor
 from typing import Annotated, Any
 
 import typer
+from rich.markup import escape
 from typer.core import TyperCommand, TyperGroup
 
 from knotgym.cli.dataset_commands import dataset_app
+from knotgym.cli.demo_commands import compile_kernels, demo
 from knotgym.cli.learning_commands import train
 from knotgym.cli.policy_commands import collect, evaluate
 from knotgym.cli.prompt_commands import prompt
@@ -27,10 +30,17 @@ from knotgym.runs.run_options import NotEnough
 
 
 class Command(TyperCommand):
-    """A command whose flags show no type in --help."""
+    """A command whose --help shows flags without a type, and square brackets as they are."""
 
     def get_params(self, ctx: Any) -> Any:
         return _flags_bare(super().get_params(ctx))
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        plain: Any = copy.copy(self)
+        plain.params = [copy.copy(one) for one in self.params]
+        for part in [plain, *plain.params]:
+            part.help = escape(part.help or "")  # else rich takes '.[video]' for a style
+        TyperCommand.format_help(plain, ctx, formatter)
 
 
 class Group(TyperGroup):
@@ -52,8 +62,9 @@ _APP: dict[str, Any] = {**_HELP, "add_completion": False, "pretty_exceptions_ena
 
 app = typer.Typer(cls=Group, no_args_is_help=True, **_APP)
 app.add_typer(dataset_app, name="dataset", cls=Group, **_HELP)
-for _command in (generate, collect, suite, train, evaluate, images, prompt):
+for _command in (demo, generate, collect, suite, train, evaluate, images, prompt):
     app.command(cls=Command)(_command)
+app.command("compile", cls=Command)(compile_kernels)
 for _listed in dataset_app.registered_commands:
     _listed.cls = Command
 generate_app = typer.Typer(**_APP)  # knotgym-generate, one command without a name
@@ -78,6 +89,8 @@ def knotgym(
     """Data for spatial reasoning on knots.
 
     Examples:
+
+        knotgym demo
 
         knotgym generate --nx 3 --count 40
 

@@ -9,7 +9,7 @@ import typer
 
 from knotgym.configuration import Config, InvalidConfig, read_json, updated
 from knotgym.runs.executors import scheduler_of
-from knotgym.runs.run_options import RunOptions
+from knotgym.runs.run_options import Existing, RunOptions
 from knotgym.runs.shards import Shard
 from knotgym.topology.gauss import GaussCode
 
@@ -160,6 +160,22 @@ SettingsOption = Annotated[
     ),
 ]
 ResumeOption = Annotated[bool, option("--resume", help="Finish an interrupted run.", group=RUN)]
+RestartOption = Annotated[
+    bool,
+    option(
+        "--restart",
+        help="Throw away what an interrupted run left, and start from the beginning.",
+        group=RUN,
+    ),
+]
+OverwriteOption = Annotated[
+    bool,
+    option(
+        "--overwrite",
+        help="Replace an output that exists, once the new one is complete.",
+        group=RUN,
+    ),
+]
 QuietOption = Annotated[bool, option("--quiet", help="Say nothing but errors.", group=RUN)]
 
 
@@ -218,15 +234,15 @@ def words(text: str) -> tuple[str, ...]:
 
 
 def run_options(
-    engine: str, scheduler: str, workers: int, shard: str, resume: bool, quiet: bool
+    engine: str, scheduler: str, workers: int, shard: str, existing: Existing, quiet: bool
 ) -> RunOptions:
     """What the options of a run say together."""
     return RunOptions(
         workers=workers,
         scheduler=scheduler_of(engine, scheduler, workers),
         shard=Shard.parse(shard),
-        resume=resume,
         quiet=quiet,
+        **vars(existing),
     )
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from knotgym.datasets.image_table import is_images
 from knotgym.datasets.state_schema import FORMAT as STATES_FORMAT
-from knotgym.datasets.states import minari_root
+from knotgym.datasets.states import SHIPPED, minari_root, shipped
 from knotgym.errors import KnotgymError, MissingFile
 from knotgym.hdf5_files import hdf5_format
 
@@ -31,18 +31,22 @@ class Place(NamedTuple):
 
 
 def places(named: str) -> list[Place]:
-    """What a path or an id holds: of a run the states, of a folder of Minari datasets each.
+    """What a path, an id or a set that ships holds: of a run the states, of a folder of Minari
+    datasets each.
 
     Raises:
         MissingFile: there is no such file, folder or id.
         UnknownDataset: the folder holds nothing of ours.
     """
     given = Path(named)
+    if not given.exists() and named in SHIPPED:
+        given = shipped(named)
     if not given.exists():
         given = minari_root() / named
         if not given.is_dir():
             raise MissingFile(
-                f"no such file: {named}, nor a Minari dataset of this id under {minari_root()}"
+                f"no such file: {named}, nor a Minari dataset of this id under {minari_root()},"
+                f" nor a set that ships ({', '.join(SHIPPED)})"
             )
     if is_images(given):
         return [Place("images", given)]
@@ -58,6 +62,17 @@ def places(named: str) -> list[Place]:
             " command made"
         )
     return found
+
+
+def folder_of(named: str) -> Path:
+    """The folder that a path or an id names, of a file the one that it lies in.
+
+    Raises:
+        MissingFile, UnknownDataset: as `places`.
+    """
+    places(named)
+    given = Path(named) if Path(named).exists() else minari_root() / named
+    return given if given.is_dir() else given.parent
 
 
 def place(named: str, *kinds: str) -> Place:

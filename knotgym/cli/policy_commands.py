@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,11 +21,12 @@ from knotgym.cli.options import (
     MaxGoalsOption,
     NoiseOption,
     NxOption,
-    ObservationOption,
+    OverwriteOption,
     PoliciesOption,
     PolicyOption,
     QuietOption,
     ResetNoiseOption,
+    RestartOption,
     ResumeOption,
     SchedulerOption,
     SeedOption,
@@ -43,6 +45,7 @@ from knotgym.cli.options import (
     words,
 )
 from knotgym.runs.progress import Progress
+from knotgym.runs.run_options import Existing
 
 if TYPE_CHECKING:
     from knotgym.control.policies import PolicyConfig
@@ -53,7 +56,7 @@ def collect(
     nx: NxOption = "2",
     policy: PolicyOption = "expert",
     episodes: Annotated[int, typer.Option(help="Played, for each nx.")] = 200,
-    split: Annotated[str, typer.Option(help="train or test.")] = "train",
+    split: Annotated[str, typer.Option(help="train, test, train-code or test-code.")] = "train",
     keep_failed: Annotated[
         bool,
         typer.Option(
@@ -81,13 +84,24 @@ def collect(
         typer.Option(
             "--id",
             help=(
-                "Minari id; by default knotgym/tie-nx3/expert-v0 and the like, other states, seeds"
-                " and rules in its name."
+                "Minari id; by default knotgym/tie-nx3/expert-v0 and the like, with a mark for each"
+                " setting that changes the data, as in expert-state-seed1-v0."
             ),
         ),
     ] = "",
     states: StatesOption = None,
-    observation: ObservationOption = "both",
+    observation: Annotated[
+        str | None,
+        option(
+            "--observation",
+            help=(
+                "Stored, and seen by your functions and .pt models: pixels, state, both or"
+                " symbolic. A .zip or .onnx model sees what it was trained on."
+            ),
+            group=ENVIRONMENT,
+            show_default="both is stored, state is seen",
+        ),
+    ] = None,
     max_goals: MaxGoalsOption = None,
     image_size: ImageSizeOption = 128,
     views: ViewsOption = "top",
@@ -117,6 +131,8 @@ def collect(
     settings: SettingsOption = None,
     shard: ShardOption = "",
     resume: ResumeOption = False,
+    restart: RestartOption = False,
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Play a policy's episodes and write them as a Minari dataset.
@@ -127,16 +143,22 @@ def collect(
 
         knotgym collect --task tie --nx 3 --policy expert --episodes 200
 
-        knotgym collect --task unknot --nx 2-4 --policy mine:act --observation state
+        knotgym collect --task unknot --nx 2-4 --policy mine:act
 
         knotgym collect --task tie --policy pretrained --labels expert --budget 2000
     """
     with Progress(quiet) as progress:
-        from knotgym.generate.episodes.collect import CollectConfig, distinct_id
+        from knotgym.datasets.minari_dataset import loading_lines
+        from knotgym.generate.episodes.collect import (
+            CollectConfig,
+            distinct_id,
+            require_collectable,
+        )
         from knotgym.generate.episodes.collect import collect as run
         from knotgym.tasks import TaskConfig
 
-        options, crossings = run_options(engine, scheduler, workers, shard, resume, quiet), nx
+        existing = Existing(resume=resume, restart=restart, overwrite=overwrite)
+        options, crossings = run_options(engine, scheduler, workers, shard, existing, quiet), nx
         if dataset_id and len(numbers(crossings)) > 1:
             raise typer.BadParameter(
                 f"--id names one dataset, and --nx {nx} makes {len(numbers(crossings))}: leave out"
@@ -149,7 +171,7 @@ def collect(
                 nx=one,
                 split=split,
                 states=None if states is None else str(states),
-                observation=observation,
+                observation=observation or "both",
                 max_goals=max_goals,
                 image_size=image_size,
                 views=listed(views),
@@ -171,16 +193,25 @@ def collect(
                 keep_failed=keep_failed,
                 attempts=attempts,
                 labels=labels,
-                dataset_id=dataset_id
-                or distinct_id(one, acting, seed, attempts=attempts, labels=labels),
+                seen="" if observation else "state",
+                dataset_id=dataset_id,
                 author=tuple(author or ()),
                 author_email=tuple(author_email or ()),
                 code_permalink=code_permalink,
             )
             for one in tasks
         ]
+        for number, config in enumerate(configs):
+            settled = with_settings(config, settings)
+            if settled.dataset_id == config.dataset_id and not dataset_id:
+                settled = replace(settled, dataset_id=distinct_id(settled))
+            configs[number] = settled
+        for config in configs:  # all of them before the first is played
+            require_collectable(config, out, options)
         for config in configs:
-            run(with_settings(config, settings), out, options, progress=progress)
+            run(config, out, options, progress=progress)
+            if options.shard.is_whole:
+                progress.say_how_to_load(loading_lines(config.dataset_id, out))
 
 
 def evaluate(
@@ -192,7 +223,9 @@ def evaluate(
     ] = "2",
     policy: PoliciesOption = None,
     episodes: Annotated[int, typer.Option(help="For each policy, task, split and nx.")] = 256,
-    split: Annotated[str, typer.Option(help="train, test, or both with a comma.")] = "test",
+    split: Annotated[
+        str, typer.Option(help="train, test, train-code, test-code; several with commas.")
+    ] = "test",
     out: Annotated[Path | None, typer.Option(help="JSON to write.")] = None,
     video: Annotated[
         Path | None,
@@ -209,7 +242,10 @@ def evaluate(
         str,
         option(
             "--observation",
-            help="What models and functions see: pixels, state, both or symbolic.",
+            help=(
+                "What your functions and .pt models see: pixels, state, both or symbolic. A .zip or"
+                " .onnx model sees what it was trained on."
+            ),
             group=ENVIRONMENT,
         ),
     ] = "state",
@@ -228,6 +264,8 @@ def evaluate(
     seed: SeedOption = 0,
     workers: WorkersOption = 0,
     resume: ResumeOption = False,
+    restart: RestartOption = False,
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Measure success rates, with 95 % intervals.
@@ -279,7 +317,7 @@ def evaluate(
             quiet=quiet,
             console=progress.console,
             progress=progress,
-            resume=resume,
+            existing=Existing(resume=resume, restart=restart, overwrite=overwrite),
         )
 
 

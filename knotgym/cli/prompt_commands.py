@@ -12,8 +12,10 @@ from knotgym.cli.options import (
     RUN,
     HoldOption,
     IntegratorStepsOption,
+    OverwriteOption,
     QuietOption,
     ResetNoiseOption,
+    RestartOption,
     ResumeOption,
     SeedOption,
     StatesOption,
@@ -22,6 +24,7 @@ from knotgym.cli.options import (
     option,
 )
 from knotgym.runs.progress import Progress
+from knotgym.runs.run_options import Existing
 
 if TYPE_CHECKING:
     from knotgym.prompting.prompted_episodes import PromptConfig
@@ -72,7 +75,7 @@ def prompt(
         option("--completion-price", help="Of a million completion tokens.", group=_MODEL),
     ] = None,
     timeout: Annotated[
-        float, option("--timeout", help="Seconds until an answer counts as lost.", group=_MODEL)
+        float, option("--timeout", help="Seconds that an attempt may take in all.", group=_MODEL)
     ] = 120.0,
     attempts: Annotated[
         int, option("--attempts", help="Of each question, before the run stops.", group=_MODEL)
@@ -90,7 +93,7 @@ def prompt(
     episodes: Annotated[int, typer.Option(help="Or pictures, the first of the split.")] = 100,
     split: Annotated[
         str,
-        typer.Option(help="By default train, as published; of pictures test."),
+        typer.Option(help="As of evaluate; by default train, as published; of pictures test."),
     ] = "",
     window: Annotated[
         int,
@@ -134,12 +137,14 @@ def prompt(
     ] = 4,
     seed: SeedOption = 0,
     resume: ResumeOption = False,
+    restart: RestartOption = False,
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Put a vision-language model to episodes, or to reading codes off pictures.
 
     Each episode's transcript is a line of transcripts.jsonl; result.json holds what they count up
-    to. Needs the extra prompt.
+    to.
 
     Examples:
 
@@ -195,7 +200,7 @@ def prompt(
         config = PromptConfig(**settings)
         rows = [] if pictures is None else _rows(pictures, split or "test", config.episodes)
         if show:
-            _show(config, rows, out, progress)
+            _show(config, rows, out, overwrite, progress)
             return
         if pictures is not None:
             config = PromptConfig(**settings, pictures=(split or "test", _digest(rows)))
@@ -218,7 +223,7 @@ def prompt(
             len(rows) or config.episodes,
             folder,
             side_by_side=side_by_side,
-            resume=resume,
+            existing=Existing(resume=resume, restart=restart, overwrite=overwrite),
             progress=progress,
         )
         if not quiet:
@@ -248,16 +253,23 @@ def _digest(rows: list[dict[str, Any]]) -> str:
 
 
 def _show(
-    config: PromptConfig, rows: list[dict[str, Any]], out: Path | None, progress: Progress
+    config: PromptConfig,
+    rows: list[dict[str, Any]],
+    out: Path | None,
+    overwrite: bool,
+    progress: Progress,
 ) -> None:
     """Print the prompt of the first episode or picture; of mode stateful that of the second turn,
     after an answer that moved nothing.
     """
-    from knotgym.atomic_files import atomic_write
+    from knotgym.atomic_files import atomic_write, require_output
     from knotgym.prompting.prompts import as_text
     from knotgym.prompting.sample_prompt import sample_prompt
 
     said, shown = sample_prompt(config, rows)
+    pictures = {} if out is None else {out / f"{one.name}.png": one.png for one in shown}
+    for path in pictures:
+        require_output(path, folder=False, overwrite=overwrite)
     progress.console.print(
         as_text(said, {one.sha256: one.name for one in shown}),
         end="",
@@ -265,7 +277,6 @@ def _show(
         highlight=False,
         markup=False,
     )
-    if out is not None:
-        for one in shown:
-            with atomic_write(out / f"{one.name}.png") as temporary:
-                temporary.write_bytes(one.png)
+    for path, png in pictures.items():
+        with atomic_write(path, overwrite=overwrite) as temporary:
+            temporary.write_bytes(png)

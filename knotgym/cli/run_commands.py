@@ -10,7 +10,9 @@ import typer
 from knotgym.cli.options import (
     EngineOption,
     NxOption,
+    OverwriteOption,
     QuietOption,
+    RestartOption,
     ResumeOption,
     SchedulerOption,
     SeedOption,
@@ -26,6 +28,7 @@ from knotgym.cli.options import (
     with_settings,
 )
 from knotgym.runs.progress import Progress
+from knotgym.runs.run_options import Existing
 
 _CHOICE, _SEARCH, _SPLITS = "Which states", "The search", "Splits"
 
@@ -145,6 +148,8 @@ def generate(
     settings: SettingsOption = None,
     shard: ShardOption = "",
     resume: ResumeOption = False,
+    restart: RestartOption = False,
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Make rope states, split into train and test, and demonstrations that reach their codes.
@@ -163,13 +168,15 @@ def generate(
     """
     with Progress(quiet) as progress:
         progress.stage("loading")
+        from knotgym.datasets.minari_dataset import loading_lines
         from knotgym.generate.states.generate_config import GenerateConfig
         from knotgym.generate.states.random_walk import RandomWalkConfig
         from knotgym.generate.states.random_walk_recipe import walk_states
         from knotgym.generate.states.state_recipe import generate as run
         from knotgym.topology.knot_table import UNKNOT, diagram_of
 
-        options = run_options(engine, scheduler, workers, shard, resume, quiet)
+        existing = Existing(resume=resume, restart=restart, overwrite=overwrite)
+        options = run_options(engine, scheduler, workers, shard, existing, quiet)
         if source not in ("drawing", "random-walk"):
             raise typer.BadParameter(f"--source takes drawing or random-walk, got {source!r}")
         if nx is None:
@@ -218,6 +225,10 @@ def generate(
             cycles=cycles,
         )
         run(with_settings(config, settings), folder, options, archive=archive, progress=progress)
+        root = options.shard.folder(folder) / "minari"
+        for dataset in sorted(root.glob("knotgym/*/demonstrations-v0"))[-1:]:
+            shown = dataset.relative_to(root).as_posix()
+            progress.say_how_to_load(loading_lines(shown, root))
 
 
 def images(
@@ -268,12 +279,14 @@ def images(
     settings: SettingsOption = None,
     shard: ShardOption = "",
     resume: ResumeOption = False,
+    restart: RestartOption = False,
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Make labelled pictures.
 
     Of each the Gauss code, the crossings, the rope's coordinates and how hard it is to read.
-    Needs the extra huggingface: pip install 'knotgym[huggingface]'.
+    Needs the extra huggingface: pip install '.[huggingface]'.
 
     Examples:
 
@@ -286,7 +299,8 @@ def images(
         from knotgym.generate.images.images_config import ImagesConfig
         from knotgym.rendering.appearance import VARIED, AppearanceConfig
 
-        options = run_options(engine, scheduler, workers, shard, resume, quiet)
+        existing = Existing(resume=resume, restart=restart, overwrite=overwrite)
+        options = run_options(engine, scheduler, workers, shard, existing, quiet)
         sizes = size.split(",")
         if not all(pixels.strip().isdecimal() for pixels in sizes):
             raise typer.BadParameter(f"--size takes pixels such as 128 or 64,128, got {size!r}")

@@ -12,7 +12,9 @@ from knotgym.cli.options import (
     BudgetOption,
     EngineOption,
     ObservationOption,
+    OverwriteOption,
     QuietOption,
+    RestartOption,
     ResumeOption,
     SchedulerOption,
     WorkersOption,
@@ -22,6 +24,7 @@ from knotgym.cli.options import (
     words,
 )
 from knotgym.runs.progress import Progress
+from knotgym.runs.run_options import Existing
 
 
 def suite(
@@ -73,6 +76,8 @@ def suite(
     engine: EngineOption = "local",
     scheduler: SchedulerOption = "",
     resume: ResumeOption = False,
+    restart: RestartOption = False,
+    overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Make the fixed benchmark, or a part of it.
@@ -100,7 +105,8 @@ def suite(
             budget=budget,
             seed=seed,
         )
-        options = run_options(engine, scheduler, workers, "", resume, quiet)
+        existing = Existing(resume=resume, restart=restart, overwrite=overwrite)
+        options = run_options(engine, scheduler, workers, "", existing, quiet)
         make_suite(config, out, options, scores=tuple(scores or ()), progress=progress)
 
 

@@ -11,11 +11,14 @@ from rich.console import Console
 
 from knotgym.datasets.cards.image_card import summary as image_summary
 from knotgym.datasets.cards.state_card import (
+    OVERLAP_HEAD,
+    OVERLAP_SAYS,
     SPREAD_HEAD,
     SPREAD_SAYS,
     growth,
     known_and_accepted,
     most_first,
+    overlap_rows,
     spread_rows,
 )
 from knotgym.datasets.cards.state_card import summary as state_summary
@@ -69,6 +72,11 @@ def print_states(path: str, file: Path, console: Console) -> None:
         "of: codes there are; chiral: codes with chirality; both: codes in both splits; actions:"
         " fewest/median/most to reach",
     )
+    shared = narrow_table(OVERLAP_HEAD, title="train and test")
+    for row in overlap_rows(facts["nx"]):
+        shared.add_row(*row)
+    console.print(shared)
+    _say(console, OVERLAP_SAYS)
     spread = narrow_table(SPREAD_HEAD, title="spread")
     for row in spread_rows(facts["nx"]):
         spread.add_row(*row)

@@ -94,7 +94,7 @@ class NoisyPolicy(UnplannedPolicy):
         return self._inner.effort(index)
 
 
-class MixedPolicy:
+class MixedPolicy(Policy):
     """One of several policies for each episode, drawn when it begins."""
 
     def __init__(self, policies: list[Policy], shares: tuple[float, ...]) -> None:

@@ -17,7 +17,7 @@ from knotgym.control.guidance import promising
 from knotgym.control.macro_actions import WaypointController
 from knotgym.control.planner import REST, Plan, plan
 from knotgym.control.planner_config import PlannerConfig
-from knotgym.control.policy import Choice, Effort
+from knotgym.control.policy import Choice, Effort, Policy
 from knotgym.control.transition_graph import TransitionGraph, shipped_transition_graph
 from knotgym.episode_batch import EpisodeBatch
 from knotgym.simulation import Simulation
@@ -44,7 +44,7 @@ class _Progress:
     kind: str = ""
 
 
-class Expert:
+class Expert(Policy):
     """Leads every rope to its goal code; a `policy.PlanningPolicy`."""
 
     def __init__(

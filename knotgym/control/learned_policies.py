@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,18 +18,59 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.control.policy import Choice, InvalidPolicy, Policy, UnplannedPolicy, checked
+from knotgym.env import observation_space
 from knotgym.episode_batch import EpisodeBatch
-from knotgym.errors import one_line
+from knotgym.errors import install_command, one_line
+from knotgym.tasks import LAYOUTS, OBSERVATIONS, TaskConfig
 
-Model = Callable[[Any], Any]
+Shapes = Mapping[str, tuple[int | None, ...]]
+
+
+@dataclass(frozen=True)
+class Model:
+    """A function from a batch of observations to a batch of actions.
+
+    Attributes:
+        function: takes an array (n, ...), or a dict of them.
+        takes: shape of each part of one observation, or of "" if it has no parts, with None for a
+            size that isn't fixed; None where the model doesn't state its observation space.
+    """
+
+    function: Callable[[Any], Any]
+    takes: Shapes | None = None
+
+    def __call__(self, batch: Any) -> Any:
+        return self.function(batch)
 
 
 class ModelPolicy(UnplannedPolicy):
-    """A model that maps a batch of observations to a batch of actions."""
+    """A model that maps a batch of observations to a batch of actions.
 
-    def __init__(self, model: Model, name: str) -> None:
+    A `Model` that states its observation space gets that observation, whatever the task's is.
+    """
+
+    def __init__(self, model: Callable[[Any], Any], name: str) -> None:
         super().__init__(name)
-        self._model = model
+        self._model, self._takes = model, model.takes if isinstance(model, Model) else None
+
+    def suited(self, task: TaskConfig) -> TaskConfig:
+        if self._takes is None:
+            return task
+        choices = dict.fromkeys((task.observation, *OBSERVATIONS))
+        layouts = dict.fromkeys((task.layout, *LAYOUTS))
+        for observation in choices:
+            for layout in layouts:
+                seen = replace(task, observation=observation, layout=layout)
+                if _fits(_shapes(observation_space(seen)), self._takes):
+                    return seen
+        offered = ", ".join(
+            f"{choice} {_told(_shapes(observation_space(replace(task, observation=choice))))}"
+            for choice in choices
+        )
+        raise InvalidPolicy(
+            f"policy {self._name} takes observations of shape {_told(self._takes)}, which this task"
+            f" doesn't have: {offered}"
+        )
 
     def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
         seen = [episodes.observation(index) for index in ids.tolist()]
@@ -39,7 +81,45 @@ class ModelPolicy(UnplannedPolicy):
             }
         else:
             batch = np.stack(seen)
-        return checked(list(np.asarray(self._model(batch))), episodes, ids, self._name)
+        try:
+            actions = list(np.asarray(self._model(batch)))
+        except Exception as error:  # each library has its own for an input that doesn't fit
+            task = episodes.config
+            shapes = _told(_shapes(observation_space(task)))
+            raise InvalidPolicy(
+                f"policy {self._name} can't act on observations {task.observation} of shape"
+                f" {shapes}, so try another --observation:"
+                f" {one_line(error)[-200:]}"
+            ) from error
+        return checked(actions, episodes, ids, self._name)
+
+
+def _shapes(space: Any) -> Shapes:
+    """The shapes of a Gymnasium space, as `Model.takes`."""
+    parts = getattr(space, "spaces", None)
+    if isinstance(parts, Mapping):
+        return {str(name): tuple(part.shape or ()) for name, part in parts.items()}
+    return {"": tuple(space.shape or ())}
+
+
+def _fits(given: Shapes, taken: Shapes) -> bool:
+    return given.keys() == taken.keys() and all(
+        len(given[name]) == len(taken[name])
+        and all(size in (one, None) for one, size in zip(given[name], taken[name], strict=True))
+        for name in given
+    )
+
+
+def _told(shapes: Shapes) -> str:
+    """Shapes as an error names them.
+
+    >>> _told({"": (600,)}), _told({"pixels": (None, 8, 3), "state": (600,)})
+    ('(600)', 'pixels (any, 8, 3) and state (600)')
+    """
+    return " and ".join(
+        f"{name} ({', '.join('any' if size is None else str(size) for size in shape)})".strip()
+        for name, shape in shapes.items()
+    )
 
 
 def load_model(path: Path, algorithm: str = "") -> Model:
@@ -99,8 +179,8 @@ def load_learner(place: str) -> Policy:
     for library in ("torch", "safetensors"):
         if importlib.util.find_spec(library) is None:
             raise InvalidPolicy(
-                f"the learner {place} needs {library}, which isn't installed: pip install"
-                " 'knotgym[learn]'"
+                f"the learner {place} needs {library}, which isn't installed; install it:"
+                f" {install_command('learn')}"
             )
     policy: Policy = importlib.import_module("knotgym.learn.picture_policy").learned_policy(place)
     return policy
@@ -118,6 +198,13 @@ def learner_card(place: str) -> dict[str, Any]:
     return card
 
 
+def learner_files(place: str) -> dict[str, Path]:
+    """The files of a learner's folder, by their names."""
+    checkpoint = importlib.import_module("knotgym.learn.checkpoint")
+    folder: Path = checkpoint.policy_folder(place)
+    return {name: folder / name for name in (checkpoint.CARD, checkpoint.WEIGHTS)}
+
+
 def _stable_baselines3(path: Path, algorithm: str) -> Model:
     algorithms = _library("stable_baselines3", path)
     name = algorithm or "PPO"
@@ -132,7 +219,13 @@ def _stable_baselines3(path: Path, algorithm: str) -> Model:
         with inference(torch):
             return model.predict(batch, deterministic=True)[0]
 
-    return act
+    takes = _shapes(model.observation_space)
+    # it keeps pictures with their channels first, and turns those it is given
+    turned = {
+        name: (*shape[1:], shape[0]) if len(shape) == 3 and (shape[0] or 0) < 16 else shape
+        for name, shape in takes.items()
+    }
+    return Model(act, turned)
 
 
 def _onnx(path: Path, algorithm: str) -> Model:
@@ -140,12 +233,18 @@ def _onnx(path: Path, algorithm: str) -> Model:
     options = runtime.SessionOptions()
     options.intra_op_num_threads = 1  # as `inference`
     session = runtime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    first = session.get_inputs()[0].name
+    inputs = session.get_inputs()
+    takes = {
+        one.name if len(inputs) > 1 else "": tuple(
+            size if isinstance(size, int) else None for size in one.shape[1:]
+        )
+        for one in inputs
+    }
 
     def act(batch: Any) -> Any:
-        return session.run(None, batch if isinstance(batch, dict) else {first: batch})[0]
+        return session.run(None, batch if isinstance(batch, dict) else {inputs[0].name: batch})[0]
 
-    return act
+    return Model(act, takes)
 
 
 def _torchscript(path: Path, algorithm: str) -> Model:
@@ -160,7 +259,7 @@ def _torchscript(path: Path, algorithm: str) -> Model:
                 )
             return np.asarray(model(torch.from_numpy(batch)))
 
-    return act
+    return Model(act)
 
 
 # suffix -> what reads such a file, given a Stable-Baselines3 algorithm's name or ""

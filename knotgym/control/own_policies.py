@@ -14,8 +14,10 @@ draw comes from the episode's generator.
 
 from __future__ import annotations
 
+import ast
 import copy
 import importlib
+import importlib.util
 import inspect
 import os
 import sys
@@ -85,20 +87,85 @@ class OwnPolicy(UnplannedPolicy):
 
 
 def load_own(module: str, name: str) -> Any:
-    """What a module calls `name`.
+    """Import a module and return what it calls `name`.
+
+    A module that isn't installed is looked for in the current folder. That folder is on the path
+    only during this import: the module imports its neighbours at its top, not later.
 
     Raises:
         InvalidPolicy: there is no such thing, or the module raises.
     """
-    if os.getcwd() not in sys.path:
-        # a user's file lies where the command is typed; last, so that it hides nothing
-        sys.path.append(os.getcwd())
     try:
-        return getattr(importlib.import_module(module), name)
+        with _current_folder(module.partition(".")[0]):
+            return getattr(importlib.import_module(module), name)
     except (ImportError, AttributeError, SyntaxError) as error:
         raise InvalidPolicy(f"no policy {module}:{name}: {error}") from error
     except Exception as error:
         raise _said(f"{module}:{name}", error) from error
+
+
+def module_files(module: str) -> dict[str, Path]:
+    """A module's file and those that it imports, directly or not, from its own folder, by their
+    paths in there; of an installed module those of its own package.
+
+    Imports are read from the source, those inside of functions too. Files that are read as data,
+    and modules that are named only while running, can't be known.
+    """
+    top, *parts = module.split(".")
+    with _theirs(module), _current_folder(top):
+        spec = importlib.util.find_spec(top)
+    if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
+        return {}
+    own = Path(spec.origin)
+    root = own.parent.parent if spec.submodule_search_locations else own.parent
+    installed = "site-packages" in root.parts
+    found: dict[str, Path] = {}
+    left = [".".join([top, *parts[:count]]) for count in range(len(parts) + 1)]
+    while left:
+        name = left.pop()
+        if not name or (installed and name.split(".")[0] != top):
+            continue
+        place = root.joinpath(*name.split("."))
+        for path in (place.with_name(f"{place.name}.py"), place / "__init__.py"):
+            inside = path.relative_to(root).as_posix()
+            if path.is_file() and inside not in found:
+                found[inside] = path
+                package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+                left += _imported(path.read_bytes(), package)
+    return found
+
+
+def _imported(source: bytes, package: str) -> Iterator[str]:
+    """The modules that a source in a package may import, with the packages that they lie in."""
+    names: list[str] = []
+    try:
+        tree = ast.parse(source)
+    except (SyntaxError, ValueError):  # whoever imports it says so
+        return
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names += [one.name for one in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            above = package.split(".")[: len(package.split(".")) + 1 - node.level]
+            base = ".".join([*(above if node.level else []), *filter(None, [node.module])])
+            names += [base, *(f"{base}.{one.name}".lstrip(".") for one in node.names)]
+    for name in names:
+        parts = name.split(".")
+        yield from (".".join(parts[:count]) for count in range(1, len(parts) + 1))
+
+
+@contextmanager
+def _current_folder(package: str) -> Iterator[None]:
+    """Search the current folder too, last, if Python finds no such package elsewhere."""
+    if package in sys.modules or importlib.util.find_spec(package) is not None:
+        yield
+        return
+    searched = list(sys.path)
+    sys.path.append(os.getcwd())
+    try:
+        yield
+    finally:
+        sys.path[:] = searched
 
 
 @contextmanager

@@ -21,11 +21,12 @@ outside the package must be so in every process that uses it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
 
+from knotgym.atomic_files import sha256
 from knotgym.control.basic_policies import (
     ConstantPolicy,
     MixedPolicy,
@@ -38,13 +39,17 @@ from knotgym.control.learned_policies import (
     MODEL_FILES,
     ModelPolicy,
     is_learner,
+    learner_files,
     load_learner,
     load_model,
 )
-from knotgym.control.own_policies import OwnPolicy, load_own
+from knotgym.control.own_policies import OwnPolicy, load_own, module_files
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policy import Choice, Effort, InvalidPolicy, Policy
 from knotgym.control.transcript_policy import TranscriptPolicy, load_transcripts
+from knotgym.control.transition_graph import TRANSITIONS
+from knotgym.errors import one_line
+from knotgym.prompting.transcripts import transcripts_at
 
 __all__ = [
     "MIXED",
@@ -54,6 +59,7 @@ __all__ = [
     "Policy",
     "PolicyConfig",
     "make_policy",
+    "policy_digests",
     "policy_names",
     "register_policy",
 ]
@@ -97,30 +103,32 @@ class PolicyConfig:
 
     @property
     def core_seconds(self) -> float:
-        """What an episode of 50 steps costs, roughly, on one core of the machine of README's table:
-        those that plan take longer.
+        """Estimate of what an episode of 50 steps costs on one core of the machine of
+        docs/validation.md; policies that plan take longer.
         """
         return 3.0 if "expert" in self.policy or self.policy == "mixed" else 0.5
 
     @property
     def short(self) -> str:
         """A name for datasets, letters, digits and dashes."""
-        place, _, file = self.policy.partition(":")
-        if self.policy in _constructors:
-            stem = self.policy
-        elif place == TRANSCRIPTS:
-            stem = f"{place}-{Path(file).absolute().parent.name}"  # of the run's folder
-        else:
-            stem = Path(self.policy.partition(":")[0]).stem.split(".")[-1]
+        stem = self.policy
+        if stem not in _constructors:
+            stem = Path(stem.partition(":")[0]).stem.split(".")[-1]
         return "".join(letter if letter.isalnum() else "-" for letter in stem)
 
 
 Constructor = Callable[[PolicyConfig], Policy]
 _constructors: dict[str, Constructor] = {}
+_files: dict[str, tuple[Path, ...]] = {}  # that a registered policy is made from
 
 
-def register_policy(name: str, constructor: Constructor) -> None:
+def register_policy(name: str, constructor: Constructor, files: Sequence[Path] = ()) -> None:
     """Let `name` stand for the policy that `constructor` makes of a configuration.
+
+    Args:
+        name: neither module:name nor that of a model file.
+        constructor: makes the policy.
+        files: what decides how it acts, such as its weights; results hold their digests.
 
     Raises:
         InvalidPolicy: the name is taken, or would be read as a module or file.
@@ -129,7 +137,7 @@ def register_policy(name: str, constructor: Constructor) -> None:
         raise InvalidPolicy(f"there is a policy {name!r} already")
     if not name or ":" in name or Path(name).suffix in MODEL_FILES:
         raise InvalidPolicy(f"a policy's name is neither module:name nor a file, got {name!r}")
-    _constructors[name] = constructor
+    _constructors[name], _files[name] = constructor, tuple(files)
 
 
 def policy_names() -> tuple[str, ...]:
@@ -153,6 +161,32 @@ def make_policy(config: PolicyConfig) -> Policy:
     if Path(place).suffix in MODEL_FILES:
         return ModelPolicy(load_model(Path(place), word), config.short)
     return OwnPolicy(load_own(place, word), config.policy)
+
+
+def policy_digests(config: PolicyConfig) -> dict[str, str]:
+    """SHA-256 of the files that decide how a policy acts, by their names: weights, code of the
+    user's own, transcripts, and tables of the planner. The package's code is `versions`'s.
+
+    Raises:
+        InvalidPolicy: a file can't be read.
+    """
+    name, (place, _, word) = config.policy, config.policy.partition(":")
+    table = {TRANSITIONS.name: TRANSITIONS} if TRANSITIONS.is_file() else {}
+    if name in _constructors:
+        files = {path.name: path for path in _files[name]}
+        files |= table if "expert" in name or name == "mixed" else {}
+    elif is_learner(name):
+        files = table | learner_files(name)
+    elif place == TRANSCRIPTS:
+        files = {"transcripts": transcripts_at(Path(word)) or Path(word)}
+    elif Path(place).suffix in MODEL_FILES:
+        files = {Path(place).name: Path(place)}
+    else:
+        files = module_files(place)
+    try:
+        return {called: sha256(files[called]) for called in sorted(files)}
+    except OSError as error:
+        raise InvalidPolicy(f"policy {name}: {one_line(error)}") from error
 
 
 def _scripted(config: PolicyConfig) -> Policy:

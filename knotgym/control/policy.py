@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from knotgym.episode_batch import EpisodeBatch
 from knotgym.errors import KnotgymError, one_line
 from knotgym.simulation import InvalidAction
+from knotgym.tasks import TaskConfig
 
 
 class InvalidPolicy(KnotgymError, ValueError):
@@ -66,6 +67,16 @@ class Effort(NamedTuple):
 class Policy(Protocol):
     """Acts in any of the episodes of one batch, each from its own generator."""
 
+    def suited(self, task: TaskConfig) -> TaskConfig:
+        """Return the task with the observation that this policy takes.
+
+        Called before any episode begins. A policy that takes any task returns it as it is.
+
+        Raises:
+            InvalidPolicy: the task lacks something that the policy needs, such as a view.
+        """
+        return task
+
     def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
         """Episode `index` has begun; every draw for it comes from `rng`."""
 
@@ -86,7 +97,7 @@ class PlanningPolicy(Policy, Protocol):
         """Plan anew before the next action."""
 
 
-class UnplannedPolicy:
+class UnplannedPolicy(Policy):
     """What policies without plans share: a name, and a generator for each episode."""
 
     def __init__(self, name: str) -> None:

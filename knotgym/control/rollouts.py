@@ -1,15 +1,16 @@
 """Rollouts: a policy acting in the environment's own episodes.
 
 Episode i of a run with seed s is what `env.reset(seed=episode_seed(s, i))` begins, whichever
-process plays it and whatever is played beside it; the policy draws from stream POLICY. No picture
-is drawn here: an episode keeps the rope, and its observations are made from that.
+process plays it and whatever is played beside it. Datasets and scores draw from different streams
+(`DATASET`, `EVALUATION`): no seed makes an evaluation play the episodes of a dataset. No picture is
+drawn here: an episode keeps the rope, and its observations are made from that.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,17 @@ from knotgym.episode_batch import EpisodeBatch
 from knotgym.rope import Array
 from knotgym.streams import Stream, derived_seed, generator
 from knotgym.tasks import TaskConfig
+
+
+class EpisodeStreams(NamedTuple):
+    """What the seeds of environments and the draws of policies are taken from."""
+
+    episode: Stream
+    policy: Stream
+
+
+DATASET = EpisodeStreams(Stream.EPISODE, Stream.POLICY)
+EVALUATION = EpisodeStreams(Stream.EVALUATION_EPISODE, Stream.EVALUATION_POLICY)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,9 +86,9 @@ class _Track:
         self.labelling = self.labelling.plus(effort)
 
 
-def episode_seed(seed: int, number: int) -> int:
+def episode_seed(seed: int, number: int, streams: EpisodeStreams = DATASET) -> int:
     """The seed of the reset that begins episode `number` of a run, 52 bits for JSON's sake."""
-    return derived_seed(Stream.EPISODE, seed, number)
+    return derived_seed(streams.episode, seed, number)
 
 
 def rollout(
@@ -85,24 +97,27 @@ def rollout(
     numbers: Sequence[int],
     seed: int,
     *,
+    streams: EpisodeStreams = DATASET,
     attempt: int = 0,
     labeller: Expert | None = None,
 ) -> list[Rollout]:
     """Play episodes side by side.
 
     Args:
-        task: the environment.
+        task: the environment; the policy may take another observation of it.
         policy: who acts.
         numbers: which episodes of the run, at least one.
         seed: of the run.
+        streams: what the episodes are for.
         attempt: the policy draws otherwise in each; the episodes begin alike.
         labeller: asked at every state what it would do, which changes nothing.
     """
-    episodes = EpisodeBatch(task, len(numbers))
+    episodes = EpisodeBatch(policy.suited(task), len(numbers))
     tracks = []
+    seeds = [episode_seed(seed, number, streams) for number in numbers]
     for index, number in enumerate(numbers):
-        episodes.begin(index, np.random.default_rng(episode_seed(seed, number)))
-        policy.begin(episodes, index, generator(Stream.POLICY, seed, number, attempt))
+        episodes.begin(index, np.random.default_rng(seeds[index]))
+        policy.begin(episodes, index, generator(streams.policy, seed, number, attempt))
         tracks.append(_begun(episodes, index))
     under_way = np.arange(len(numbers))
     while len(under_way):
@@ -123,7 +138,7 @@ def rollout(
     return [
         Rollout(
             number,
-            _episode(track, policy.name(index), episode_seed(seed, number)),
+            _episode(track, policy.name(index), seeds[index]),
             policy.effort(index).plus(track.labelling),
         )
         for index, (number, track) in enumerate(zip(numbers, tracks, strict=True))

@@ -16,6 +16,7 @@ from knotgym.control.policy import Choice, InvalidPolicy, UnplannedPolicy
 from knotgym.episode_batch import EpisodeBatch
 from knotgym.prompting.transcripts import InvalidTranscript, read_transcripts, transcripts_at
 from knotgym.streams import Stream, generator
+from knotgym.tasks import TaskConfig
 
 # of a task, what makes no episode another one
 _SEEN = ("observation", "image_size", "views", "depth", "camera", "renderer")
@@ -28,9 +29,18 @@ class TranscriptPolicy(UnplannedPolicy):
         super().__init__(f"prompt:{name}")
         self._transcripts: dict[float, Mapping[str, Any]] = {}
         for one in transcripts:
-            own = generator(Stream.POLICY, one["config"]["seed"], one["number"])
+            own = generator(Stream.EVALUATION_POLICY, one["config"]["seed"], one["number"])
             self._transcripts[own.random()] = one
         self._actions: dict[int, NDArray[np.float32]] = {}
+
+    def suited(self, task: TaskConfig) -> TaskConfig:
+        here = _seen(as_json(task))
+        for one in self._transcripts.values():
+            there = _seen(one["config"]["task"])
+            apart = [f"--{told.replace('_', '-', 1)}" for told in differences(there, here)]
+            if apart:
+                raise InvalidPolicy(f"{self._name} is of another task: {'; '.join(apart)}")
+        return task
 
     def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
         """Take up an episode.
@@ -47,14 +57,9 @@ class TranscriptPolicy(UnplannedPolicy):
                 f" {some['config']['seed']}, and this is another: give --episodes"
                 f" {len(self._transcripts)} --seed {some['config']['seed']}"
             )
-        there, here = (
-            {name: value for name, value in task.items() if name not in _SEEN}
-            for task in (one["config"]["task"], as_json(episodes.config))
-        )
-        apart = [f"--{told.replace('_', '-', 1)}" for told in differences(there, here)]
         info = episodes.info(index)
         rows = {"start": one["start"], "goal": one["goal"]}
-        apart += differences(rows, {name: info[name] for name in rows})
+        apart = list(differences(rows, {name: info[name] for name in rows}))
         if apart:
             raise InvalidPolicy(f"{self._name} is of another task: {'; '.join(apart)}")
         self._actions[index] = np.array(one["actions"], dtype=np.float32).reshape(-1, 6)
@@ -62,6 +67,11 @@ class TranscriptPolicy(UnplannedPolicy):
     def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
         actions = [self._actions[index][episodes.steps[index]] for index in ids.tolist()]
         return Choice(np.stack(actions), [""] * len(ids))
+
+
+def _seen(task: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings of a task without those that show the same episode in another way."""
+    return {name: value for name, value in task.items() if name not in _SEEN}
 
 
 def load_transcripts(named: Path) -> list[dict[str, Any]]:

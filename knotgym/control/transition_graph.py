@@ -29,6 +29,7 @@ from knotgym.topology.diagrams import chiralities
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import canonical_form, images
 
+TRANSITIONS = Path(str(files("knotgym.control") / "data" / "transitions.h5"))  # that ships
 _IMAGES = len(ELEMENTS)  # of a code
 _COUNTED_NX = 4  # codes of more crossings are led to by single moves too
 _MOST_MOVED = 1000  # codes that moves leading to them are looked for, for one goal, nearest first
@@ -291,6 +292,5 @@ class TransitionGraph:
 @lru_cache(maxsize=4)
 def shipped_transition_graph(config: TransitionGraphConfig) -> TransitionGraph:
     """The graph of the counts that come with the package; an empty one if they were left out."""
-    path = Path(str(files("knotgym.control") / "data" / "transitions.h5"))
-    counts = TransitionCounts.load(path) if path.is_file() else TransitionCounts()
+    counts = TransitionCounts.load(TRANSITIONS) if TRANSITIONS.is_file() else TransitionCounts()
     return TransitionGraph(counts, config)

@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from knotgym.datasets.episode_writer import EpisodeWriter
     from knotgym.datasets.image_table import (
         InvalidImages,
-        MissingArrow,
         read_rows,
         read_table,
     )
@@ -47,7 +46,6 @@ else:
             "InvalidImages": "knotgym.datasets.image_table",
             "InvalidStates": "knotgym.datasets.states",
             "MinariMetadata": "knotgym.datasets.minari_dataset",
-            "MissingArrow": "knotgym.datasets.image_table",
             "States": "knotgym.datasets.states",
             "compact": "knotgym.datasets.minari_dataset",
             "faults": "knotgym.datasets.verification",
@@ -75,7 +73,6 @@ __all__ = [
     "InvalidImages",
     "InvalidStates",
     "MinariMetadata",
-    "MissingArrow",
     "States",
     "compact",
     "faults",

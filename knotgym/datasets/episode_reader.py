@@ -351,11 +351,13 @@ def episode_file(source: Any) -> Path:
     """The HDF5 file of a dataset.
 
     Args:
-        source: a file, a dataset's folder or the `data` in it, a `minari.MinariDataset`, a
-            `Chosen`, or an id that Minari would find.
+        source: a file, a dataset's folder or the `data` in it, the folder of a run of `generate`
+            for its demonstrations of the train split, a `minari.MinariDataset`, a `Chosen`, or an
+            id that Minari would find.
 
     Raises:
         MissingFile: there is none.
+        InvalidEpisodeFile: a run has demonstrations of several numbers of crossings.
     """
     if isinstance(source, Chosen):
         return episode_file(source.source)
@@ -368,6 +370,12 @@ def episode_file(source: Any) -> Path:
         for inside in (path, path / "main_data.hdf5", path / "data" / "main_data.hdf5"):
             if inside.is_file():
                 return inside
+        found = sorted((path / "minari").glob("knotgym/*/demonstrations-v0/data/main_data.hdf5"))
+        if len(found) > 1:
+            listed = ", ".join(str(one.parents[1]) for one in found)
+            raise InvalidEpisodeFile(f"{path} holds several datasets; name one of them: {listed}")
+        if found:
+            return found[0]
     raise MissingFile(f"no episodes at {tried[0]}, nor a dataset of this id under {minari_root()}")
 
 

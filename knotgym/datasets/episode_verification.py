@@ -37,6 +37,7 @@ from knotgym.simulation import SHARES, Simulation
 from knotgym.tasks import TaskConfig
 from knotgym.topology.crossings import label, label_many
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.knots import knot_type
 from knotgym.topology.reference_labeller import pyknotid_code
 from knotgym.towing import TowBound
 
@@ -163,11 +164,18 @@ def episode_faults(episode: Episode, task: TaskConfig, rope: Rope) -> list[str]:
     for what, actions in (("action", episode.actions), ("expert's action", episode.expert_action)):
         if actions is not None and np.abs(actions).max() > 1:
             faults.append(f"an {what} lies outside [-1, 1]")
-    if str(label(episode.goal_points)) != episode.goal_gauss_code:
+    goal = label(episode.goal_points)
+    if str(goal) != episode.goal_gauss_code:
         faults.append(
-            f"the goal shows {str(label(episode.goal_points))!r}, goal_gauss_code says"
-            f" {episode.goal_gauss_code!r}"
+            f"the goal shows {str(goal)!r}, goal_gauss_code says {episode.goal_gauss_code!r}"
         )
+    knots = knot_type(codes[0]), knot_type(goal)
+    if knots[0] != knots[1]:
+        faults.append(
+            f"starts as {knots[0]}, and its goal is {knots[1]}: no pull changes the knot type"
+        )
+    elif goal.nx and codes[0].matches(goal):
+        faults.append("starts in its goal's code")
     if not np.array_equal(rope.points(episode.start_qpos), episode.points[0]):
         faults.append("step 0: the rope doesn't lie where start_qpos lays it")
     if episode.relabelled and not np.array_equal(episode.goal_points, episode.points[-1]):

@@ -38,7 +38,8 @@ def try_files(paths: Iterable[Path], limit: float = LIMIT) -> None:
     if not tried:
         return
     limit += sum(path.stat().st_size for path in tried) / SLOWEST
-    words = [sys.executable, "-m", __name__, *(str(path.absolute()) for path in tried)]
+    # -P: nothing is imported from the current folder, which may be one that was downloaded
+    words = [sys.executable, "-P", "-m", __name__, *(str(path.absolute()) for path in tried)]
     try:
         ended = subprocess.run(
             words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, timeout=limit, check=False

@@ -1,55 +1,67 @@
-"""A contact sheet of rope pictures, each with its code under it."""
+"""Contact sheets of ropes: states and ends of episodes as knot diagrams, pictures as they are."""
 
 from __future__ import annotations
 
 import os
 import re
 from collections.abc import Sequence
+from itertools import islice
+from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.atomic_files import atomic_write
-from knotgym.datasets.states import InvalidStates, States
+from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.image_table import decode, read_rows
+from knotgym.datasets.page.page_data import dataset_name
+from knotgym.datasets.states import States
+from knotgym.rendering.diagram import draw_diagram
 from knotgym.rendering.picture import PictureError
+from knotgym.rendering.video import OUTCOMES
+from knotgym.topology.crossings import label
 
-_EDGE, _LINE = 6, 14  # pixels round a tile, and of a line of text below its picture
-_FONT, _LETTERS = cv2.FONT_HERSHEY_SIMPLEX, 0.4
-_GREY, _WHITE = (40, 40, 40), (225, 225, 225)
+SHOWN = 64  # episodes or pictures of a gallery, at most
+WHITE = (225, 225, 225)
+_TILE, _EDGE, _LINE = 192, 6, 14  # pixels: a tile, round it, and a line of text below
+_FONT, _LETTERS, _GREY = cv2.FONT_HERSHEY_SIMPLEX, 0.4, (40, 40, 40)
 
 
-def contact_sheet(
-    images: NDArray[np.uint8],
-    captions: Sequence[Sequence[str]],
-    colours: Sequence[tuple[int, int, int]] | None = None,
-    columns: int = 8,
-) -> NDArray[np.uint8]:
-    """Lay pictures out in rows.
+class Tile(NamedTuple):
+    """A picture of a contact sheet.
 
-    Args:
-        images: uint8 (n, size, size, 3).
-        captions: lines of text of each picture; a long one goes on in the next line.
-        colours: RGB of each caption; white by default.
-        columns: pictures in a row.
-
-    Returns:
-        uint8 (height, width, 3).
+    Attributes:
+        picture: uint8 (size, size, 3), RGB.
+        captions: lines of text below; a long one goes on in the next line.
+        colour: RGB of the text, and of a frame around the picture unless it is WHITE.
     """
-    size = images.shape[1]
-    wrapped = [[part for line in lines for part in _wrapped(line, size)] for lines in captions]
-    text = 2 + _LINE * max(2, *map(len, wrapped)) if wrapped else 0
-    wide, high = size + 2 * _EDGE, size + 2 * _EDGE + text
-    rows = -(-max(1, len(images)) // columns)
+
+    picture: NDArray[np.uint8]
+    captions: Sequence[str]
+    colour: tuple[int, int, int] = WHITE
+
+
+def contact_sheet(tiles: Sequence[Tile], columns: int = 8) -> NDArray[np.uint8]:
+    """Lay pictures of one size out in rows of at most `columns`: uint8 (height, width, 3)."""
+    size = len(tiles[0].picture) if tiles else _TILE
+    wrapped = [[part for line in one.captions for part in _wrapped(line, size)] for one in tiles]
+    wide = size + 2 * _EDGE
+    high = wide + 2 + _LINE * max(2, *map(len, wrapped), 0)
+    columns = max(1, min(columns, len(tiles)))
+    rows = -(-max(1, len(tiles)) // columns)
     sheet = np.full((rows * high, columns * wide, 3), _GREY, dtype=np.uint8)
-    for k, (image, lines) in enumerate(zip(images, wrapped, strict=True)):
+    for k, (tile, lines) in enumerate(zip(tiles, wrapped, strict=True)):
         top, left = k // columns * high + _EDGE, k % columns * wide + _EDGE
-        sheet[top : top + size, left : left + size] = image
-        colour = colours[k] if colours else _WHITE
+        if tile.colour != WHITE:
+            corner = (left + size + 1, top + size + 1)
+            cv2.rectangle(sheet, (left - 2, top - 2), corner, tile.colour, 2)
+        sheet[top : top + size, left : left + size] = tile.picture
         for number, line in enumerate(lines):
             scale = min(_LETTERS, _LETTERS * size / max(1, _width(line)))
-            at = (left, top + size + 13 + _LINE * number)
-            cv2.putText(sheet, line, at, _FONT, scale, colour, 1, cv2.LINE_AA)
+            at = (left, top + size + 15 + _LINE * number)
+            cv2.putText(sheet, line, at, _FONT, scale, tile.colour, 1, cv2.LINE_AA)
     return sheet
 
 
@@ -70,23 +82,61 @@ def _width(line: str) -> int:
 
 def write_gallery(path: str | os.PathLike[str], states: States, columns: int = 8) -> None:
     """Write a contact sheet of every state, by crossings and code, train before test, as PNG."""
-    if states.image is None:
-        raise InvalidStates("a gallery needs states read with their images")
     order = sorted(
         range(len(states)),
         key=lambda i: (states.nx[i], states.gauss_code[i], states.split[i] != "train"),
     )
-    captions = [
-        (states.gauss_code_chiral[i] or "loop", f"nx {states.nx[i]}  {states.split[i]}  row {i}")
+    tiles = [
+        Tile(
+            draw_diagram(states.points[i]),
+            (
+                states.gauss_code_chiral[i] or "loop",
+                f"nx {states.nx[i]}  {states.split[i]}  row {i}",
+            ),
+        )
         for i in order
     ]
-    columns = min(columns, max(1, len(order)))
-    write_png(path, contact_sheet(states.image[order], captions, columns=columns))
+    write_png(path, contact_sheet(tiles, columns))
+
+
+def write_episode_gallery(
+    path: str | os.PathLike[str], datasets: Sequence[Path], columns: int = 8
+) -> int:
+    """Write how the first episodes ended, as PNG; return how many are shown, at most SHOWN."""
+    tiles: list[Tile] = []
+    for dataset in datasets:
+        reader, name = EpisodeReader(dataset), dataset_name(dataset).removeprefix("knotgym/")
+        for row in range(min(len(reader), SHOWN - len(tiles))):
+            points = reader.column(row, "points")[-1]
+            outcome = "reached" if reader.column(row, "is_success")[-1] else "failed"
+            captions = (label(points).chiral or "loop", f"{name}  episode {row}", outcome)
+            tiles.append(Tile(draw_diagram(points), captions, OUTCOMES[outcome]))
+        reader.close()
+    if tiles:
+        write_png(path, contact_sheet(tiles, columns))
+    return len(tiles)
+
+
+def write_picture_gallery(
+    path: str | os.PathLike[str], table: str | os.PathLike[str], columns: int = 8
+) -> int:
+    """Write the first pictures of a perception table, as PNG; return how many, at most SHOWN."""
+    rows = read_rows(table, columns=["image", "gauss_code_chiral", "split"])
+    tiles = [
+        Tile(
+            np.asarray(cv2.resize(decode(row["image"]), (_TILE, _TILE)), np.uint8),
+            (row["gauss_code_chiral"] or "loop", row["split"]),
+        )
+        for row in islice(rows, SHOWN)
+    ]
+    if tiles:
+        write_png(path, contact_sheet(tiles, columns))
+    return len(tiles)
 
 
 def write_png(path: str | os.PathLike[str], image: NDArray[np.uint8]) -> None:
     """Write an RGB picture, uint8 (height, width, 3), whole or not at all."""
-    encoded, data = cv2.imencode(".png", image[..., ::-1])
+    encoded, data = cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
     if not encoded:
         raise PictureError(f"no PNG can be made of an array of shape {image.shape}")
     with atomic_write(path) as temporary:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from knotgym.atomic_files import atomic_write
 from knotgym.datasets.splits import IMAGE_SPLITS
-from knotgym.errors import KnotgymError, MissingFile, one_line
+from knotgym.errors import KnotgymError, MissingExtra, MissingFile, install_command, one_line
 from knotgym.hdf5_files import require_regular
 from knotgym.quality_limits import UNITS
 
@@ -92,26 +92,16 @@ class InvalidImages(KnotgymError, ValueError):
     """A folder or file that holds no perception table this version can read."""
 
 
-class MissingArrow(KnotgymError, ImportError):
-    """Parquet was asked for and pyarrow isn't installed."""
-
-    def __init__(self) -> None:
-        super().__init__(
-            "Parquet files need pyarrow, which isn't installed; install it: pip install"
-            " 'knotgym[huggingface]'"
-        )
-
-
 def arrow(module: str = "pyarrow") -> Any:
     """Import pyarrow, or one of its modules.
 
     Raises:
-        MissingArrow: it isn't installed.
+        MissingExtra: it isn't installed.
     """
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
-        raise MissingArrow from error
+        raise MissingExtra(module, install_command("huggingface"), "Parquet") from error
 
 
 def schema() -> Any:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator
+from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,7 +31,7 @@ from knotgym.datasets.image_table import (
     stored_digest,
 )
 from knotgym.datasets.manifest_check import listed_faults, read_manifest
-from knotgym.datasets.near_duplicates import NEAR, distances
+from knotgym.datasets.near_duplicates import pairs_within
 from knotgym.datasets.splits import IMAGE_SPLITS
 from knotgym.datasets.state_measures import measure_faults, spread_faults
 from knotgym.datasets.walks_file import InvalidWalks, read_walks, retrace
@@ -43,6 +44,7 @@ from knotgym.topology.crossings import find_crossings
 from knotgym.topology.reference_labeller import pyknotid_code
 from knotgym.topology.symmetry import Symmetry
 
+_HUGE = 1e3  # metres; a rope is 1.3 m long
 _BATCH = 32  # walks made again side by side
 _MOST_ROUNDS = 10_000  # of relaxing; more are a slip, and would take for ever
 _COLOURS = ("published", "single", "gradient")
@@ -212,16 +214,12 @@ def _split_faults(table: Any) -> Iterator[str]:
 
 def _near_across_splits(points: Array, split: NDArray[np.str_]) -> Iterator[tuple[int, int]]:
     """Pairs of rows of different splits that are near-duplicates."""
-    centred = points - points.mean(axis=1, keepdims=True)
-    with np.errstate(over="ignore"):  # of a row that isn't finite or is huge, as its faults say
-        size = np.sqrt((centred**2).sum(axis=(1, 2)) / points.shape[1])
-    order = np.argsort(size, kind="stable")
-    for place, row in enumerate(order):  # only configurations of like size can be near
-        alike = order[place + 1 : np.searchsorted(size[order], size[row] + NEAR, side="right")]
-        alike = alike[split[alike] != split[row]]
-        if len(alike):
-            for other in alike[distances(points[row], points[alike]) < NEAR]:
-                yield int(row), int(other)
+    # what isn't finite or is huge has faults of its own, and no distance
+    sound = (np.abs(points) < _HUGE).all(axis=(1, 2))
+    for one, other in combinations(sorted(set(split.tolist())), 2):
+        rows, others = (np.flatnonzero(sound & (split == name)) for name in (one, other))
+        for i, k, _ in pairs_within(points[rows], points[others]):
+            yield int(rows[i]), int(others[k])
 
 
 def _walk_batches(folder: Path) -> tuple[list[_WalkBatch], list[str]]:

@@ -17,7 +17,7 @@ import os
 import re
 import shutil
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -25,13 +25,13 @@ from typing import Any
 import gymnasium
 
 import knotgym
-from knotgym.atomic_files import atomic_write, sha256
+from knotgym.atomic_files import atomic_write, require_output, sha256
 from knotgym.configuration import as_json
 from knotgym.datasets.episode_reader import Count, EpisodeReader, InvalidEpisodeFile, uncounted
 from knotgym.datasets.episode_writer import merge_episodes
 from knotgym.datasets.states import minari_root, ships
 from knotgym.hdf5_files import foreign_bytes_as
-from knotgym.tasks import TaskConfig
+from knotgym.tasks import CODE_SPLITS, SPLITS, TaskConfig
 
 _ID = re.compile(r"([-\w]+/)*[-\w]+-v\d+")
 
@@ -50,6 +50,8 @@ class MinariMetadata:
             `minari.get_normalized_score`.
         num_episodes_average_score: episodes those means were taken over.
         eval_split: the states that the evaluation environment draws from.
+        digests: of the policy, states, code and rope that made it, see `episodes.digests`; of
+            merged datasets by their ids.
 
     Raises:
         InvalidEpisodeFile: Minari would not take the id, or only one of the two scores is given.
@@ -65,6 +67,7 @@ class MinariMetadata:
     ref_max_score: float | None = None
     num_episodes_average_score: int | None = None
     eval_split: str = "test"
+    digests: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if _ID.fullmatch(self.dataset_id) is None:
@@ -111,14 +114,11 @@ def publish(
         The dataset's folder.
 
     Raises:
-        InvalidEpisodeFile: as `merge_episodes`; or there is a dataset of this id, or nothing is to
-            be stored.
+        InvalidEpisodeFile: as `merge_episodes`; or nothing is to be stored.
+        Occupied: there is a dataset of this id, and `overwrite` isn't asked for.
     """
     folder = Path(out or minari_root()) / metadata.dataset_id
-    if folder.exists() and not overwrite:
-        raise InvalidEpisodeFile(
-            f"there is a dataset at {folder}: take another id or version, or ask to overwrite it"
-        )
+    require_output(folder, folder=True, overwrite=overwrite)
     first = EpisodeReader(sources[0]) if sources else None
     if first is not None and store is None and first.stored == "none":
         store = first.task.observation
@@ -126,7 +126,7 @@ def publish(
         raise InvalidEpisodeFile(
             "a Minari dataset has observations; the compact form is a file, see `compact`"
         )
-    with atomic_write(folder) as temporary:
+    with atomic_write(folder, overwrite=overwrite) as temporary:
         data = temporary / "data"
         data.mkdir(parents=True)
         merge_episodes(
@@ -155,14 +155,37 @@ def publish(
     return folder
 
 
+def dataset_files(data: Path) -> list[Path]:
+    """The files in a dataset's `data` that are its own; whatever else lies there is none of it."""
+    named = ("main_data.hdf5", "metadata.json", "states.h5", "collection.json")
+    return [data / name for name in named if os.path.lexists(data / name)]
+
+
+def loading_lines(dataset_id: str, root: str | os.PathLike[str] | None = None) -> list[str]:
+    """Return the two lines that load a dataset, with Minari and as arrays.
+
+    >>> for line in loading_lines("knotgym/tie-nx3/expert-v0", "data"):
+    ...     print(line)
+    minari.load_dataset("knotgym/tie-nx3/expert-v0")  # with MINARI_DATASETS_PATH=data
+    knotgym.loaders.arrays("data/knotgym/tie-nx3/expert-v0", observation="state")
+    """
+    named = dataset_id if root is None else (Path(root) / dataset_id).as_posix()
+    where = "" if root is None else f"  # with MINARI_DATASETS_PATH={Path(root).as_posix()}"
+    return [
+        f'minari.load_dataset("{dataset_id}"){where}',
+        f'knotgym.loaders.arrays("{named}", observation="state")',
+    ]
+
+
 def _carry(states: str | os.PathLike[str], target: Path) -> None:
     """Put a state file into a dataset: the same bytes on the disk once, where it lets us.
 
-    A link and not a reference, so that a dataset that is moved or copied has its states with it.
-    Files of ours are replaced, never changed.
+    A hard link and not a reference, so that a dataset that is moved or copied has its states with
+    it; of a symbolic link, which hard links don't follow, its target. Files of ours are replaced,
+    never changed.
     """
     try:
-        os.link(states, target)
+        os.link(os.path.realpath(states), target)
     except OSError:  # another disk, or one without links
         shutil.copyfile(states, target)
 
@@ -172,6 +195,8 @@ def merge_datasets(
     dataset_id: str,
     out: str | os.PathLike[str] | None = None,
     count: Count = uncounted,
+    *,
+    overwrite: bool = False,
 ) -> Path:
     """Put datasets of one task and split together into another, nothing encoded again.
 
@@ -182,12 +207,14 @@ def merge_datasets(
         dataset_id: of the dataset to make.
         out: the root under which Minari would find it; None for Minari's own.
         count: told before each episode.
+        overwrite: replace a dataset of this id.
 
     Returns:
         The dataset's folder.
 
     Raises:
-        InvalidEpisodeFile: they don't go together, or there is a dataset of this id.
+        InvalidEpisodeFile: they don't go together.
+        Occupied: there is a dataset of this id, and `overwrite` isn't asked for.
     """
     readers = [EpisodeReader(source) for source in sources]
     for name in ("split", "states"):
@@ -219,6 +246,7 @@ def merge_datasets(
         author=tuple({name for one in said for name in one.author}),
         author_email=tuple({name for one in said for name in one.author_email}),
         eval_split=said[0].eval_split if said else "test",
+        digests={one.dataset_id: one.digests for one in said if one.digests},
         **same,
     )
     for reader in readers:
@@ -232,6 +260,7 @@ def merge_datasets(
         states=carried,
         task=task,
         count=count,
+        overwrite=overwrite,
     )
 
 
@@ -244,20 +273,28 @@ def _states_digest(reader: EpisodeReader) -> str:
     return sha256(path)
 
 
-def compact(source: Any, target: str | os.PathLike[str], count: Count = uncounted) -> None:
+def compact(
+    source: Any,
+    target: str | os.PathLike[str],
+    count: Count = uncounted,
+    *,
+    overwrite: bool = False,
+) -> None:
     """Write the compact form of a dataset: episodes and metadata without observations, one file.
 
     `publish([target], metadata_of(target))` makes the dataset again. `count` is told before each
     episode.
     """
+    require_output(target, folder=False, overwrite=overwrite)
     metadata = metadata_of(source)
-    merge_episodes(
-        [source],
-        target,
-        store="none",
-        attributes={} if metadata is None else {"metadata": json.dumps(asdict(metadata))},
-        count=count,
-    )
+    with atomic_write(target, overwrite=overwrite) as temporary:
+        merge_episodes(
+            [source],
+            temporary,
+            store="none",
+            attributes={} if metadata is None else {"metadata": json.dumps(asdict(metadata))},
+            count=count,
+        )
 
 
 def metadata_of(source: Any) -> MinariMetadata | None:
@@ -283,7 +320,7 @@ def minari_entries(metadata: MinariMetadata, task: TaskConfig) -> dict[str, Any]
     given = {
         name: value
         for name, value in asdict(metadata).items()
-        if name != "eval_split" and value not in (None, ())
+        if name != "eval_split" and value not in (None, (), {})
     }
     here = [] if "+" in knotgym.__version__ else [f"knotgym>={knotgym.__version__}"]
     return {
@@ -301,6 +338,8 @@ def minari_entries(metadata: MinariMetadata, task: TaskConfig) -> dict[str, Any]
 
 def _evaluated(task: TaskConfig, split: str) -> TaskConfig:
     """The environment to evaluate in: of another split all goals, however few were trained on."""
+    if task.split in CODE_SPLITS and split in SPLITS:
+        split += "-code"
     return replace(task, split=split, max_goals=task.max_goals if split == task.split else None)
 
 

@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.near_duplicates import NEAR, distances
-from knotgym.datasets.splits import STATE_SPLITS
+from knotgym.datasets.splits import STATE_SPLITS, start_nx
 from knotgym.datasets.states import States, read_states, shipped
 from knotgym.errors import KnotgymError
 from knotgym.rope import Rope
+from knotgym.tasks import TaskConfig
 
 _AT = NEAR / 2  # metres
 _SAME = 1e-6  # metres; above the rounding of `distances`, far below what any stirring does
@@ -87,7 +88,8 @@ class _Side:
     def __init__(self, name: str, states: States, reader: EpisodeReader) -> None:
         self.name, self.states, self.reader = name, states, reader
         self.rope = Rope(reader.task.rope)
-        self.mine = states.split == reader.task.split
+        self.splits = _split_names(states, reader.task)
+        self.mine = self.splits == reader.task.split
         self.known: dict[bytes, int | None] = {}
         self.allowed = {
             *states.rows(reader.task.goal_nx, reader.task.split)[: reader.task.max_goals]
@@ -107,20 +109,18 @@ class _Side:
         if row is None:
             if named is None:
                 return None, []
-            split = str(states.split[named])
+            split = str(self.splits[named])
             if split == right:
                 return split, []
             return split, [f"its {self.name} is row {named} by its options, of the {split} split"]
-        split = str(states.split[row])
+        split = str(self.splits[row])
         if split != right:
             return split, [
                 f"its {self.name} is row {row} of the states, of the {split} split; the dataset"
                 f" says {right}"
             ]
-        if named is not None and states.split[named] != right:
-            return split, [
-                f"options/{self.name} is row {named}, of the {states.split[named]} split"
-            ]
+        if named is not None and self.splits[named] != right:
+            return split, [f"options/{self.name} is row {named}, of the {self.splits[named]} split"]
         if named is not None and self.name == "goal":
             goal = self.reader.column(index, "goal_points")
             if not np.array_equal(goal, states.points[named]):
@@ -156,6 +156,15 @@ class _Side:
         return None
 
 
+def _split_names(states: States, task: TaskConfig) -> NDArray[np.str_]:
+    """The split of each row, str (n,): where a task's split is a part of one, that part's name."""
+    names = states.split.astype("<U10")
+    if task.split not in STATE_SPLITS:
+        for nx in (start_nx(task, states), task.goal_nx):
+            names[states.rows(nx, task.split)] = task.split
+    return names
+
+
 def _sides(reader: EpisodeReader) -> dict[str, States]:
     """The states that starts and goals are drawn from, as the environment finds them."""
     task = reader.task
@@ -168,7 +177,7 @@ def _sides(reader: EpisodeReader) -> dict[str, States]:
     read = [read_states(path, images=False) for path in files]
     return {
         name: next((states for states in read if len(states.rows(nx, task.split))), read[0])
-        for name, nx in (("start", task.start_nx), ("goal", task.goal_nx))
+        for name, nx in (("start", start_nx(task, read[0])), ("goal", task.goal_nx))
     }
 
 

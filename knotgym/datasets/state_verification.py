@@ -15,8 +15,8 @@ from knotgym.configuration import from_json
 from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
 from knotgym.datasets.episode_verification import verify_episodes
 from knotgym.datasets.manifest_check import listed_faults, read_manifest, report_faults
-from knotgym.datasets.near_duplicates import NEAR, distances, repeated
-from knotgym.datasets.splits import STATE_SPLITS
+from knotgym.datasets.near_duplicates import pairs_within, repeated
+from knotgym.datasets.splits import STATE_SPLITS, overlap
 from knotgym.datasets.state_measures import (
     quality_faults,
     repeated_sources,
@@ -105,6 +105,27 @@ def folder_faults(folder: Path, count: Count = uncounted) -> Iterator[str]:
         for code in sorted(train & test):
             yield f"code {code or 'loop'} is in both splits, which share no code"
     yield from _misplaced(states, manifest)
+    summary = manifest.get("summary")
+    counts = summary.get("nx") if isinstance(summary, dict) else None
+    for nx, count in counts.items() if isinstance(counts, dict) else ():
+        if isinstance(count, dict):
+            yield from overlap_faults(states, {nx: count.get("overlap")}, "manifest.json")
+
+
+def overlap_faults(states: States, said: Mapping[str, Any], where: str) -> Iterator[str]:
+    """What is said wrongly of what train and test share (`splits.overlap`), by nx, in a file."""
+    for nx in sorted(set(states.nx.tolist())):
+        told = said.get(str(nx))
+        if not isinstance(told, dict):
+            continue
+        for name, right in overlap(states, nx).items():
+            stored = told.get(name)
+            if isinstance(right, float) and isinstance(stored, float):
+                wrong = not abs(stored - right) < 1e-6  # metres; other processors round otherwise
+            else:
+                wrong = stored != right
+            if wrong:
+                yield f"{where}: nx {nx}: {name} of the overlap is {stored}, should be {right}"
 
 
 def demonstration_faults(states: States, name: str, demonstrations: EpisodeReader) -> Iterator[str]:
@@ -284,10 +305,11 @@ def _misplaced(states: States, manifest: Mapping[str, Any]) -> Iterator[str]:
 def _leaks(states: States) -> Iterator[str]:
     """Near-duplicates and shared trajectories between the splits."""
     train, test = np.flatnonzero(states.split == "train"), np.flatnonzero(states.split == "test")
-    if len(train):
-        for row in test:
-            for other in train[distances(states.points[row], states.points[train]) < NEAR]:
-                yield f"states.h5 rows {other} (train) and {row} (test) are near-duplicates"
+    for i, k, apart in pairs_within(states.points[test], states.points[train]):
+        yield (
+            f"states.h5 rows {train[k]} (train) and {test[i]} (test) are near-duplicates:"
+            f" {1000 * apart:.1f} mm apart at the best symmetry"
+        )
     seeds = {tuple(states.source["seed"][row]): row for row in train}
     for row in test:
         other = seeds.get(tuple(states.source["seed"][row]))

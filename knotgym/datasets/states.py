@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.resources import files
@@ -38,6 +40,8 @@ from knotgym.hdf5_files import (
     read_column,
     stored_column,
 )
+from knotgym.topology.gauss import GaussCode
+from knotgym.topology.symmetry import diagram_form
 
 _COMPRESSED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 _GROUPS = ("quality", "source")
@@ -106,8 +110,31 @@ class States:
         return replace(self, **_fields_of(columns), digest="")
 
     def rows(self, nx: int, split: str) -> NDArray[np.int64]:
-        """Indices of the rows with nx crossings in a split."""
-        return np.flatnonzero((self.nx == nx) & (self.split == split))
+        """Indices of the rows with nx crossings in a split.
+
+        Of "train-code" and "test-code" those of "train" and "test" whose diagram is not, or is,
+        held out: diagrams that test shows alone, then those that train shows in fewest rows, to a
+        quarter of the diagrams of the nx; train keeps one. Loops and curls, of which there is one
+        diagram each, are in both.
+        """
+        base, by_code, _ = split.partition("-code")
+        rows = np.flatnonzero((self.nx == nx) & (self.split == base))
+        if not by_code or nx < 2:
+            return rows
+        train, test = (
+            [diagram_form(GaussCode.parse(code)) for code in self.gauss_code[own].tolist()]
+            for own in (self.rows(nx, "train"), self.rows(nx, "test"))
+        )
+        seen = Counter(train)
+        rarest = sorted({*test}, key=lambda form: (seen[form], form.visits))
+        wanted = math.ceil(len({*train, *test}) / 4)
+        held = {
+            form
+            for place, form in enumerate(rarest)
+            if form not in train or (place < wanted and {*train} - {*rarest[: place + 1]})
+        }
+        own = train if base == "train" else test
+        return rows[[(form in held) == (base == "test") for form in own]]
 
     def taken(self, rows: NDArray[np.integer]) -> States:
         """Some rows, in that order."""

@@ -9,17 +9,19 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from knotgym.configuration import read_json
 from knotgym.datasets.episode_reader import Count, uncounted
 from knotgym.datasets.episode_verification import verify_episodes
 from knotgym.datasets.image_table import is_images
 from knotgym.datasets.machine import others
 from knotgym.datasets.state_schema import FORMAT
-from knotgym.datasets.state_verification import folder_faults, state_faults
-from knotgym.datasets.states import read_states
+from knotgym.datasets.state_verification import folder_faults, overlap_faults, state_faults
+from knotgym.datasets.states import read_states, shipped
 from knotgym.hdf5_files import hdf5_format
 
 # what the faults of replays say, which another machine's rounding may be behind
 _REPLAYED = ("bit for bit", "acted out again")
+OVERLAPS = "overlaps.json"  # beside the sets that ship: file -> nx -> `splits.overlap`
 Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # as the built-in `map`
 
 
@@ -35,7 +37,7 @@ def verify(source: str | os.PathLike[str]) -> list[str]:
 
     Raises:
         FileNotFoundError: there is nothing at `source`.
-        MissingArrow: it is a perception table and pyarrow isn't installed.
+        MissingExtra: it is a perception table and pyarrow isn't installed.
     """
     return list(faults(source))
 
@@ -73,6 +75,9 @@ def _faults(source: str | os.PathLike[str], each: Map, count: Count) -> Iterator
     elif given.is_dir() and any((given / n).is_file() for n in ("manifest.json", "states.h5")):
         yield from folder_faults(given, count)
     elif given.is_file() and hdf5_format(given) in (FORMAT, None):
-        yield from state_faults(read_states(given), count)
+        states = read_states(given)
+        yield from state_faults(states, count)
+        said = read_json(given.with_name(OVERLAPS)) if given.parent == shipped().parent else {}
+        yield from overlap_faults(states, said.get(given.name, {}), OVERLAPS)
     else:
         yield from verify_episodes(str(source), act_out=True, threads=0, count=count)

@@ -12,6 +12,7 @@ if __name__ == "generate":
     )
 
 if TYPE_CHECKING:
+    from knotgym.atomic_files import Occupied
     from knotgym.generate.episodes.collect import CollectConfig, InvalidCollection, collect
     from knotgym.generate.episodes.evaluate import EvaluateConfig, InvalidEvaluation
     from knotgym.generate.episodes.evaluate import run as evaluate
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from knotgym.generate.states.random_walk_recipe import walk_states
     from knotgym.generate.states.state_recipe import generate as make_states
     from knotgym.runs.run_options import InvalidRun, NotEnough, RunOptions
-    from knotgym.runs.staging import Occupied
 else:
     from knotgym.lazy_exports import lazy_exports
 
@@ -43,7 +43,7 @@ else:
             "InvalidScores": "knotgym.generate.episodes.suite_scores",
             "InvalidSuite": "knotgym.generate.episodes.suite",
             "NotEnough": "knotgym.runs.run_options",
-            "Occupied": "knotgym.runs.staging",
+            "Occupied": "knotgym.atomic_files",
             "RandomWalkConfig": "knotgym.generate.states.random_walk",
             "RunOptions": "knotgym.runs.run_options",
             "SuiteConfig": "knotgym.generate.episodes.suite",

@@ -8,7 +8,6 @@ states are split anew so that the shares hold.
 from __future__ import annotations
 
 import json
-import shutil
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -19,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.atomic_files import sha256
+from knotgym.atomic_files import atomic_write, require_no_links, require_output, sha256
 from knotgym.configuration import from_json, read_json
 from knotgym.datasets import image_folder
 from knotgym.datasets.episode_reader import Chosen
@@ -34,7 +33,7 @@ from knotgym.datasets.image_table import (
 )
 from knotgym.datasets.machine import distinct
 from knotgym.datasets.near_duplicates import apart
-from knotgym.datasets.splits import IMAGE_SPLITS, STATE_SPLITS, split
+from knotgym.datasets.splits import IMAGE_SPLITS, STATE_SPLITS, kept_together, split
 from knotgym.datasets.states import (
     States,
     leads_out,
@@ -53,7 +52,6 @@ from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.search import SearchSettings
 from knotgym.runs.engine import LISTED
 from knotgym.runs.shards import Shard
-from knotgym.runs.staging import Occupied, staging
 from knotgym.streams import Stream, generator
 from knotgym.topology.gauss import GaussCode
 
@@ -102,12 +100,13 @@ def shard_folder_of(source: str) -> ShardFolder | None:
     return None
 
 
-def merge_shards(folders: Sequence[ShardFolder], out: Path) -> Path:
+def merge_shards(folders: Sequence[ShardFolder], out: Path, *, overwrite: bool = False) -> Path:
     """Put all the shards of a run together.
 
     Args:
         folders: in any order.
         out: the folder to make; for episodes the root of the dataset's id, as of `knotgym collect`.
+        overwrite: replace a folder that exists, once the new one is whole.
 
     Returns:
         The folder made.
@@ -126,12 +125,10 @@ def merge_shards(folders: Sequence[ShardFolder], out: Path) -> Path:
         if leads_out(named):
             raise InvalidMerge(f"{first.folder} says that its id is {named!r}, which leads out")
         folder = out / named
-    if folder.exists():
-        raise Occupied(f"{folder} is there already; choose another --out, or remove it")
-    with staging(folder, resume=False) as partial:
+    require_output(folder, folder=True, overwrite=overwrite)
+    with atomic_write(folder, overwrite=overwrite) as part:
         merge = {"states": _states, "episodes": _episodes, "images": _images}[first.kind]
-        merge(ordered, report, partial / "whole").rename(folder)
-        shutil.rmtree(partial)
+        merge(ordered, report, part.with_name("whole")).rename(part)
     return folder
 
 
@@ -161,6 +158,7 @@ def _require_whole_run(ordered: Sequence[ShardFolder]) -> None:
         files = folder.manifest.get("files")
         if not isinstance(files, dict):
             raise InvalidMerge(f"{folder.folder} doesn't say which files it has")
+        require_no_links(folder.folder, [folder.folder / name for name in files])
         for name, digest in files.items():
             path = folder.folder / name
             if not path.is_file() or sha256(path) != digest:
@@ -268,7 +266,9 @@ def _split_anew(states: States, config: dict[str, Any]) -> States:
         splits[mine] = split(codes, config["split_by"], config["train_share"], rng)
     return replace(
         states,
-        split=splits,
+        split=kept_together(
+            splits, states.points, [GaussCode.parse(text) for text in states.gauss_code]
+        ),
         attributes={**states.attributes, "config": json.dumps(config, sort_keys=True)},
     )
 

@@ -7,16 +7,17 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.control.policy import Choice, Effort, InvalidPolicy
+from knotgym.control.policy import Choice, Effort, InvalidPolicy, Policy
 from knotgym.control.transition_graph import TransitionGraphConfig, shipped_transition_graph
 from knotgym.episode_batch import EpisodeBatch
 from knotgym.learn.agent import Agent, AgentConfig
 from knotgym.learn.checkpoint import PRETRAINED, load_policy
 from knotgym.learn.colour_reading import SIZE
 from knotgym.learn.rope_model import Dynamics
+from knotgym.tasks import TaskConfig
 
 
-class PicturePolicy:
+class PicturePolicy(Policy):
     """Shows an agent the pictures of its episodes; a `policy.Policy`.
 
     Of the batch of episodes nothing is asked but the task's settings, when an episode begins, and
@@ -27,15 +28,26 @@ class PicturePolicy:
         self._agent, self._name = agent, name
         self._seconds: dict[int, float] = {}
 
-    def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
-        task = episodes.config
-        if task.image_size != SIZE or task.camera != "orthographic" or task.hold != 1:
-            raise InvalidPolicy(
-                f"policy {self._name} learned from orthographic pictures of {SIZE} pixels, to show"
-                f" the goal once; the task has camera {task.camera}, image_size {task.image_size},"
-                f" hold {task.hold}"
+    def suited(self, task: TaskConfig) -> TaskConfig:
+        apart = [
+            f"{name} {given} instead of {needed}"
+            for name, given, needed in (
+                ("views", ",".join(task.views), "top"),
+                ("depth", task.depth, False),
+                ("camera", task.camera, "orthographic"),
+                ("image_size", task.image_size, SIZE),
+                ("hold", task.hold, 1),
             )
-        self._agent.begin(index, rng, task.horizon)
+            if given != needed
+        ]
+        if apart:
+            raise InvalidPolicy(
+                f"policy {self._name} can't act in this task, which has {', '.join(apart)}"
+            )
+        return task
+
+    def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
+        self._agent.begin(index, rng, episodes.config.horizon)
         self._seconds[index] = 0.0
 
     def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
+import shutil
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,17 +21,26 @@ from safetensors.torch import load, save
 from torch import Tensor
 
 import knotgym
-from knotgym.atomic_files import atomic_write, require_writable
-from knotgym.configuration import as_json, check_numbers, read_json
+from knotgym.atomic_files import atomic_write, move_into_place, remove, require_output
+from knotgym.configuration import as_json, check_numbers, differences, read_json
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.errors import KnotgymError, one_line
 from knotgym.hdf5_files import require_regular
-from knotgym.learn.checkpoint import Learned, save_policy
+from knotgym.learn.checkpoint import CARD, Learned, load_policy, read_card, save_policy
 from knotgym.learn.fitting import STAGES, Stretches, fitted
 from knotgym.learn.reader_training import ReaderTraining
 from knotgym.learn.rope_model import FIRST_GUESS, Dynamics
 from knotgym.learn.training_data import TrainingData, read_training_data
 from knotgym.runs.progress import Progress, Status
+from knotgym.runs.run_options import REFUSE_EXISTING, Existing
+from knotgym.runs.staging import (
+    discard,
+    has_work,
+    may_be_finished,
+    require_no_interrupted_run,
+    staging,
+    staging_folder,
+)
 from knotgym.streams import Stream, generator
 
 UNDER_WAY, REQUEST = "training.safetensors", "training.json"
@@ -78,35 +88,74 @@ def train(
     out: Path,
     config: TrainConfig,
     *,
-    resume: bool = False,
+    existing: Existing = REFUSE_EXISTING,
     quiet: bool = False,
     progress: Progress | None = None,
 ) -> Learned:
     """Train a learner on datasets and write its folder.
 
     Raises:
-        InvalidTraining: the folder holds another training, or none to resume.
+        InvalidTraining: what is to be resumed is another training, or damaged.
+        Occupied: `out` exists, an interrupted training left work, or another process is at it.
         Unwritable: nothing can be written there.
         InvalidTrainingData, InvalidEpisodeFile, MissingFile: the data won't do.
     """
     if progress is None:
         with Progress(quiet) as progress:
-            return train(datasets, out, config, resume=resume, progress=progress)
-    began = time.perf_counter()
-    require_writable(out)
+            return train(datasets, out, config, existing=existing, progress=progress)
+    finished = may_be_finished(out, existing) and (out / CARD).is_file()
+    if not finished:
+        require_output(out, folder=True, overwrite=existing.overwrite)
+    require_no_interrupted_run(out, existing)
     for dataset in datasets:
         EpisodeReader(dataset).close()
     progress.stage("reading the episodes")
     data = read_training_data(datasets)
     request = {"config": as_json(config), "data_sha256": data.digest}
-    kept = _begin(out, request, resume)
+    if finished:
+        differing = list(differences(_request_of(out), request))
+        if not differing:
+            discard(out)
+            progress.say(f"{out} is finished already")
+            return load_policy(str(out))
+        if not existing.overwrite:
+            raise InvalidTraining(
+                f"{out} is of another training: {'; '.join(differing[:3])}; choose another --out,"
+                " or replace it by --overwrite"
+            )
+    with staging(out, existing) as folder:
+        learned = _trained(datasets, data, config, request, folder, progress)
+        move_into_place(folder / "made", out, overwrite=existing.overwrite)
+    shutil.rmtree(staging_folder(out))
+    return learned
+
+
+def _request_of(out: Path) -> dict[str, Any]:
+    """What the training of a finished learner was asked for."""
+    card = read_card(out)
+    return {name: card.get(name) for name in ("config", "data_sha256")}
+
+
+def _trained(
+    datasets: Sequence[Any],
+    data: TrainingData,
+    config: TrainConfig,
+    request: dict[str, Any],
+    folder: Path,
+    progress: Progress,
+) -> Learned:
+    """Train in a staging folder, from what it keeps of an interrupted training; the learner's own
+    folder is written to `made` in it.
+    """
+    began = time.perf_counter()
+    kept = _begin(folder, request)
     if "rope" not in kept:
         kept |= _fit_rope(data, config, progress)
-        _keep(out, kept)
+        _keep(folder, kept)
     rope = kept["rope"].numpy()
     training = ReaderTraining(data, Dynamics(rope), config.steps, config.batch, config.seed)
     if "losses" in kept:
-        _restore(out, training, kept)
+        _restore(folder, training, kept)
 
     def status() -> Status:
         facts = {"loss": f"{training.losses[-1][1]:.3f}"} if training.losses else {}
@@ -117,10 +166,13 @@ def train(
         progress.show(status)
         training.advance()
         if training.step % config.save_every == 0 or training.step == config.steps:
-            _keep(out, kept | training.state())
+            _keep(folder, kept | training.state())
     progress.show(status, last=True)
     learned = Learned(training.reader.eval(), rope, _places(data, config))
-    _draw_curve(out, training.losses)
+    made_in = folder / "made"
+    remove(made_in)
+    made_in.mkdir()
+    _draw_curve(made_in, training.losses)
     errors = 1000 * kept["fit"]
     made = {
         "knotgym": knotgym.__version__,
@@ -131,65 +183,63 @@ def train(
         "fit_error_mm": dict(zip(STAGES, errors.round(decimals=3).tolist(), strict=True)),
         "seconds": round(time.perf_counter() - began),
     }
-    save_policy(out, learned, made)
-    for name in (UNDER_WAY, REQUEST):
-        (out / name).unlink()
+    save_policy(made_in, learned, made)
     return learned
 
 
-def _begin(out: Path, request: dict[str, Any], resume: bool) -> dict[str, Tensor]:
-    """Make the folder; or say what the training in it has kept, to go on with."""
-    if not resume:
-        if out.is_file() or (out.is_dir() and any(out.iterdir())):
-            raise InvalidTraining(
-                f"{out} holds something already; name a new folder, or --resume a training in it"
-            )
-        out.mkdir(parents=True, exist_ok=True)
-        with atomic_write(out / REQUEST) as part:
+def _begin(folder: Path, request: dict[str, Any]) -> dict[str, Tensor]:
+    """Begin a training in a staging folder; or return what the one in it has kept, to go on from.
+
+    Raises:
+        InvalidTraining: it is another one, or damaged.
+    """
+    if not has_work(folder):
+        with atomic_write(folder / REQUEST) as part:
             part.write_text(json.dumps(request, indent=1) + "\n", encoding="utf-8")
         return {}
     try:
-        before = read_json(out / REQUEST)
+        before = read_json(folder / REQUEST)
     except (OSError, ValueError) as error:
         raise InvalidTraining(
-            f"no training under way in {out}; leave --resume out to begin one"
+            f"no training to resume in {folder}, its {REQUEST} is missing or damaged; --restart"
+            " begins anew"
         ) from error
     if not isinstance(before, dict):
-        raise InvalidTraining(f"{out / REQUEST} isn't what a training was asked for")
-    if before != request:
-        differing = [name for name in request if before.get(name) != request[name]]
+        raise InvalidTraining(f"{folder / REQUEST} isn't what a training was asked for")
+    found = list(differences(before, request))
+    if found:
         raise InvalidTraining(
-            f"the training in {out} was begun with other {' and '.join(differing)}; go on with"
-            " the same, or begin in another folder"
+            f"the training to resume was asked for differently: {'; '.join(found)}; give the"
+            " same again, or --restart to throw it away"
         )
-    if not (out / UNDER_WAY).exists():
+    if not (folder / UNDER_WAY).exists():
         return {}
-    require_regular(out / UNDER_WAY, "training", InvalidTraining)
+    require_regular(folder / UNDER_WAY, "training", InvalidTraining)
     try:
-        kept: dict[str, Tensor] = load((out / UNDER_WAY).read_bytes())
+        kept: dict[str, Tensor] = load((folder / UNDER_WAY).read_bytes())
         seal = bytes(kept.pop(_SEAL, torch.zeros(0)).to(torch.uint8).tolist())
         if seal != _digest(kept):
-            raise InvalidTraining(f"{out / UNDER_WAY} isn't what was kept: its checksum differs")
+            raise InvalidTraining(f"{folder / UNDER_WAY} isn't what was kept: its checksum differs")
     except (SafetensorError, RuntimeError, TypeError, ValueError) as error:
         if isinstance(error, InvalidTraining):
             raise
-        raise InvalidTraining(f"{out / UNDER_WAY} can't be read: {one_line(error)}") from error
+        raise InvalidTraining(f"{folder / UNDER_WAY} can't be read: {one_line(error)}") from error
     if kept.get("rope", torch.zeros(0)).shape != FIRST_GUESS.shape or "fit" not in kept:
-        raise InvalidTraining(f"{out / UNDER_WAY} can't be read: it holds no rope's model")
+        raise InvalidTraining(f"{folder / UNDER_WAY} can't be read: it holds no rope's model")
     return kept
 
 
-def _restore(out: Path, training: ReaderTraining, kept: dict[str, Tensor]) -> None:
+def _restore(folder: Path, training: ReaderTraining, kept: dict[str, Tensor]) -> None:
     try:
         training.restore(kept)
     except (KeyError, ValueError, RuntimeError) as error:
-        raise InvalidTraining(f"{out / UNDER_WAY} can't be read: {error}") from error
+        raise InvalidTraining(f"{folder / UNDER_WAY} can't be read: {error}") from error
 
 
-def _keep(out: Path, kept: dict[str, Tensor]) -> None:
+def _keep(folder: Path, kept: dict[str, Tensor]) -> None:
     kept = {name: own.contiguous() for name, own in kept.items()}
     seal = torch.tensor(list(_digest(kept)), dtype=torch.uint8)
-    with atomic_write(out / UNDER_WAY) as part:
+    with atomic_write(folder / UNDER_WAY) as part:
         part.write_bytes(save({**kept, _SEAL: seal}))
 
 

@@ -91,7 +91,7 @@ def read_training_data(datasets: Sequence[Any]) -> TrainingData:
 
 
 def _check(reader: EpisodeReader, dataset: Any) -> None:
-    if reader.task.split != "train":
+    if not reader.task.split.startswith("train"):
         raise InvalidTrainingData(
             f"{dataset} is of the {reader.task.split} split, which is kept for evaluation; train on"
             " datasets of the train split"

@@ -1,7 +1,8 @@
 """Datasets turned into what learners eat.
 
-Every loader takes a dataset as a Minari id, a folder, an episode file (compact ones too) or a
-`minari.MinariDataset`, and
+Every loader takes a dataset as a Minari id, a folder, an episode file (compact ones too), a
+`minari.MinariDataset`, or the folder of a run of `knotgym generate` for its demonstrations of the
+train split, and
 
     observation     "pixels", "state", "both" or "symbolic"; None for what the dataset's environment
                     shows

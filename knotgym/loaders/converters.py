@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.errors import KnotgymError, MissingExtra
+from knotgym.errors import KnotgymError, MissingExtra, install_command
 from knotgym.loaders.rows import rows
 from knotgym.loaders.transitions import Transitions
 
 # d3rlpy 2.8.1 pins gymnasium 1.0.0, which all of this runs with; an extra would pin it for everyone
 # who asks for all extras
 _HOW = {
-    "torch": "pip install 'knotgym[torch]'",
-    "tensordict": "pip install 'knotgym[torchrl]'",
+    "torch": install_command("torch"),
+    "tensordict": install_command("torchrl"),
     "d3rlpy": "pip install d3rlpy (it pins Gymnasium 1.0.0, with which all of this works)",
 }
 

@@ -29,7 +29,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.atomic_files import Unwritable, atomic_write, sha256
+from knotgym.atomic_files import (
+    Occupied,
+    Unwritable,
+    atomic_write,
+    require_own,
+    require_own_tree,
+    sha256,
+)
 from knotgym.configuration import read_json
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.errors import KnotgymError
@@ -82,9 +89,11 @@ class CachedFrames:
         """
         self.offsets: NDArray[np.int64] = np.cumsum([0, *(reader.lengths + 1)])
         self._layout = reader.task.layout
+        require_own(Path(cache.folder), NoCache)
         told = _key(reader, picture)
         key = hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:32]
         self.place = Path(cache.folder) / key
+        require_own(self.place, NoCache)
         if not self._is_whole():
             try:
                 self._make(reader, picture, cache, told)
@@ -142,10 +151,12 @@ class CachedFrames:
         return NoCache(f"the pictures at {self.place} are gone or spoilt: open the dataset anew")
 
     def _is_whole(self) -> bool:
+        if not _is_ours(self.place):
+            return False
         try:
             _goals(self.place, len(self.offsets) - 1)
             frames = self.place / "frames.bin"
-            return frames.is_file() and frames.stat().st_size == math.prod(_shape(self.place))
+            return frames.stat().st_size == math.prod(_shape(self.place))
         except (OSError, ValueError, KeyError, TypeError, OverflowError):
             return False
 
@@ -253,4 +264,13 @@ def _make_room(cache: FrameCache, needed: int) -> None:
 
 
 def _is_ours(place: Path) -> bool:
-    return place.is_dir() and {file.name for file in place.iterdir()} == _NAMES
+    """Whether a folder is one of the cache's: this user's, with its three files and no link."""
+    try:
+        require_own_tree(place)
+    except Occupied:
+        return False
+    return (
+        place.is_dir()
+        and {file.name for file in place.iterdir()} == _NAMES
+        and all(file.is_file() for file in place.iterdir())
+    )

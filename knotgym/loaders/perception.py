@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from knotgym.errors import MissingExtra
+from knotgym.errors import MissingExtra, install_command
 from knotgym.loaders.converters import UnknownKind
 
 KINDS = ("torch", "huggingface")
@@ -56,13 +56,12 @@ def images(
 
 def _needed(module: str, extra: str) -> Any:
     """Import a module of another project, past the links at the top of a checkout of ours."""
-    how = f"pip install 'knotgym[{extra}]'"
     searched, link = list(sys.path), ("knotgym", module)
     sys.path[:] = [one for one in searched if (Path(one) / module).resolve().parts[-2:] != link]
     try:
         imported = importlib.import_module(module)
     except ModuleNotFoundError as error:
-        raise MissingExtra(str(error.name), how) from error
+        raise MissingExtra(str(error.name), install_command(extra)) from error
     finally:
         sys.path[:] = searched
     return imported

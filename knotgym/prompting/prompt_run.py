@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import knotgym
-from knotgym.atomic_files import atomic_write, require_writable
+from knotgym.atomic_files import atomic_write, require_output
 from knotgym.configuration import differences, read_json
 from knotgym.datasets.states import read_states, ships, states_file
 from knotgym.prompting.chat import Chat, Stopped
@@ -25,8 +25,8 @@ from knotgym.prompting.reading_scores import ReadingScores
 from knotgym.prompting.tally import tally
 from knotgym.prompting.transcripts import FILE, line
 from knotgym.runs.progress import Progress, Status, compile_first
-from knotgym.runs.run_options import InvalidRun
-from knotgym.runs.staging import Occupied, staging
+from knotgym.runs.run_options import Existing, InvalidRun
+from knotgym.runs.staging import may_be_finished, require_no_interrupted_run, staging
 
 # may differ when a run is gone on with: they change no question
 _FLEXIBLE = ("timeout", "attempts", "backoff")
@@ -44,33 +44,35 @@ def run(
     out: Path,
     *,
     side_by_side: int,
-    resume: bool,
+    existing: Existing,
     progress: Progress,
 ) -> dict[str, Any]:
     """Ask for transcripts 0 to count - 1 and write them to the new folder `out`; the result.
 
     Raises:
-        Occupied: there is something at `out`, or another run is at it.
+        Occupied: `out` exists, an interrupted run left replies, or another run is at it.
         InvalidRun: what is resumed was asked for differently, or nothing is to be done at a time.
         InvalidChat, Unanswered: as `Chat`; the replies stay for `resume`.
     """
     if side_by_side < 1:
         raise InvalidRun(f"at least 1 must be asked for at a time, got {side_by_side}")
-    if out.exists():
-        return _finished(out, config, resume, progress)
-    require_writable(out)
+    settings = json.loads(json.dumps(flat(config)))
+    done_already = _finished(out, settings, existing, progress)
+    if done_already is not None:
+        return done_already
+    require_output(out, folder=True, overwrite=existing.overwrite)
+    require_no_interrupted_run(out, existing)
     if config.task is not None and not ships(config.task.states):
         read_states(states_file(config.task.states), images=False)
     compile_first(progress)
-    settings = json.loads(json.dumps(flat(config)))
-    with staging(out, resume) as folder:
+    with staging(out, existing) as folder:
         _require_same(folder, settings)
         stop = threading.Event()
         chat = Chat(config.chat, stop)
         with atomic_write(folder / _REQUEST) as temporary:
             temporary.write_text(json.dumps(settings), encoding="utf-8")
         kept, done = KeptReplies(folder / _REPLIES), {}
-        if resume:
+        if existing.resume:
             progress.say(f"{out}: {len(kept)} replies are there")
         progress.stage("asking the model")
         try:
@@ -80,25 +82,31 @@ def run(
         finally:
             stop.set()
             kept.close()
-            chat.close()
-        result = _finish(out, settings, [done[number] for number in range(count)])
+        transcripts = [done[number] for number in range(count)]
+        result = _finish(out, settings, transcripts, existing.overwrite)
         shutil.rmtree(folder, ignore_errors=True)
     return result
 
 
-def _finished(out: Path, config: PromptConfig, resume: bool, progress: Progress) -> dict[str, Any]:
-    """The result of a run that is there, if it was asked for in this way."""
-    made: dict[str, Any] = {}
-    if resume and (out / _RESULT).is_file():
-        made = read_json(out / _RESULT)
-    if not made:
-        raise Occupied(f"{out} is there already; choose another --out, or remove it")
-    _refuse_other(
-        made.get("settings") if isinstance(made, dict) else None,
-        json.loads(json.dumps(flat(config))),
-    )
+def _finished(
+    out: Path, settings: dict[str, Any], existing: Existing, progress: Progress
+) -> dict[str, Any] | None:
+    """The result of a finished run that is resumed; None if the model is to be asked.
+
+    Raises:
+        InvalidRun: it was asked for differently, and is not to be overwritten.
+    """
+    if not may_be_finished(out, existing) or not (out / _RESULT).is_file():
+        return None
+    made = read_json(out / _RESULT)
+    try:
+        _refuse_other(made.get("settings") if isinstance(made, dict) else None, settings)
+    except InvalidRun:
+        if existing.overwrite:
+            return None
+        raise
     progress.say(f"{out} is finished already")
-    return made
+    return dict(made)
 
 
 def _require_same(folder: Path, settings: dict[str, Any]) -> None:
@@ -168,7 +176,9 @@ def _asked(
         raise trouble
 
 
-def _finish(out: Path, settings: dict[str, Any], transcripts: list[Transcript]) -> dict[str, Any]:
+def _finish(
+    out: Path, settings: dict[str, Any], transcripts: list[Transcript], overwrite: bool
+) -> dict[str, Any]:
     """Write the folder: transcripts in the order of their numbers, and the result."""
     result: dict[str, Any] = {
         "version": knotgym.__version__,
@@ -177,7 +187,7 @@ def _finish(out: Path, settings: dict[str, Any], transcripts: list[Transcript]) 
     }
     if "read" in transcripts[0]:
         result["scores"] = ReadingScores.of(transcripts).as_json()
-    with atomic_write(out) as folder:
+    with atomic_write(out, overwrite=overwrite) as folder:
         folder.mkdir()
         (folder / FILE).write_text("".join(map(line, transcripts)), encoding="utf-8")
         text = json.dumps(result, indent=1) + "\n"

@@ -118,7 +118,7 @@ class Counts:
 def begun(config: PromptConfig, number: int) -> EpisodeBatch:
     """Episode `number` of a run at its beginning, alone in its batch."""
     episodes = EpisodeBatch(config.task)
-    seed = derived_seed(Stream.EPISODE, config.seed, number)
+    seed = derived_seed(Stream.EVALUATION_EPISODE, config.seed, number)
     episodes.begin(0, np.random.default_rng(seed))
     return episodes
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from knotgym.prompting.transcripts import PRICES
-from knotgym.runs.intervals import wilson
+from knotgym.runs.intervals import cluster_interval
 
 
 def tally(transcripts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -35,12 +35,13 @@ def tally(transcripts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     }
     if "actions" not in transcripts[0]:
         return {"pictures": len(transcripts), **facts}
-    successes = sum(one["success"] for one in transcripts)
+    columns = ([int(one[name]) for one in transcripts] for name in ("success", "start", "goal"))
+    success, starts, goals = columns
     return {
         "episodes": len(transcripts),
-        "successes": successes,
-        "success_rate": successes / len(transcripts),
-        "interval": list(wilson(successes, len(transcripts))),
+        "successes": sum(success),
+        "success_rate": sum(success) / len(transcripts),
+        "interval": list(cluster_interval(success, starts, goals)),
         "without_valid_answer": sum(
             not one["success"] and all(turn["fault"] for turn in one["turns"])
             for one in transcripts

@@ -1,4 +1,4 @@
-"""Videos of a rope with its code under the picture, as mp4, webm or gif.
+"""Videos of a rope beside its goal, with their codes below, as mp4, webm or gif.
 
 All play in a browser: an .mp4 holds H.264 and a .webm VP9, both encoded by PyAV (extra `video`).
 """
@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from knotgym.atomic_files import atomic_write
-from knotgym.errors import KnotgymError
-from knotgym.rendering.picture import DEFAULT, PictureConfig, draw, project
+from knotgym.errors import KnotgymError, install_command
+from knotgym.rendering.camera import seen_from
+from knotgym.rendering.diagram import draw_diagram, side_of
 from knotgym.topology.crossings import label
 
 Array = NDArray[np.float64]
@@ -26,7 +27,7 @@ FRAMES_PER_SECOND = 5  # an action lasts 0.192 s
 _TEXT = 18  # pixels a line of caption
 _FONT, _LETTERS, _WHITE = cv2.FONT_HERSHEY_SIMPLEX, 0.45, (225, 225, 225)
 _WIDTH = 384  # pixels of each half
-_PULL, _ARROW = (255, 255, 255), 70.0  # RGB, and pixels that stand for the largest force
+OUTCOMES = {"reached": (52, 211, 153), "failed": (251, 113, 133)}  # RGB
 # ending -> encoder and its options
 _CODECS: dict[str, tuple[str, dict[str, str]]] = {
     ".mp4": ("libx264", {"crf": "18"}),
@@ -38,18 +39,28 @@ class UnknownFilm(KnotgymError, ValueError):
     """A kind of video that can't be written."""
 
 
-def captioned(frame: NDArray[np.uint8], lines: Sequence[str], scale: int = 3) -> NDArray[np.uint8]:
-    """Enlarge a picture, uint8 (height, width, 3), and write lines of text below it."""
-    large = np.repeat(np.repeat(frame, scale, axis=0), scale, axis=1)
-    high, wide = large.shape[:2]
-    # an even height in all, as films want it
+def captioned(
+    frame: NDArray[np.uint8], lines: Sequence[str], outcome: str = ""
+) -> NDArray[np.uint8]:
+    """Write lines of text below a picture, uint8 (height, width, 3), and frame it by its outcome.
+
+    Args:
+        outcome: "reached" or "failed", written large in green or red; "" for neither.
+    """
+    high, wide = frame.shape[:2]
+    # encoders of films need an even height
     below = np.zeros((_TEXT * len(lines) + 8 + (high + _TEXT * len(lines)) % 2, wide, 3), np.uint8)
     for number, line in enumerate(lines):
         wide_at_full = cv2.getTextSize(line, _FONT, _LETTERS, 1)[0][0]
         letters = min(_LETTERS, _LETTERS * (wide - 12) / max(1, wide_at_full))
         at = (6, _TEXT * (number + 1) - 2)
         cv2.putText(below, line, at, _FONT, letters, _WHITE, 1, cv2.LINE_AA)
-    return np.concatenate([large, below])
+    whole = np.concatenate([frame, below])
+    if outcome:
+        colour = OUTCOMES[outcome]
+        cv2.putText(whole, outcome, (12, high - 16), _FONT, 1.2, colour, 2, cv2.LINE_AA)
+        cv2.rectangle(whole, (2, 2), (wide - 3, len(whole) - 3), colour, 4)
+    return whole
 
 
 def film_frame(
@@ -57,35 +68,71 @@ def film_frame(
     goal: Array,
     heading: str,
     pull: tuple[int, Array] | None = None,
-    picture: PictureConfig = DEFAULT,
+    outcome: str = "",
+    views: Sequence[str] = ("top",),
+    side: float | None = None,
 ) -> NDArray[np.uint8]:
-    """A frame of a film: the rope and its goal, named; the pull about to be made as an arrow; both
-    codes below, in one notation.
+    """Draw a rope beside its goal, with the pull about to be made as an arrow and both codes below.
 
     Args:
         points, goal: float64 (beads, 3), metres.
         heading: the first line below.
-        pull: a bead, and the force on it in units of the largest there is, (3,); drawn where the
-            first view is from the top.
-        picture: how both are drawn.
+        pull: a bead, and the force on it in units of the largest there is, (3,).
+        outcome: as of `captioned`.
+        views: one below another, see `draw_diagram`.
+        side: metres that a side of each half shows; by default both ropes fit.
 
     Returns:
-        uint8 (height, width, 3), RGB, about 768 pixels wide.
+        uint8 (height, width, 3), RGB, 768 pixels wide.
     """
-    scale = max(1, _WIDTH // picture.size)
-    halves = np.concatenate([draw(points, picture), draw(goal, picture)], axis=1)
+    shown = side or film_side([points, goal], views)
+    halves = [
+        np.concatenate([draw_diagram(rope, _WIDTH, side=shown, view=view, pull=arrow)
+                        for view in views])
+        for rope, arrow in ((points, pull), (goal, None))
+    ]  # fmt: skip
     codes = [str(label(rope)) or "the plain loop" for rope in (points, goal)]
-    frame = captioned(halves, [heading, f"now   {codes[0]}", f"goal  {codes[1]}"], scale)
-    for column, name in ((0, "now"), (picture.size * scale, "goal")):
-        cv2.putText(frame, name, (column + 6, _TEXT), _FONT, _LETTERS, _WHITE, 1, cv2.LINE_AA)
-    if pull is not None and picture.views[0] == "top":
-        bead, force = pull
-        start = scale * project(points[bead : bead + 1], picture, center=points.mean(axis=0))[0]
-        end = start + _ARROW * np.array([force[0], -force[1]])  # image up is world +y
-        near, far = ((int(pixel[0]), int(pixel[1])) for pixel in (start, end))
-        cv2.circle(frame, near, 4, _PULL, cv2.FILLED, cv2.LINE_AA)
-        cv2.arrowedLine(frame, near, far, _PULL, 2, cv2.LINE_AA, tipLength=0.3)
+    lines = [heading, f"now   {codes[0]}", f"goal  {codes[1]}"]
+    frame = captioned(np.concatenate(halves, axis=1), lines, outcome)
+    for column, name in ((0, "now"), (_WIDTH, "goal")):
+        cv2.putText(frame, name, (column + 12, _TEXT + 6), _FONT, _LETTERS, _WHITE, 1, cv2.LINE_AA)
     return frame
+
+
+def film_side(ropes: Sequence[Array], views: Sequence[str] = ("top",)) -> float:
+    """Metres that a side must show so that every rope and arrow fits in every view."""
+    return 1.2 * max(side_of(seen_from(view, rope)) for rope in ropes for view in views)
+
+
+def film_frames(
+    ropes: Sequence[Array],
+    goal: Array,
+    headings: Sequence[str],
+    pulls: Sequence[tuple[int, Array]],
+    reached: Sequence[bool] | NDArray[np.bool_],
+    views: Sequence[str] = ("top",),
+) -> list[NDArray[np.uint8]]:
+    """Draw a whole episode at one scale; the last frame says how it ended and stays for a second.
+
+    Args:
+        ropes: T + 1 states, float64 (beads, 3) each, metres.
+        headings, reached: of each state; whether the goal is reached there.
+        pulls: the T pulls between them, as of `film_frame`.
+    """
+    side, last = film_side([*ropes, goal], views), len(ropes) - 1
+    frames = [
+        film_frame(
+            rope,
+            goal,
+            headings[k],
+            pulls[k] if k < last else None,
+            "reached" if reached[k] else "failed" if k == last else "",
+            views,
+            side,
+        )
+        for k, rope in enumerate(ropes)
+    ]
+    return frames + frames[-1:] * FRAMES_PER_SECOND
 
 
 def require_film(path: str | os.PathLike[str]) -> None:
@@ -141,7 +188,7 @@ def _pyav(kind: str) -> Any:
         import av
     except ModuleNotFoundError as error:
         raise UnknownFilm(
-            f"a {kind} needs PyAV, which isn't installed: pip install 'knotgym[video]'; a .gif"
-            " doesn't"
+            f"a {kind} film needs PyAV, which isn't installed; install it:"
+            f" {install_command('video')}, or write a .gif"
         ) from error
     return av

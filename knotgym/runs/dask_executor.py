@@ -1,7 +1,8 @@
 """Work on a Dask cluster; imported only when one is asked for.
 
 Workers read and write the files of a run themselves, so they must see its folder under the same
-path: start them anywhere on one shared file system. They must have this version of knotgym. A
+path: start them anywhere on one shared file system, with PYTHONSAFEPATH=1 unless all that lies in
+the folder where they start may be imported. They must have this version of knotgym. A
 worker that dies costs the pieces it was at: Dask gives them to others, who make the same bytes.
 """
 
@@ -9,6 +10,7 @@ from __future__ import annotations
 
 import logging
 import os
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -19,6 +21,7 @@ from typing import Any
 import mujoco
 
 import knotgym
+from knotgym.errors import install_command
 from knotgym.runs.pools import AHEAD, InvalidEngine, LostWorkers, Promise, ordered
 
 CONNECT = 10.0  # seconds to find the scheduler in
@@ -97,8 +100,8 @@ def cluster(scheduler: str) -> Iterator[Cluster]:
         from distributed import Client
     except ModuleNotFoundError as error:
         raise InvalidEngine(
-            "--engine dask needs Dask distributed, which isn't installed; install it: pip install"
-            " 'knotgym[dask]'"
+            "--engine dask needs Dask distributed, which isn't installed; install it:"
+            f" {install_command('dask')}"
         ) from error
     for name in (
         "distributed",
@@ -161,6 +164,7 @@ def _call(function: Callable[[Any], Any], piece: Any, folder: str, about: tuple[
         )
     with _one_at_a_time:
         if os.getcwd() != folder:
+            sys.path[:] = filter(None, sys.path)  # "" would import from the run's folder
             os.chdir(folder)  # relative paths are the run's
         cv2.setNumThreads(1)
         return function(piece)

@@ -8,12 +8,14 @@ asked for the very same; what differs is refused by name.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -22,15 +24,23 @@ import mujoco
 import numpy as np
 
 import knotgym
-from knotgym.atomic_files import atomic_write, require_writable
+from knotgym.atomic_files import Occupied, atomic_write, move_into_place, remove, require_output
 from knotgym.configuration import differences, read_json
 from knotgym.rope import RopeConfig
 from knotgym.runs.executors import executor
 from knotgym.runs.pools import Pool
 from knotgym.runs.progress import Progress, Status, compile_first
-from knotgym.runs.run_options import InvalidRun, RunOptions
+from knotgym.runs.run_options import Existing, InvalidRun, RunOptions
 from knotgym.runs.shards import Shard
-from knotgym.runs.staging import Occupied, is_held, lock_folder, staging, staging_folder
+from knotgym.runs.staging import (
+    discard,
+    has_work,
+    is_held,
+    may_be_finished,
+    require_no_interrupted_run,
+    staging,
+    staging_folder,
+)
 
 REQUEST = "request.json"
 LISTED = ("config", "source", "shard", "versions", "rope")  # of a request, and of a manifest
@@ -111,20 +121,16 @@ def run(recipe: Recipe, out: Path, options: RunOptions, progress: Progress | Non
             return run(recipe, out, options, progress)
     began = time.perf_counter()
     request = whole_request(recipe.request(), options.shard)
-    if out.exists():
-        made_by = request_of(out)
-        if not options.resume or made_by is None:
-            raise Occupied(f"{out} is there already; choose another --out, or remove it")
-        require_same(made_by, request, recipe.flexible, out)
-        shutil.rmtree(staging_folder(out), ignore_errors=True)  # killed between its last two steps
+    if is_finished(out, request, options, recipe.flexible):
+        discard(out)  # killed between its last two steps
         progress.say(f"{out} is finished already")
         return out
-    require_writable(out)
-    require_nothing_else_left(out, request, options.resume, recipe.flexible, progress)
+    require_output(out, folder=True, overwrite=options.overwrite)
+    require_startable(out, request, options, recipe.flexible, progress)
     compile_first(progress)
     if not (options.resume and recipe.load(staging_folder(out))):
         recipe.begin()
-    with staging(out, options.resume) as folder:
+    with staging(out, options) as folder:
         with atomic_write(folder / REQUEST) as temporary:
             temporary.write_text(json.dumps(request, indent=1, sort_keys=True), encoding="utf-8")
         lock = os.stat(folder / "lock")
@@ -142,36 +148,50 @@ def run(recipe: Recipe, out: Path, options: RunOptions, progress: Progress | Non
                     recipe.save(folder)
             progress.show(recipe.status, last=True)
         progress.stage("writing")
-        shutil.rmtree(folder / "made", ignore_errors=True)
-        recipe.finish(folder / "made", request).rename(out)
+        remove(folder / "made")
+        made = recipe.finish(folder / "made", request)
+        move_into_place(made, out, overwrite=options.overwrite)
     shutil.rmtree(staging_folder(out))
     seconds = time.perf_counter() - began
     progress.say(f"{out}: {recipe.summary()}; {seconds:.0f} s")
     return out
 
 
-def require_nothing_else_left(
-    out: Path, asked: dict[str, Any], resume: bool, flexible: tuple[str, ...], progress: Progress
-) -> None:
-    """Look at what an interrupted run left beside `out`: refuse to resume another request's, say
-    what goes.
+def is_finished(
+    out: Path, asked: dict[str, Any], existing: Existing, flexible: tuple[str, ...] = ()
+) -> bool:
+    """Whether `out` is what a resumed run would make: a finished run of the same request.
 
     Raises:
-        InvalidRun: it is such.
-        Occupied: another run is at it.
+        InvalidRun: it was made by another request, and is not to be overwritten.
     """
+    made_by = request_of(out) if may_be_finished(out, existing) else None
+    if made_by is None:
+        return False
+    if not existing.overwrite:
+        require_same(made_by, asked, flexible, out)
+        return True
+    return not differing(made_by, asked, flexible)
+
+
+def require_startable(
+    out: Path,
+    asked: dict[str, Any],
+    existing: Existing,
+    flexible: tuple[str, ...],
+    progress: Progress,
+) -> None:
+    """Refuse to begin over an interrupted run's work unasked, or to resume another request's.
+
+    Raises:
+        InvalidRun: what is to be resumed is of another request.
+        Occupied: another run is at it, or an interrupted one left work.
+    """
+    require_no_interrupted_run(out, existing)
     left_in = staging_folder(out)
-    if left_in.exists():
-        with lock_folder(left_in):  # nobody is at it
-            left = request_of(left_in)
-            if resume:
-                require_resumable(left_in, left, asked, flexible)
-            elif left is not None:
-                progress.say(
-                    f"{left_in}: what an interrupted run left goes; --resume would have gone on"
-                    " from it"
-                )
-    elif resume:
+    if existing.resume and left_in.exists():
+        require_resumable(left_in, request_of(left_in), asked, flexible)
+    elif existing.resume:
         progress.say(f"{out}: there is nothing to resume here, so the run begins")
 
 
@@ -188,13 +208,27 @@ def whole_request(asked: dict[str, Any], shard: Shard) -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Versions of all whose change could change a byte."""
+    """Versions of all whose change could change a byte; `code` tells two states of one version of
+    this package apart.
+    """
     return {
         "knotgym": knotgym.__version__,
+        "code": _code_sha256(),
         "mujoco": mujoco.__version__,
         "numpy": np.__version__,
         "opencv": cv2.__version__,
     }
+
+
+@cache
+def _code_sha256() -> str:
+    """SHA-256 of this package's modules, less the commands, which only print and pass on."""
+    root, digest = Path(knotgym.__file__).parent, hashlib.sha256()
+    modules = {path.relative_to(root).as_posix(): path for path in root.rglob("*.py")}
+    for name in sorted(modules):
+        if not name.startswith("cli/"):
+            digest.update(f"{name}\0".encode() + modules[name].read_bytes() + b"\0")
+    return digest.hexdigest()
 
 
 def request_of(folder: Path) -> dict[str, Any] | None:
@@ -218,13 +252,10 @@ def require_resumable(
     """
     if left is not None:
         require_same(left, asked, flexible, folder)
-        return
-    # a run that was killed at once has left no more than its lock, and parts of files
-    names = (path.name for path in folder.iterdir())
-    if any(name != "lock" and not name.startswith(".part-") for name in names):
+    elif has_work(folder):
         raise InvalidRun(
-            f"{folder} can't be resumed, its {REQUEST} is missing or damaged; start without"
-            " --resume"
+            f"{folder} can't be resumed, its {REQUEST} is missing or damaged; --restart throws it"
+            " away and begins anew"
         )
 
 
@@ -236,13 +267,18 @@ def require_same(
     Raises:
         InvalidRun: they differ in more than the fields of the configuration named `flexible`.
     """
-    found = [
+    if found := differing(there, asked, flexible):
+        raise InvalidRun(
+            f"{folder} is of another run than the one asked for: {'; '.join(found[:3])}; give the"
+            " same again, or --restart to throw an interrupted run away, --overwrite to replace a"
+            " finished one"
+        )
+
+
+def differing(there: dict[str, Any], asked: dict[str, Any], flexible: tuple[str, ...]) -> list[str]:
+    """In what two requests differ, but for the fields of the configuration named `flexible`."""
+    return [
         difference
         for difference in differences(there, asked)
         if not difference.startswith(tuple(f"config.{name} is " for name in flexible))
     ]
-    if found:
-        raise InvalidRun(
-            f"{folder} is of another run than the one asked for: {'; '.join(found[:3])}; give the"
-            " same again, or start without --resume"
-        )

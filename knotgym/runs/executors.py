@@ -24,6 +24,8 @@ ENGINES = ("local", "dask")
 # when a run is killed, Python's tracker clears up what it left, of which nobody needs to hear
 _UNTOLD = "ignore:resource_tracker:UserWarning"
 
+_SAFE_PATH = "PYTHONSAFEPATH"
+
 
 class InProcess:
     """Work done here, one piece after the other."""
@@ -40,7 +42,7 @@ class Processes:
 
     def map(self, function: Callable[[Any], Any], work: Iterable[Any], /) -> Iterable[Any]:
         def submit(piece: Any) -> Promise:
-            with uninterrupted():  # a process may have to begin for it
+            with uninterrupted(), _safe_path():  # a process may have to begin for it
                 return self._executor.submit(function, piece)
 
         return ordered(submit, work, AHEAD * self._count)
@@ -136,7 +138,7 @@ def _context() -> multiprocessing.context.BaseContext:
     """
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
-    with uninterrupted():
+    with uninterrupted(), _safe_path():
         # else the server starts it, which unblocks the signals here
         sys.warnoptions.append(_UNTOLD)  # are handed to what is started
         try:
@@ -149,6 +151,23 @@ def _context() -> multiprocessing.context.BaseContext:
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
     return multiprocessing.get_context("forkserver")
+
+
+@contextmanager
+def _safe_path() -> Iterator[None]:
+    """Let the Python processes that begin in this block import nothing from the current folder.
+
+    Multiprocessing begins them by `python -c`, which puts that folder first on the path.
+    """
+    before = os.environ.get(_SAFE_PATH)
+    os.environ[_SAFE_PATH] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[_SAFE_PATH]
+        else:
+            os.environ[_SAFE_PATH] = before
 
 
 def _serve() -> None:

@@ -1,12 +1,27 @@
-"""Confidence intervals of proportions."""
+"""Confidence intervals of success rates.
+
+Episodes are not independent draws of the tasks there could be: a cell of 256 episodes has some 20
+tangled states and 9 plain loops, each met many times. `cluster_interval` is of the success rate on
+states drawn as these were, so it resamples states and not episodes.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from knotgym.streams import Stream, generator
+
+DRAWS = 2000  # of each bootstrap
+_Z = 1.959963984540054  # the normal quantile of a two-sided 95 % interval
 
 
-def wilson(successes: int, trials: int, z: float = 1.959963984540054) -> tuple[float, float]:
-    """Wilson's score interval of a proportion, by default with 95 % confidence.
+def wilson(successes: float, trials: float, z: float = _Z) -> tuple[float, float]:
+    """Wilson's score interval of a proportion of independent trials, by default with 95 %
+    confidence.
 
     >>> [round(end, 3) for end in wilson(8, 10)]
     [0.49, 0.943]
@@ -18,3 +33,75 @@ def wilson(successes: int, trials: int, z: float = 1.959963984540054) -> tuple[f
     return max(0.0, middle - half) if successes else 0.0, (
         min(1.0, middle + half) if successes < trials else 1.0
     )
+
+
+def cluster_interval(
+    success: Sequence[int], starts: ArrayLike, goals: ArrayLike
+) -> tuple[float, float]:
+    """The 95 % interval of a success rate whose episodes share starts and goals.
+
+    A bootstrap over starts and one over goals give the variance of the rate:
+
+        V = V_starts + V_goals - p (1 - p) / n
+
+    (Cameron, Gelbach and Miller 2011, multiway clustering: the variance within clusters is in both
+    terms, so it is subtracted once). Each bootstrap draws G - 1 of G clusters with replacement,
+    which makes its variance unbiased for few clusters (Rao and Wu 1988). Owen's pigeonhole
+    bootstrap, one resampling with the product of both weights, counts the variance within clusters
+    three times; where states differ little its intervals are 1.4 times as wide for nothing.
+
+    The interval is Wilson's with the effective number of episodes p (1 - p) / V, at most n, and
+    Student's t for the normal quantile (Korn and Graubard 1998), with one degree of freedom fewer
+    than the side with fewer clusters has of them. A side with one cluster has no variance: the
+    interval then holds for that state alone. Where all episodes succeed, or none, nothing says how
+    much states differ; then each state of the side with more of them counts as one trial.
+
+    The draws are of a stream of their own, so the same episodes give the same interval.
+
+    Args:
+        success: of each episode, 0 or 1; at least one.
+        starts, goals: of each episode, which start and goal it had; any labels.
+
+    >>> [round(end, 2) for end in cluster_interval([0] * 60, [*range(20)] * 3, [0] * 60)]
+    [0.0, 0.16]
+    """
+    outcome = np.asarray(success, dtype=np.float64)
+    n, rate = len(outcome), float(outcome.mean())
+    sides = [np.unique(np.asarray(labels), return_inverse=True)[1] for labels in (starts, goals)]
+    counts = [int(side.max()) + 1 for side in sides]
+    if rate in (0.0, 1.0):
+        return wilson(rate * max(counts), max(counts))
+    rng = generator(Stream.INTERVAL, 0)
+    variances = [_variance(outcome, side, rng) for side in sides]
+    within = rate * (1 - rate) / n
+    variance = max(sum(variances) - within, *variances, within)
+    freedom = min((count - 1 for count in counts if count > 1), default=0)
+    trials = rate * (1 - rate) / variance
+    return wilson(rate * trials, trials, _student(freedom) if freedom else _Z)
+
+
+def _variance(
+    outcome: NDArray[np.float64], clusters: NDArray[np.int64], rng: np.random.Generator
+) -> float:
+    """The bootstrap variance of the mean outcome when clusters are resampled; 0 for one."""
+    sizes = np.bincount(clusters).astype(np.float64)
+    count = len(sizes)
+    if count == 1:
+        return 0.0
+    weights = rng.multinomial(count - 1, np.full(count, 1 / count), size=DRAWS)
+    sums = np.bincount(clusters, weights=outcome)
+    return float(np.var((weights @ sums) / (weights @ sizes)))
+
+
+def _student(freedom: int) -> float:
+    """The quantile of Student's t of a two-sided 95 % interval.
+
+    >>> round(_student(8), 2)
+    2.31
+    """
+    x = np.linspace(0, 13, 13001)  # the quantile is 12.7 at one degree of freedom
+    log = math.lgamma((freedom + 1) / 2) - math.lgamma(freedom / 2)
+    density = np.exp(log - (freedom + 1) / 2 * np.log1p(x * x / freedom))
+    density /= math.sqrt(freedom * math.pi)
+    below = np.concatenate([[0], np.cumsum((density[1:] + density[:-1]) / 2 * x[1])])
+    return float(np.interp(0.475, below, x))

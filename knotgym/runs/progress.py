@@ -6,9 +6,8 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from rich.console import Console
 from rich.live import Live
@@ -24,7 +23,8 @@ class Status:
     """Where a run stands.
 
     Attributes:
-        done, total: of what is counted, such as states or episodes.
+        done, total: of what is counted, such as states or episodes; `total` is what was asked
+            for, and what was made beyond it belongs in `facts`.
         counted: its name in the plural.
         facts: name -> value of whatever else is worth knowing.
         even: each takes about as long as another, so that the time left can be told.
@@ -92,6 +92,8 @@ class Progress:
     def __enter__(self) -> Progress:
         if self._live:
             self._live.start(refresh=True)
+        if self._lines:  # what follows may import for seconds
+            self.say("    0 s  starting")
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -102,6 +104,11 @@ class Progress:
         """Print a line that stays."""
         if not self._quiet:
             self.console.print(text, soft_wrap=True, highlight=False, markup=False)
+
+    def say_how_to_load(self, lines: Sequence[str]) -> None:
+        """Print the lines of code that load what was made."""
+        for line in ("to load it:", *(f"    {line}" for line in lines)):
+            self.say(line)
 
     def stage(self, name: str, done: int = 0, total: int = 0) -> None:
         """Say what is being done now, and how much of it is; in plain lines until a status is."""
@@ -128,7 +135,10 @@ class Progress:
         if status is None or self._first is None:
             return {}
         since, first = self._first
-        facts = {status.counted: f"{status.done} of {status.total}", **status.facts}
+        counted, beyond = min(status.done, status.total), max(0, status.done - status.total)
+        facts = {status.counted: f"{counted} of {status.total}"}
+        facts |= {"beyond what was asked for": f"{beyond}"} if beyond else {}
+        facts |= status.facts
         if status.part is not None and first.part is not None:
             done = status.part - first.part  # work of an earlier run says nothing of the speed
             if 0 < done and status.part < 1:
@@ -161,8 +171,7 @@ def tell_if_long(progress: Progress, core_seconds: float, workers: int) -> None:
 
     Args:
         progress: where to.
-        core_seconds: what it costs, roughly: as measured on one core of the machine of README's
-            table.
+        core_seconds: an estimate for one core of the machine of docs/validation.md.
         workers: processes, 0 for one a core.
     """
     from knotgym.runs.executors import cores
@@ -177,9 +186,9 @@ def tell_if_long(progress: Progress, core_seconds: float, workers: int) -> None:
 
 def compile_first(progress: Progress) -> None:
     """Have the labeller compiled, which takes a while the first time, before others wait for it."""
-    from knotgym.topology.crossing_kernel import scan
+    from knotgym.topology.crossing_kernel import is_compiled
 
-    if not any(Path(scan.stats.cache_path).glob("crossing_kernel.scan-*.nbi")):
+    if not is_compiled():
         from knotgym.rope import Rope
         from knotgym.topology.crossings import label
 

@@ -20,23 +20,47 @@ class NotEnough(KnotgymError, RuntimeError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunOptions:
+class Existing:
+    """What is to become of what an earlier run left; by default it is refused, and stays.
+
+    Attributes:
+        resume: go on from an interrupted run, and take a finished one of the same request as done.
+        restart: throw an interrupted run's work away and begin anew.
+        overwrite: replace a finished result, once the new one is whole.
+    """
+
+    resume: bool = False
+    restart: bool = False
+    overwrite: bool = False
+
+    def __post_init__(self) -> None:
+        if self.resume and self.restart:
+            raise InvalidRun(
+                "--resume goes on from an interrupted run, --restart throws it away: give one of"
+                " them"
+            )
+
+
+REFUSE_EXISTING = Existing()
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions(Existing):
     """How a run is done. Nothing here but the shard changes a byte of what is made.
 
     Attributes:
         workers: processes, 0 for one a core; 1 works in this process.
         scheduler: address of a Dask cluster's scheduler, to work there instead.
         shard: of the run.
-        resume: go on with what an earlier run of the same request left.
         quiet: show nothing but errors.
     """
 
     workers: int = 0
     scheduler: str = ""
     shard: Shard = Shard()
-    resume: bool = False
     quiet: bool = False
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.workers < 0:
             raise InvalidRun(f"workers must be at least 0, got {self.workers}")

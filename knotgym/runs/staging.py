@@ -1,5 +1,8 @@
 """Runs that can be killed and resumed: one process at a time works in a hidden folder beside what
 it makes.
+
+The folder, its lock and all in it must belong to this user, and none of them may be a link: whoever
+may write beside the output could otherwise have another folder emptied or written to.
 """
 
 from __future__ import annotations
@@ -13,11 +16,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO
 
-from knotgym.errors import KnotgymError
-
-
-class Occupied(KnotgymError, ValueError):
-    """The folder cannot be written to now."""
+from knotgym.atomic_files import Occupied, remove, require_own, require_own_tree
+from knotgym.runs.run_options import Existing
 
 
 def staging_folder(out: Path) -> Path:
@@ -28,20 +28,66 @@ def staging_folder(out: Path) -> Path:
 
 
 @contextmanager
-def staging(out: Path, resume: bool) -> Iterator[Path]:
-    """Hold the partial folder of `out`, emptied unless an earlier run's work is to be resumed.
+def staging(out: Path, existing: Existing) -> Iterator[Path]:
+    """Hold the staging folder of `out`; it stays until the caller removes it.
 
-    The folder stays until the caller removes it.
+    Raises:
+        Occupied: another process holds it, or an interrupted run left work there that is neither
+            to be resumed nor to be thrown away.
+    """
+    partial = staging_folder(out)
+    with lock_folder(partial):
+        _require_no_work(out, existing)
+        if not existing.resume:
+            for path in partial.iterdir():
+                if path.name != "lock":
+                    remove(path)
+        yield partial
+
+
+def require_no_interrupted_run(out: Path, existing: Existing) -> None:
+    """Refuse to begin where an interrupted run left work, unless it was said what becomes of it.
+
+    Raises:
+        Occupied: there is such work, or another process is at it now.
+    """
+    if os.path.lexists(staging_folder(out)):
+        with lock_folder(staging_folder(out)):
+            _require_no_work(out, existing)
+
+
+def _require_no_work(out: Path, existing: Existing) -> None:
+    if has_work(staging_folder(out)) and not (existing.resume or existing.restart):
+        raise Occupied(
+            f"an interrupted run of {out} left its work: --resume goes on from it, --restart throws"
+            " it away"
+        )
+
+
+def may_be_finished(out: Path, existing: Existing) -> bool:
+    """Whether a resumed run may find its own result at `out`: not if it was begun to replace it."""
+    begun_to_overwrite = existing.overwrite and has_work(staging_folder(out))
+    return existing.resume and not begun_to_overwrite
+
+
+def has_work(partial: Path) -> bool:
+    """Whether an interrupted run left anything to go on from: one that was killed at once left no
+    more than its lock, and parts of files.
+    """
+    return partial.is_dir() and any(
+        path.name != "lock" and not path.name.startswith(".part-") for path in partial.iterdir()
+    )
+
+
+def discard(out: Path) -> None:
+    """Remove the staging folder of `out`, if there is one and no run is at it.
 
     Raises:
         Occupied: another process holds it.
     """
-    partial = staging_folder(out)
-    with lock_folder(partial):
-        for path in [] if resume else partial.iterdir():
-            if path.name != "lock":
-                shutil.rmtree(path) if path.is_dir() else path.unlink()
-        yield partial
+    if os.path.lexists(staging_folder(out)):
+        with lock_folder(staging_folder(out)):
+            shutil.rmtree(staging_folder(out))
 
 
 @contextmanager
@@ -50,8 +96,10 @@ def lock_folder(partial: Path) -> Iterator[None]:
     ever stale.
 
     Raises:
-        Occupied: another process holds it, or its disk knows no locks.
+        Occupied: another process holds it, its disk knows no locks, or it, or anything in it, is a
+            link or another user's.
     """
+    require_own(partial)
     new = not partial.exists()
     partial.mkdir(parents=True, exist_ok=True)
     with _opened(partial / "lock") as lock:
@@ -69,6 +117,7 @@ def lock_folder(partial: Path) -> Iterator[None]:
         if not is_held(partial, os.fstat(lock.fileno())):
             # and taken the folder away
             raise Occupied(f"another run has just finished {partial.name[1:-8]}")
+        require_own_tree(partial)
         yield
 
 

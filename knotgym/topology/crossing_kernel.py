@@ -10,6 +10,9 @@ Arrays are copied number by number, here and in the other kernels: with a slice 
 compiles the wording of its error too, seconds of a first start.
 """
 
+import logging
+from pathlib import Path
+
 import numpy as np
 from numba import njit
 
@@ -17,6 +20,7 @@ from knotgym.topology.orientation import side
 
 OVER_PLACE, UNDER_PLACE, OVER_Z, UNDER_Z, SIGN, X, Y = range(7)
 
+_log = logging.getLogger("knotgym")
 _BLOCK = 8  # edges that share one bounding box
 
 
@@ -235,3 +239,18 @@ def _walk(beads: int, hits: np.ndarray, fractions: np.ndarray) -> np.ndarray:
             place -= 1
         walk[place] = strand
     return walk
+
+
+def is_compiled() -> bool:
+    """Return whether an earlier process has left machine code of `scan` in numba's cache."""
+    return any(Path(scan.stats.cache_path).glob("crossing_kernel.scan-*.nbi"))
+
+
+def warn_of_compilation() -> None:
+    """Log once, on standard error by default, that compiling is what the first run waits for."""
+    if not _warned and not is_compiled():
+        _log.warning("compiling, in the first run only; `knotgym compile` does it beforehand")
+    _warned.append(True)
+
+
+_warned: list[bool] = []

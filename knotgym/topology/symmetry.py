@@ -120,6 +120,21 @@ def canonical_form(code: GaussCode) -> GaussCode:
 
 
 @lru_cache(maxsize=200_000)
+def diagram_form(code: GaussCode) -> GaussCode:
+    """The code that stands for a code's diagram, whatever symmetry of the rope shows it.
+
+    Of the codes without chirality that the diagram shows from any base bead, walked either way,
+    switched or not, it is the first. Reflection changes chirality alone.
+
+    >>> diagram_form(GaussCode.parse("1-,2+,2-,1+")) == diagram_form(GaussCode.parse("1+,1-,2-,2+"))
+    True
+    """
+    based = [code.plain.rebased(visit) for visit in range(max(1, 2 * code.nx))]
+    walked = [*based, *(one.reversed() for one in based)]
+    return min((*walked, *(one.mirrored() for one in walked)), key=lambda one: one.visits)
+
+
+@lru_cache(maxsize=200_000)
 def mirror_images(code: GaussCode) -> tuple[GaussCode, ...]:
     """The codes of `mirrorings`, once each, in order; the first stands for all of them."""
     return tuple(sorted({image for image, _ in mirrorings(code)}, key=_order))

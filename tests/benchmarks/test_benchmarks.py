@@ -1,5 +1,6 @@
 """Every benchmark runs, in the smallest size that it can have; none is asked how fast it was."""
 
+import csv
 import importlib.util
 import json
 import math
@@ -14,6 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from knotgym.atomic_files import sha256
 from knotgym.datasets.states import read_states, shipped, write_states
 from knotgym.generate.states.archive import Archive
 
@@ -120,55 +122,52 @@ def test_hard_play_is_looked_at_and_goes_on_after_what_is_done(tmp_path: Path) -
 
 
 def test_evaluations_make_the_table_of_learners(tmp_path: Path) -> None:
-    told = {
-        "version": "0.1.0",
-        "settings": {"task": {"states": None}, "seed": 0},
-        "results": [
-            {
-                **{"policy": "learned", "task": "tie", "nx": 3, "split": "test", "episodes": 4},
-                **{"successes": 3, "success_rate": 0.75, "low": 0.3, "high": 0.95, "steps": 9.5},
-                **{"planned_actions": 10.0, "planning_seconds": 0.5},
-            }
-        ],
-    }
-    (tmp_path / "one.json").write_text(json.dumps(told))
-    page, out = tmp_path / "page.md", tmp_path / "out.json"
-    words = (tmp_path / "one.json", "--page", page, "--out", out)
-    run_script(FOLDER / "results.py", *words)
-    assert json.loads(out.read_text())[0]["states"] == "readable"
-    assert "**75.0** (30 to 95, of 4)" in page.read_text()
-    with pytest.raises(SystemExit, match="tells once more of learned, readable, test, tie, 3"):
-        run_script(FOLDER / "results.py", tmp_path / "one.json", *words)
+    page, out = tmp_path / "page.md", tmp_path / "table.csv"
+    words = ("evaluate", "--task", "tie", "--horizon", 1, "--workers", 1, "--quiet")
+
+    def measured(name: str, *more: object) -> Path:
+        assert knotgym(*words, *more, "--out", tmp_path / name) == 0
+        return tmp_path / name
+
+    def made(*files: Path) -> list[dict[str, str]]:
+        run_script(FOLDER / "results.py", *files, "--page", page, "--out", out)
+        with out.open(encoding="utf-8", newline="") as file:
+            return list(csv.DictReader(file))
+
+    one = measured("one.json", "--episodes", 2)
+    (row,) = made(one)
+    assert (row["policy"], row["task"], row["nx"], row["episodes"]) == ("random", "tie", "2", "2")
+    assert row["states_sha256"] == sha256(shipped()) and row["code_sha256"] and row["commit"]
+    assert 0 == float(row["low"]) < float(row["high"]) and int(row["starts"]) <= 2
+    assert row["settings"] == "horizon=1"
+    assert row["command"] == (
+        "knotgym evaluate --policy random --task tie --nx 2 --split test --episodes 2 --seed 0"
+        " --horizon 1"
+    )
+    before = page.read_text()
+    assert "| random | horizon=1 |" in before and "of 2)" in before
+    made()
+    assert page.read_text() == before  # from the table alone
+    (row,) = made(measured("more.json", "--episodes", 3))  # instead of the earlier measurement
+    assert row["episodes"] == "3"
+    (row,) = made(one, measured("other.json", "--episodes", 2, "--seed", 1))
+    assert row["episodes"] == "4" and row["seeds"] == "[0, 1]"
+    with pytest.raises(SystemExit, match="tells once more of random, readable, test, tie, 2"):
+        made(one, one)
+    told = json.loads(one.read_text())
+    told["digests"]["versions"]["code"] = "0" * 64
+    one.write_text(json.dumps(told))
+    with pytest.raises(SystemExit, match="measured with code 00000000, and this checkout has"):
+        made(one)
 
 
-def test_evaluations_make_the_matrix_and_the_curves(tmp_path: Path) -> None:
-    for name, episodes, goals in (("nx2", 270, 5), ("nx3", 540, 20)):
-        told = {
-            "version": "1.0.0",
-            "learners": {name: {"weights_sha256": name, "seconds": 1, "episodes": episodes}},
-            "settings": {"task": {"states": None, "max_goals": goals}, "seed": 0},
-            "results": [
-                {
-                    **{"policy": name, "task": "tie", "nx": nx, "split": "train", "episodes": 4},
-                    **{"successes": 3, "success_rate": 0.75, "low": 0.3, "high": 0.95},
-                    **{"steps": 9.5, "planned_actions": 10.0, "planning_seconds": 0.5},
-                }
-                for nx in (2, 3)
-            ],
-        }
-        (tmp_path / f"{name}.json").write_text(json.dumps(told))
-    files = sorted(tmp_path.glob("nx*.json"))
-    shown = {
-        "matrix": ("75 %", "30 to 95", "of 4", "tie 3"),
-        "data": ("270", "540", "tie nx 3, train split"),
-        "goals": (">5<", ">20<", "goal configurations"),
-    }
-    for kind, words in shown.items():
-        run_script(FOLDER / "learner_curves.py", kind, *files, "--out", tmp_path / kind)
-        drawn = (tmp_path / f"{kind}.svg").read_text()
-        assert all(word in drawn for word in words)
-        ElementTree.fromstring(drawn)
-        assert len(json.loads((tmp_path / f"{kind}.json").read_text())) == 4
+def test_cells_of_the_benchmark_are_measured_into_its_table(tmp_path: Path) -> None:
+    ran: list[list[str]] = []
+    words = ("--only", "expert", "--episodes", "expert=2", "--out", tmp_path)
+    with mock.patch("subprocess.run", lambda told, check: ran.append(told)):
+        run_script(FOLDER / "measure.py", *words)
+    assert len(ran) == 10 and {"--resume", "expert", "2"} <= set(ran[0])
+    assert ran[-1][1].endswith("results.py")
 
 
 def test_trainings_make_a_picture(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ is tried before hours of work. Under a pseudo-terminal where a person would look
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import io
 import json
@@ -20,22 +21,26 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import minari
 import pytest
 from rich.console import Console
 
+import knotgym as package
 from knotgym import __version__
+from knotgym.atomic_files import Occupied
 from knotgym.cli import main as cli
 from knotgym.cli.options import default_folder
 from knotgym.cli.summaries import _in_words
 from knotgym.control.policies import PolicyConfig
-from knotgym.generate.episodes.collect import distinct_id
-from knotgym.generate.episodes.evaluate import Result, show
+from knotgym.generate.episodes.collect import CollectConfig, distinct_id
+from knotgym.generate.episodes.evaluate import Result, reference_lines, show
 from knotgym.runs.engine import CHECKPOINT, Batch, run
 from knotgym.runs.executors import InProcess
 from knotgym.runs.progress import Progress, Status, compile_first, duration, tell_if_long
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.staging import staging_folder
 from knotgym.tasks import TaskConfig
+from knotgym.topology.crossing_kernel import warn_of_compilation
 
 from ..small_job import knotgym, typed
 from .test_generate_command import held
@@ -155,7 +160,7 @@ from typer.testing import CliRunner
 from knotgym.cli.main import app
 from knotgym.runs.progress import Progress
 
-HEAVY = ("mujoco", "numba", "cv2", "h5py", "minari", "torch", "pyarrow", "openai")
+HEAVY = ("mujoco", "numba", "cv2", "h5py", "minari", "torch", "pyarrow")
 early = {}
 
 def enter(progress):
@@ -215,6 +220,63 @@ def test_a_first_run_says_that_it_compiles(tmp_path: Path, monkeypatch: pytest.M
     assert stages == ["compiling, in the first run only", "starting"]
 
 
+def test_a_first_environment_says_once_that_it_compiles(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    kernel = SimpleNamespace(stats=SimpleNamespace(cache_path=tmp_path))
+    monkeypatch.setattr("knotgym.topology.crossing_kernel.scan", kernel)
+    monkeypatch.setattr("knotgym.topology.crossing_kernel._warned", [])
+    for _ in range(2):
+        warn_of_compilation()
+    assert [one.getMessage() for one in caplog.records] == [
+        "compiling, in the first run only; `knotgym compile` does it beforehand"
+    ]
+
+
+def test_the_demo_writes_an_observation_a_film_and_a_page(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert knotgym("demo", "--out", tmp_path / "demo") == 0
+    told = capfd.readouterr().out
+    for name in ("reset.png", "expert.mp4", "page.html"):
+        assert (tmp_path / "demo" / name).stat().st_size > 1000 and f"demo/{name}:" in told
+    assert "reaches the goal in 2 of 2 episodes" in told
+    assert knotgym("demo", "--out", tmp_path / "demo") == 2
+
+
+@pytest.mark.slow
+def test_everything_can_be_compiled_beforehand(capfd: pytest.CaptureFixture[str]) -> None:
+    assert knotgym("compile") == 0
+    assert "compiled; the machine code is kept in" in capfd.readouterr().out
+
+
+def test_a_collection_ends_with_the_lines_that_load_it(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    words = "--task unknot --nx 1 --policy random --episodes 1 --horizon 2 --workers 1"
+    assert knotgym("collect", *words.split(), "--out", tmp_path) == 0
+    minari_line, arrays_line = capfd.readouterr().out.splitlines()[-2:]
+    call, _, setting = minari_line.strip().partition("  # with ")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(*setting.split("="))
+        assert len(eval(call, {"minari": minari})) == 1
+    importlib.import_module("knotgym.loaders")
+    assert len(eval(arrays_line.strip(), {"knotgym": package})["actions"]) == 2
+
+
+def test_help_keeps_its_square_brackets(capfd: pytest.CaptureFixture[str]) -> None:
+    assert knotgym("images", "--help") == 0
+    assert "pip install '.[huggingface]'" in capfd.readouterr().out
+
+
+def test_results_stand_beside_those_of_random_and_expert() -> None:
+    assert reference_lines([result("random", task="tie", nx=2)]) == [
+        "for reference, mean return of tie nx 2: random -3.71, expert 5.00 (64 episodes, test"
+        " split, readable states)"
+    ]
+    assert reference_lines([result("random", task="tie", nx=9)]) == []
+
+
 def test_a_terminal_is_told_while_printed_words_go_elsewhere(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -233,6 +295,18 @@ def shown(even: bool, *done: int) -> str:
         for count in done:
             progress.show(lambda count=count: Status(count, 10, "things", even=even))  # type: ignore[misc]
     return written.getvalue()
+
+
+def test_counters_never_pass_what_was_asked_for() -> None:
+    told = shown(False, 0, 12)
+    assert "things 10 of 10; beyond what was asked for 2" in told and "12 of" not in told
+
+
+def test_a_plain_run_says_something_before_it_imports_anything(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with Progress():
+        assert capsys.readouterr().out == "    0 s  starting\n"
 
 
 def test_the_time_left_is_told_where_it_can_be() -> None:
@@ -308,7 +382,7 @@ def test_a_place_that_cannot_be_written_is_refused_at_once(
         (("generate", "--nx", "1,1"), "each number once, got '1,1'"),
         (("collect", "--policy", "mixed", "--shares", "inf,1,1,1"), "4 finite numbers"),
         (("evaluate", "--filmed", -1), "greater than or equal to 0"),
-        (("generate", "--nx", 0, "--out", "x" * 300), "name too long xxx"),
+        (("generate", "--nx", 0, "--out", "x" * 300), "can't be written: File name too long"),
         (("generate", "--nx", 0, "--out", "/dev/null/x"), "/dev/null/x can't be written"),
         (("dataset", "verify", "/dev/null/x"), "no such file: /dev/null/x"),
     ],
@@ -356,7 +430,7 @@ class Empty:
         return "nothing"
 
 
-def test_resume_on_nothing_and_a_run_over_what_is_left_say_so(
+def test_resume_on_nothing_says_so_and_a_run_over_what_is_left_needs_a_word(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     out, options = tmp_path / "a", RunOptions(workers=1)
@@ -365,8 +439,9 @@ def test_resume_on_nothing_and_a_run_over_what_is_left_say_so(
     staging_folder(out).mkdir()
     out.joinpath("manifest.json").rename(staging_folder(out) / "request.json")
     out.rmdir()
-    run(Empty(), out, options)
-    assert "what an interrupted run left goes" in capfd.readouterr().out
+    with pytest.raises(Occupied, match="--resume goes on from it, --restart throws it away"):
+        run(Empty(), out, options)
+    run(Empty(), out, replace(options, restart=True))
     assert list(tmp_path.iterdir()) == [out]  # and nothing hidden
 
 
@@ -406,20 +481,25 @@ def test_default_folders_tell_runs_apart(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_default_ids_tell_collections_apart(states_path: str) -> None:
     plain = TaskConfig(task="tie", nx=3, observation="both")
     expert = PolicyConfig(policy="expert")
-    assert distinct_id(plain, expert, 0) == "knotgym/tie-nx3/expert-v0"
+    usual = CollectConfig(task=plain, policy=expert)
+    assert distinct_id(usual) == "knotgym/tie-nx3/expert-v0"
     ids = {
-        distinct_id(task, policy, seed)
+        distinct_id(CollectConfig(task=task, policy=policy, seed=seed))
         for task, policy, seed in (
             (plain, expert, 0),
             (plain, expert, 1),
             (TaskConfig(task="tie", nx=3, horizon=9), expert, 0),
             (TaskConfig(task="tie", nx=3, split="test"), expert, 0),
+            (replace(plain, observation="state"), expert, 0),
+            (replace(plain, observation="pixels"), expert, 0),
+            (replace(plain, image_size=64), expert, 0),
             (TaskConfig(task="tie", nx=3, states="random-walk"), expert, 0),
             (TaskConfig(task="tie", nx=3, states=states_path), expert, 0),
             (plain, PolicyConfig(policy="noisy-expert", noise=0.5), 0),
         )
     }
-    assert len(ids) == 7
+    ids.add(distinct_id(replace(usual, keep_failed=False)))
+    assert len(ids) == 11
     assert all(re.fullmatch(r"knotgym/tie-nx3/[-\w]+-v0", one) for one in ids)
 
 
@@ -428,7 +508,7 @@ def test_several_nx_are_collected_one_after_the_other(
 ) -> None:
     words = "--task unknot --nx 1,2 --policy random --episodes 1 --observation state --workers 1"
     assert knotgym("collect", *words.split(), "--quiet", "--out", tmp_path) == 0
-    found = sorted(path.parent.name for path in tmp_path.glob("knotgym/*/random-v0"))
+    found = sorted(path.parent.name for path in tmp_path.glob("knotgym/*/random-state-v0"))
     assert found == ["unknot-nx1", "unknot-nx2"]
     assert knotgym("collect", *words.split(), "--id", "a/b-v0", "--out", tmp_path) == 2
     assert "--id names one dataset" in said(capfd)[0]
@@ -473,7 +553,7 @@ def result(policy: str, **settings: Any) -> Result:
         **{"task": "convert", "nx": 3, "split": "train", "episodes": 256, "successes": 256},
         **{"success_rate": 1.0, "low": 0.985, "high": 1.0, "steps": 12.3, "mean_return": 5.0},
         **{"planned_actions": 0.0, "planning_seconds": 0.0, "simulation_failures": 0},
-        **{"start_states": "own", "goal_states": "own"},
+        **{"start_states": "own", "goal_states": "own", "outcomes": {}},
     }
     return Result(policy=policy, **{**fields, **settings})
 

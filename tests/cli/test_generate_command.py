@@ -28,11 +28,14 @@ import pytest
 import knotgym as package
 from knotgym.atomic_files import sha256
 from knotgym.cli import main as cli
+from knotgym.datasets.episode_reader import InvalidEpisodeFile
 from knotgym.datasets.near_duplicates import NEAR, distances
 from knotgym.datasets.state_verification import folder_faults
 from knotgym.datasets.states import States, demonstrations_id, read_states
 from knotgym.generate.states.archive import Archive
 from knotgym.generate.states.search import new_archive
+from knotgym.loaders import arrays
+from knotgym.rendering.diagram import draw_diagram
 from knotgym.rendering.picture import draw
 from knotgym.rope import Rope
 from knotgym.runs import engine as run_engine
@@ -204,11 +207,11 @@ def test_the_archive_of_the_run_can_be_read(curated: Path) -> None:
     assert len(Archive.load(curated / "archive.h5").codes(1)) == 2
 
 
-def test_the_gallery_shows_every_state(curated: Path, states: States) -> None:
+def test_the_gallery_shows_every_state_as_a_diagram(curated: Path, states: States) -> None:
     sheet = np.asarray(cv2.imread(str(curated / "gallery.png")))[..., ::-1]
-    assert states.image is not None
-    first = states.image[min(range(4), key=lambda row: (states.split[row] != "train", row))]
-    assert sheet.shape == (170, 8 * 140, 3) and np.array_equal(sheet[6:134, 6:134], first)
+    first = states.points[min(range(4), key=lambda row: (states.split[row] != "train", row))]
+    assert sheet.shape == (234, 8 * 204, 3)
+    assert np.array_equal(sheet[6:198, 6:198], draw_diagram(first))
 
 
 def test_the_card_tells_states_codes_and_seed(curated: Path) -> None:
@@ -292,6 +295,17 @@ def test_the_recovered_environment_resets_from_the_states_of_the_job(
         _, info = env.reset(seed=0, options={"goal": int(row)})
         assert info["goal_gauss_code"] == states.gauss_code[row]
         assert np.array_equal(env.unwrapped.episodes.goal_points(0), states.points[row])
+
+
+def test_loaders_take_the_folder_of_a_run_for_its_demonstrations(
+    curated: Path, tmp_path: Path
+) -> None:
+    name = "minari/knotgym/tie-nx1/demonstrations-v0"
+    shutil.copytree(curated / name, tmp_path / name)
+    found = arrays(tmp_path, observation="state")
+    assert np.array_equal(found["actions"], arrays(curated / name)["actions"])
+    with pytest.raises(InvalidEpisodeFile, match="holds several datasets; name one of them"):
+        arrays(curated)
 
 
 @pytest.fixture(scope="module")
@@ -392,12 +406,19 @@ def test_resumed_it_ends_in_the_same_bytes_as_an_unbroken_run_and_quiet_says_not
 
 
 @pytest.mark.slow  # test_commands has it of the engine, and what a run tells
-def test_without_resume_it_begins_anew_and_tells_in_plain_lines(
+def test_with_restart_it_begins_anew_and_tells_in_plain_lines(
     killed: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     shutil.copytree(killed.parent / ".nx0-1.partial", tmp_path / ".a.partial")
     assert (
-        knotgym("generate", "--nx", 0, "--count", 1, "--workers", 1, "--out", tmp_path / "a") == 0
+        knotgym(
+            "generate",
+            *("--nx", 0, "--count", 1, "--workers", 1),
+            "--out",
+            tmp_path / "a",
+            "--restart",
+        )
+        == 0
     )
     assert (
         len(read_states(tmp_path / "a" / "states.h5")) == 1
@@ -488,7 +509,8 @@ def test_a_folder_that_is_there_is_not_touched(
     for more in ((), ("--resume",)):
         assert knotgym("generate", *WANTED, "--out", tmp_path / "a", *more) == 2
         assert said(capfd) == [
-            f"knotgym: {tmp_path / 'a'} is there already; choose another --out, or remove it"
+            f"knotgym: {tmp_path / 'a'} exists already; --overwrite replaces it, or choose another"
+            " --out"
         ]
     assert [path.name for path in tmp_path.rglob("*")] == ["a", "mine.txt"]
 

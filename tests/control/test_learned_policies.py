@@ -6,6 +6,7 @@ Run with -m clients, each where its library is.
 from __future__ import annotations
 
 import importlib.util
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.control.learned_policies import load_model
+from knotgym.control.learned_policies import Model, ModelPolicy, load_model
 from knotgym.control.policies import InvalidPolicy, PolicyConfig, make_policy
+from knotgym.control.rollouts import rollout
 from knotgym.episode_batch import EpisodeBatch
 from knotgym.tasks import TaskConfig
 
@@ -53,6 +55,69 @@ def expected(seen: Any) -> NDArray[np.float64]:
     return np.sum(
         [(part.reshape(-1)[:6] + part.mean(dtype=np.float64)) / 100 for part in parts], axis=0
     )
+
+
+PIXELS = (16, 32, 3)
+SHAPES: dict[str, Any] = {
+    "state": {"": (600,)},
+    "pixels": {"": PIXELS},
+    "both": {"pixels": PIXELS, "state": (None,)},
+    "symbolic": {"": (2, 64)},
+}
+
+
+def small(states_path: str, observation: str, **more: Any) -> TaskConfig:
+    task: dict[str, Any] = {"task": "unknot", "nx": 2, "states": states_path, "horizon": 2}
+    return TaskConfig(**task, observation=observation, image_size=16, **more)
+
+
+@pytest.mark.parametrize("asked", ["state", "pixels", "both", "symbolic"])
+@pytest.mark.parametrize("own", [*SHAPES])
+def test_a_model_that_states_its_observations_gets_those(
+    own: str, asked: str, states_path: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = []
+
+    def act(batch: Any) -> Any:
+        seen.append(
+            {k: v.shape[1:] for k, v in batch.items()} if own == "both" else batch.shape[1:]
+        )
+        return np.zeros((2, 6))
+
+    if own in ("state", "symbolic"):  # no picture is drawn for a model that sees none
+        monkeypatch.setattr(EpisodeBatch, "picture", None)
+    rollout(small(states_path, asked), ModelPolicy(Model(act, SHAPES[own]), "m"), [0, 1], 0)
+    wanted = {"pixels": PIXELS, "state": (600,)} if own == "both" else SHAPES[own][""]
+    assert seen == [wanted] * 2
+
+
+def test_a_model_of_stacked_pictures_gets_them_stacked(states_path: str) -> None:
+    seen = []
+
+    def act(batch: Any) -> Any:
+        seen.append(batch.shape)
+        return np.zeros((1, 6))
+
+    policy = ModelPolicy(Model(act, {"": (16, 16, 6)}), "m")
+    rollout(small(states_path, "pixels"), policy, [0], 0)
+    assert seen == [(1, 16, 16, 6)] * 2
+
+
+def test_a_model_whose_observations_no_task_has_is_refused_with_both_shapes(
+    states_path: str,
+) -> None:
+    policy = ModelPolicy(Model(lambda batch: np.zeros((1, 6)), {"": (64, 128, 3)}), "m")
+    with pytest.raises(InvalidPolicy, match=r"shape \(64, 128, 3\), .* pixels \(16, 32, 3\)"):
+        rollout(small(states_path, "pixels"), policy, [0], 0)
+
+
+def test_what_a_model_raises_is_one_line_with_the_shape_it_was_given(states_path: str) -> None:
+    def act(batch: Any) -> Any:
+        raise RuntimeError("mat1 and mat2\ncan't be multiplied")
+
+    with pytest.raises(InvalidPolicy, match=r"state of shape \(600\).* mat2 can't") as refused:
+        rollout(small(states_path, "state"), ModelPolicy(act, "m"), [0], 0)
+    assert "\n" not in str(refused.value)
 
 
 class TestTorchScript:
@@ -97,6 +162,15 @@ class TestTorchScript:
             assert threads == [1] and torch.get_num_threads() == 3
         finally:
             torch.set_num_threads(before)
+
+    def test_another_observation_is_one_line(self, states_path: str, tmp_path: Path) -> None:
+        import torch
+
+        torch.jit.script(torch.nn.Linear(600, 6)).save(str(tmp_path / "model.pt"))
+        policy = make_policy(PolicyConfig(policy=str(tmp_path / "model.pt")))
+        with pytest.raises(InvalidPolicy, match=r"pixels of shape \(16, 32, 3\)") as refused:
+            rollout(small(states_path, "pixels"), policy, [0], 0)
+        assert "\n" not in str(refused.value) and len(str(refused.value)) < 400
 
 
 class TestOnnx:
@@ -158,6 +232,23 @@ class TestStableBaselines3:
         model.save(tmp_path / "model.zip")
         actions, seen = chosen(Path(f"{tmp_path}/model.zip:{algorithm}"), states_path, "state")
         assert np.allclose(actions, model.predict(np.stack(seen), deterministic=True)[0], atol=1e-6)
+
+    @pytest.mark.parametrize(
+        ("observation", "network"),
+        [("state", "MlpPolicy"), ("pixels", "CnnPolicy"), ("both", "MultiInputPolicy")],
+    )
+    def test_a_model_gets_the_observation_it_was_trained_on(
+        self, observation: str, network: str, states_path: str, tmp_path: Path
+    ) -> None:
+        from stable_baselines3 import PPO
+
+        settings: dict[str, Any] = {"nx": 2, "states": states_path, "image_size": 64}
+        env = gym.make("knotgym/Unknot-v0", observation=observation, **settings)
+        PPO(network, env, device="cpu", n_steps=8, batch_size=8).save(tmp_path / "model.zip")
+        policy = make_policy(PolicyConfig(policy=f"{tmp_path}/model.zip"))
+        for asked in ("state", "pixels", "both", "symbolic"):
+            task = replace(small(states_path, asked), image_size=64)
+            assert len(rollout(task, policy, [0], 0)) == 1
 
     def test_an_algorithm_it_lacks_is_refused(self, tmp_path: Path) -> None:
         (tmp_path / "model.zip").write_bytes(b"")

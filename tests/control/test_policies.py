@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from knotgym.atomic_files import sha256
 from knotgym.cli.main import main
 from knotgym.control import policies
 from knotgym.control.basic_policies import RandomPolicy
@@ -16,9 +17,11 @@ from knotgym.control.policies import (
     InvalidPolicy,
     PolicyConfig,
     make_policy,
+    policy_digests,
     policy_names,
     register_policy,
 )
+from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.episode_batch import EpisodeBatch
 from knotgym.tasks import TaskConfig
 
@@ -220,6 +223,22 @@ def test_a_function_is_found_in_the_folder_where_the_command_is_typed(
     assert json.loads((tmp_path / "result.json").read_text())["episodes"] == 9
 
 
+def test_a_function_sees_the_same_in_collect_as_in_evaluate(
+    states_path: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "sees_state.py").write_text(
+        "def act(observation):\n    assert observation.shape == (600,)\n    return [0] * 6\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    words = "--task unknot --nx 1 --policy sees_state:act --horizon 2 --episodes 1 --workers 1"
+    words += f" --states {states_path} --quiet --image-size 16"
+    for command in ("evaluate --split train", "collect --out there --id a/b-v0"):
+        with pytest.raises(SystemExit) as left:
+            main([*command.split(), *words.split()])
+        assert left.value.code == 0
+    assert EpisodeReader(tmp_path / "there" / "a" / "b-v0").stored == "both"
+
+
 @pytest.mark.parametrize(
     ("policy", "says"),
     [
@@ -261,3 +280,38 @@ def test_a_registered_policy_is_made_by_its_name(
 def test_a_name_that_is_taken_or_reads_as_a_place_is_not_registered(name: str) -> None:
     with pytest.raises(InvalidPolicy):
         register_policy(name, lambda config: RandomPolicy())
+
+
+def test_digests_are_of_a_module_and_of_what_it_imports_beside_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "digested" / "nets").mkdir(parents=True)
+    for name, source in {
+        "digested/__init__.py": "",
+        "digested/policy.py": "import numpy\nfrom . import nets\nact = lambda seen: [0] * 6\n",
+        "digested/nets/__init__.py": "def load():\n    from ..weights import VALUES\n",
+        "digested/weights.py": "import aside.deep",
+        "aside.py": "",
+        "unused.py": "",
+    }.items():
+        (tmp_path / name).write_text(source)
+    found = policy_digests(PolicyConfig(policy="digested.policy:act"))
+    used = ("__init__", "policy", "nets/__init__", "weights")
+    names = ["aside.py", *(f"digested/{name}.py" for name in used)]
+    assert found == {name: sha256(tmp_path / name) for name in names}
+
+
+def test_digests_are_of_weights_transcripts_and_the_planner_s_table(tmp_path: Path) -> None:
+    (tmp_path / "model.pt").write_bytes(b"weights")
+    (tmp_path / "transcripts.jsonl").write_bytes(b"{}")
+    model, prompted = tmp_path / "model.pt", tmp_path / "transcripts.jsonl"
+    asked = {str(model): ["model.pt"], f"prompt:{prompted}": ["transcripts"], "random": []}
+    asked |= {"expert": ["transitions.h5"], "mixed": ["transitions.h5"]}
+    for name, files in asked.items():
+        assert list(policy_digests(PolicyConfig(policy=name))) == files
+    assert policy_digests(PolicyConfig(policy=str(model))) == {"model.pt": sha256(model)}
+    model.unlink()
+    with pytest.raises(InvalidPolicy, match="model.pt"):
+        policy_digests(PolicyConfig(policy=str(model)))

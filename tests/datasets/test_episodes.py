@@ -24,6 +24,7 @@ import pytest
 from typer.testing import CliRunner
 
 import knotgym
+from knotgym.atomic_files import Occupied
 from knotgym.datasets import episode_verification
 from knotgym.datasets.episode_reader import EpisodeReader, InvalidEpisodeFile
 from knotgym.datasets.episode_verification import replay, show_episodes, verify_episodes
@@ -422,7 +423,7 @@ def test_symbols_go_to_minari_and_back(
 
 def test_a_dataset_is_replaced_only_when_asked(root: Path, tmp_path: Path) -> None:
     publish([root / ID], METADATA, tmp_path)
-    with pytest.raises(InvalidEpisodeFile, match="there is a dataset"):
+    with pytest.raises(Occupied, match="exists already"):
         publish([root / ID], METADATA, tmp_path)
     publish([root / ID], METADATA, tmp_path, overwrite=True)
 

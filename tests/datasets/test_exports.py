@@ -16,10 +16,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from knotgym.atomic_files import Occupied
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import replay
 from knotgym.datasets.episode_writer import EpisodeWriter
 from knotgym.datasets.exports.forms import NothingToExport, UnknownForm, export
+from knotgym.datasets.exports.lerobot_export import task_text
 from knotgym.datasets.exports.minari_export import to_minari
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
 from knotgym.datasets.states import read_states, shipped, write_states
@@ -85,7 +87,7 @@ def test_ogbench_files_hold_every_state_once(dataset: Path, tmp_path: Path) -> N
             assert {*held} == {*right}
             assert all(np.array_equal(held[key], right[key]) for key in right)
             assert held["actions"].dtype == np.float32
-    with pytest.raises(NothingToExport, match="is there already; choose another --out"):
+    with pytest.raises(Occupied, match="exists already"):
         export(dataset, tmp_path, "ogbench")
 
 
@@ -111,7 +113,7 @@ def test_lerobot_rows_are_the_episodes_steps(dataset: Path, tmp_path: Path) -> N
             assert row["next.done"] is (step == len(episode) - 1)
             assert row["gauss_code"] == episode.gauss_code[step]
             assert (row["index"], row["episode_index"], row["frame_index"]) == (at, k, step)
-            assert tasks[row["task_index"]] == episode.goal_gauss_code
+            assert tasks[row["task_index"]] == task_text(episode.goal_gauss_code)
             at += 1
     assert at == len(rows)
     stats = json.loads((tmp_path / "a/meta/stats.json").read_text())
@@ -217,6 +219,11 @@ def test_ogbench_reads_its_files_and_makes_their_environment(
         assert info["goal"].shape == seen.shape and "success" in env.step(train["actions"][0])[4]
 
 
+def test_lerobot_s_task_is_a_sentence_for_the_plain_loop_too() -> None:
+    assert task_text("") == "Untie the rope into a plain loop."
+    assert task_text("1+,1-") == "Move the rope until its Gauss code is 1+,1-."
+
+
 @pytest.mark.clients
 def test_lerobot_reads_every_row(dataset: Path, tmp_path: Path) -> None:
     library = pytest.importorskip("lerobot.datasets.lerobot_dataset")
@@ -235,7 +242,7 @@ def test_lerobot_reads_every_row(dataset: Path, tmp_path: Path) -> None:
             assert np.array_equal(state, seen["state"][step])
             assert np.array_equal(item["action"].numpy(), episode.actions[step])
             assert item["next.reward"].item() == episode.rewards[step]
-            assert item["task"] == episode.goal_gauss_code
+            assert item["task"] == task_text(episode.goal_gauss_code)
             at += 1
     part = library.LeRobotDataset("knotgym/tie-nx2", root=tmp_path / "a", episodes=[2])
     assert part.num_frames == int(reader.lengths[2])

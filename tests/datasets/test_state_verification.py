@@ -15,9 +15,11 @@ import pytest
 from numpy.typing import NDArray
 
 from knotgym.atomic_files import sha256
+from knotgym.datasets.cards.state_card import summary
 from knotgym.datasets.state_schema import DIGEST
-from knotgym.datasets.state_verification import folder_faults, state_faults
+from knotgym.datasets.state_verification import folder_faults, overlap_faults, state_faults
 from knotgym.datasets.states import read_states, shipped, write_states
+from knotgym.datasets.verification import OVERLAPS
 
 from ..small_job import knotgym
 
@@ -59,6 +61,7 @@ def keep_rows(folder: Path, rows: NDArray[np.int64]) -> None:
     write_states(folder / "states.h5", states.taken(rows))
     manifest = json.loads((folder / "manifest.json").read_text())
     manifest["splits"] = [manifest["splits"][row] for row in rows]
+    manifest["summary"] = summary(states.taken(rows))
     manifest["files"] = {
         name: sha256(folder / name) for name in manifest["files"] if (folder / name).is_file()
     }
@@ -207,8 +210,24 @@ def test_a_state_in_both_splits_is_a_leak(copy: Path) -> None:
         ):
             file[name][test] = file[name][train]
     found = list(state_faults(read_states(copy / "states.h5")))
-    assert f"states.h5 rows {train} (train) and {test} (test) are near-duplicates" in found
+    near = f"states.h5 rows {train} (train) and {test} (test) are near-duplicates: 0.0 mm apart"
+    assert any(fault.startswith(near) for fault in found)
     assert f"states.h5 rows {train} (train) and {test} (test) come from one trajectory" in found
+
+
+def test_a_wrong_overlap_in_the_manifest_is_found(light: Path) -> None:
+    manifest = json.loads((light / "manifest.json").read_text())
+    manifest["summary"]["nx"]["1"]["overlap"]["code_in_train"] = 7
+    (light / "manifest.json").write_text(json.dumps(manifest))
+    assert any("nx 1: code_in_train of the overlap is 7, should be" in one for one in faults(light))
+
+
+@pytest.mark.parametrize("name", ["readable", "random-walk", "hard-unknots"])
+def test_what_train_and_test_of_a_shipped_set_share_is_as_said(name: str) -> None:
+    said = json.loads(shipped(name).with_name(OVERLAPS).read_text())[shipped(name).name]
+    states = read_states(shipped(name), images=False)
+    assert list(overlap_faults(states, said, OVERLAPS)) == []
+    assert said.keys() == {str(nx) for nx in states.nx}
 
 
 def test_a_code_in_both_splits_is_a_fault_where_they_should_share_none(light: Path) -> None:

@@ -9,11 +9,19 @@ import numpy as np
 import pytest
 
 from knotgym.datasets.state_verification import state_faults
-from knotgym.datasets.states import InvalidStates, States, read_states, shipped, write_states
+from knotgym.datasets.states import (
+    SHIPPED,
+    InvalidStates,
+    States,
+    read_states,
+    shipped,
+    write_states,
+)
 from knotgym.rendering.picture import draw
 from knotgym.rope import Rope
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.symmetry import diagram_form
 
 COLUMNS = ("qpos", "points", "image", "gauss_code", "gauss_code_chiral", "knot", "nx", "split")
 
@@ -239,3 +247,23 @@ def test_a_column_that_misses_the_schema_is_named(
         file[name] = values
     with pytest.raises(InvalidStates, match=said):
         read_states(copy)
+
+
+@pytest.mark.parametrize(("name", "nx"), [(s, nx) for s in SHIPPED for nx in (2, 3, 4, 7)])
+def test_splits_by_code_share_no_diagram_and_are_parts_of_the_splits(name: str, nx: int) -> None:
+    states = read_states(shipped(name), images=False)
+    train, test = states.rows(nx, "train-code"), states.rows(nx, "test-code")
+    assert {*train} <= {*states.rows(nx, "train")} and {*test} <= {*states.rows(nx, "test")}
+    diagrams = [
+        {diagram_form(GaussCode.parse(code)) for code in states.gauss_code[rows].tolist()}
+        for rows in (train, test)
+    ]
+    assert not diagrams[0] & diagrams[1]
+    if name != "hard-unknots" and nx < 7:
+        assert len(train) >= 10 and len(test) >= 1
+
+
+def test_loops_and_curls_are_in_both_splits_by_code() -> None:
+    states = read_states(shipped(), images=False)
+    for nx in (0, 1):
+        assert np.array_equal(states.rows(nx, "test-code"), states.rows(nx, "test"))

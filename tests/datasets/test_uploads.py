@@ -12,7 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from knotgym.datasets.cards.citation import citation_file
+from knotgym.datasets.exports.forms import NothingToExport
+from knotgym.datasets.exports.huggingface_export import ToUpload, to_huggingface
 from knotgym.datasets.states import read_states
+from knotgym.generate.episodes.suite_scores import CELL, LINE, score_tables
 
 from ..small_job import knotgym
 
@@ -72,13 +76,60 @@ def test_the_folder_has_card_citation_gallery_and_croissant(huggingface: Path) -
     assert said["license"].endswith("by/4.0/") and said["rai:personalSensitiveInformation"]
 
 
+HOSTILE = (
+    '<img src=x onerror=y>"\n---\n# [a](javascript:b) ![c](http://d) `e` | www.f @g $h$ *i* \ud800'
+)
+
+
+def harmless(text: str) -> bool:
+    """Whether Markdown makes nothing of what HOSTILE holds."""
+    meant = (
+        "<img",
+        "\n---\n# [",
+        "[a](",
+        "![c]",
+        "http://d",
+        " `e`",
+        " | www",
+        "www.f",
+        "@g",
+        " *i*",
+    )
+    return "onerror" in text and not [one for one in meant if one in text]
+
+
+@needs_arrow
+def test_cards_show_a_hostile_name_as_text(curated: Path, tmp_path: Path) -> None:
+    to_huggingface(ToUpload(HOSTILE, states=curated / "states.h5"), tmp_path / "hub")
+    card = (tmp_path / "hub" / "README.md").read_text(encoding="utf-8")
+    head, body = card.removeprefix("---\n").split("\n---\n", 1)
+    (name,) = [line for line in head.splitlines() if line.startswith("pretty_name: ")]
+    assert json.loads(name.partition(": ")[2]).startswith("<img")  # one YAML string in quotes
+    assert harmless(body)
+    (title,) = [one for one in citation_file(HOSTILE).splitlines() if one.startswith("title: ")]
+    assert json.loads(title.partition(": ")[2]).startswith("knotgym: <img")
+
+
+@needs_arrow
+def test_a_shard_s_name_writes_no_yaml(tmp_path: Path) -> None:
+    (tmp_path / "train\n  path: x-0.parquet").write_bytes(b"")
+    with pytest.raises(NothingToExport, match="must begin with a split"):
+        to_huggingface(ToUpload("pictures", pictures=tmp_path), tmp_path / "hub")
+
+
+def test_tables_of_scores_show_a_hostile_policy_as_text() -> None:
+    row = {**dict.fromkeys((*LINE, *CELL), HOSTILE), "split": "test", "task": "tie", "nx": 2}
+    score = {"success_rate": 0.5, "interval": [0.4, 0.6], "episodes": 2, "training": {}}
+    assert harmless("\n".join(score_tables([{**row, **score}])))
+
+
 @needs_arrow
 @pytest.mark.parametrize("form", ["huggingface", "minari"])
 def test_what_is_there_is_left_alone(
     curated: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str], form: str
 ) -> None:
     assert knotgym("dataset", "export", curated, "--to", form, "--out", tmp_path) == 2
-    assert "is there already" in capfd.readouterr().err and not list(tmp_path.iterdir())
+    assert "exists already" in capfd.readouterr().err and not list(tmp_path.iterdir())
 
 
 def test_minaris_folder_is_a_repository_of_the_same_bytes(curated: Path, minari_root: Path) -> None:

@@ -23,6 +23,7 @@ from ..scripts import ROOT, run_script
 
 FOLDER = ROOT / "examples"
 SCRIPTS = [
+    FOLDER / "learners" / "clone.py",
     FOLDER / "learners" / "goal_conditioned.py",
     FOLDER / "learners" / "offline_rl.py",
     FOLDER / "perception" / "read.py",
@@ -63,7 +64,7 @@ def test_every_example_says_how_to_use_it(
 @pytest.mark.parametrize(
     ("script", "library", "told"),
     [
-        ("perception/read.py", "torch", "needs torch: pip install 'knotgym[torch,huggingface]'"),
+        ("perception/read.py", "torch", "needs torch: pip install '.[torch,huggingface]'"),
         ("learners/offline_rl.py", "d3rlpy", "needs d3rlpy: pip install d3rlpy"),
     ],
 )

@@ -1,6 +1,7 @@
 import json
 import multiprocessing
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -14,6 +15,7 @@ import h5py
 import numpy as np
 import pytest
 
+from knotgym.atomic_files import Occupied, sha256
 from knotgym.cli.main import main
 from knotgym.control.expert import Expert
 from knotgym.control.planner_config import PlannerConfig
@@ -22,14 +24,16 @@ from knotgym.control.rollouts import episode_seed
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import verify_episodes
 from knotgym.datasets.episode_writer import EpisodeWriter
-from knotgym.datasets.minari_dataset import MinariMetadata, publish
+from knotgym.datasets.minari_dataset import MinariMetadata, metadata_of, publish
+from knotgym.datasets.states import States, write_states
 from knotgym.datasets.trajectory import relabel_all
 from knotgym.episode_batch import EpisodeBatch
 from knotgym.generate.episodes.collect import CollectConfig, InvalidCollection, collect
 from knotgym.loaders import NoLabels, Transitions
+from knotgym.rope import RopeConfig
 from knotgym.runs.engine import request_of
 from knotgym.runs.run_options import InvalidRun, RunOptions
-from knotgym.runs.staging import Occupied, staging_folder
+from knotgym.runs.staging import staging_folder
 from knotgym.tasks import TaskConfig
 
 from ..minari_list import check_minari
@@ -424,6 +428,69 @@ def test_another_collection_is_not_resumed(states_path: str, tmp_path: Path) -> 
         collect(config(states_path, episodes=1), tmp_path, RESUMED)
 
 
+@pytest.fixture
+def own_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> CollectConfig:
+    """A collection by a module in the current folder, on states beside it."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "collected_policy", raising=False)
+    (tmp_path / "collected_policy.py").write_text("act = lambda seen: [0.5] * 6\n")
+    return config(
+        str(tmp_path / "states.h5"), policy=PolicyConfig(policy="collected_policy:act"), episodes=1
+    )
+
+
+@pytest.mark.parametrize("swapped", ["states.h5", "collected_policy.py"])
+@pytest.mark.parametrize("finished", [True, False])
+def test_a_file_swapped_in_between_is_refused_by_name(
+    swapped: str,
+    finished: bool,
+    own_policy: CollectConfig,
+    states: States,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    write_states(tmp_path / "states.h5", states)
+    if finished:
+        collect(own_policy, tmp_path / "out", QUIET)
+    else:
+        with monkeypatch.context() as stopped, pytest.raises(KeyboardInterrupt):
+            stopped.setattr("knotgym.generate.episodes.collect.play", interrupted)
+            collect(own_policy, tmp_path / "out", QUIET)
+    if swapped == "states.h5":
+        write_states(tmp_path / swapped, states.taken(np.arange(len(states))[::-1]))
+    else:
+        with (tmp_path / swapped).open("a") as file:
+            file.write("# changed\n")
+    name = "states.own" if swapped == "states.h5" else re.escape(swapped)
+    with pytest.raises(InvalidRun, match=rf"{name} is .* there and .* here"):
+        collect(own_policy, tmp_path / "out", RESUMED)
+
+
+def interrupted(file: Any) -> Any:
+    """As a person who stops the run."""
+    raise KeyboardInterrupt
+
+
+def test_a_dataset_holds_the_digests_of_what_made_it(
+    own_policy: CollectConfig, states: States, tmp_path: Path
+) -> None:
+    write_states(tmp_path / "states.h5", states)
+    folder = collect(own_policy, tmp_path / "out", QUIET)
+    of_minari = json.loads((folder / "data" / "metadata.json").read_text())["digests"]
+    stored = metadata_of(folder)
+    assert stored is not None and stored.digests == of_minari
+    assert of_minari["states"] == {"own": sha256(tmp_path / "states.h5")}
+    file = "collected_policy.py"
+    assert of_minari["policies"] == {"collected_policy:act": {file: sha256(tmp_path / file)}}
+    assert of_minari["rope"] == RopeConfig().fingerprint and of_minari["versions"]["code"]
+
+
+def test_transcripts_are_no_policy_of_a_dataset(states_path: str) -> None:
+    with pytest.raises(InvalidCollection, match="give knotgym evaluate --policy prompt:run"):
+        config(states_path, policy=PolicyConfig(policy="prompt:run"))
+
+
 def test_a_run_of_another_version_is_not_resumed(states_path: str, tmp_path: Path) -> None:
     folder = collect(config(states_path, episodes=1), tmp_path, QUIET)
     report = folder / "data" / "collection.json"
@@ -467,7 +534,7 @@ def test_a_limit_of_goals_is_kept_stored_and_verified(tmp_path: Path) -> None:
     words = ("--task", "tie", "--nx", 3, "--max-goals", 2, "--workers", 1, "--quiet")
     random = ("collect", "--policy", "random", "--episodes", 6, "--horizon", 2)
     assert knotgym(*random, "--observation", "state", *words, "--out", tmp_path) == 0
-    (folder,) = tmp_path.glob("knotgym/tie-nx3/random-rules*-v0")  # a set of its own
+    (folder,) = tmp_path.glob("knotgym/tie-nx3/random-state-rules*-v0")  # a set of its own
     reader = EpisodeReader(folder)
     goals = [reader.labels(k)["options/goal"] for k in range(6)]
     env = gym.make("knotgym/Tie-v0", nx=3, max_goals=2).unwrapped

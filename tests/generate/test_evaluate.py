@@ -1,4 +1,7 @@
 import json
+import re
+import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -7,8 +10,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from knotgym.atomic_files import Occupied, sha256
 from knotgym.control.planner_config import PlannerConfig
-from knotgym.control.policies import PolicyConfig
+from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.rollouts import DATASET, EVALUATION, episode_seed, rollout
 from knotgym.datasets.states import States, write_states
 from knotgym.generate.episodes import evaluate as evaluation
 from knotgym.generate.episodes.evaluate import (
@@ -19,10 +24,11 @@ from knotgym.generate.episodes.evaluate import (
     report,
     run,
     show,
+    sources_of,
 )
+from knotgym.rope import RopeConfig
 from knotgym.runs.executors import InProcess
-from knotgym.runs.intervals import wilson
-from knotgym.runs.run_options import InvalidRun
+from knotgym.runs.run_options import Existing, InvalidRun
 from knotgym.runs.staging import staging_folder
 from knotgym.tasks import InvalidSetting, TaskConfig
 
@@ -37,16 +43,6 @@ def config(states_path: str, **settings: object) -> EvaluateConfig:
         "task": task,
     }
     return EvaluateConfig(**{**fields, **settings})
-
-
-@pytest.mark.parametrize(
-    ("successes", "trials", "low", "high"),
-    [(0, 10, 0.0, 0.2775), (5, 10, 0.2366, 0.7634), (10, 10, 0.7225, 1.0)],
-)
-def test_wilson_s_interval_is_the_textbook_s(
-    successes: int, trials: int, low: float, high: float
-) -> None:
-    assert wilson(successes, trials) == pytest.approx((low, high), abs=1e-4)
 
 
 def test_every_setup_gets_its_row_in_order(states_path: str) -> None:
@@ -96,7 +92,7 @@ def test_the_file_holds_the_rate_the_interval_and_the_settings(
         made, workers=1, out=tmp_path / "r.json", video=None, quiet=True, console=Console()
     )
     held = json.loads((tmp_path / "r.json").read_text())
-    assert held == json.loads(json.dumps(report(made, results)))
+    assert held == json.loads(json.dumps(report(made, results, sources_of(made))))
     assert (
         0 <= held["success_rate"] <= 1
         and held["interval"][0] <= held["success_rate"] <= held["interval"][1]
@@ -217,8 +213,9 @@ def test_a_mistake_is_one_line_and_status_2(
 # Interrupted, and gone on with.
 
 
-def to_file(made: EvaluateConfig, out: Path, resume: bool = False) -> None:
-    run(made, workers=1, out=out, video=None, quiet=True, console=Console(), resume=resume)
+def to_file(made: EvaluateConfig, out: Path, **words: bool) -> None:
+    existing = Existing(**words)
+    run(made, workers=1, out=out, video=None, quiet=True, console=Console(), existing=existing)
 
 
 def counted_pieces(monkeypatch: pytest.MonkeyPatch, most: int) -> list[object]:
@@ -263,13 +260,15 @@ def test_an_evaluation_of_other_settings_is_not_gone_on_with(
 ) -> None:
     with pytest.raises(InvalidRun, match="config.seed is 0 there and 1 here"):
         to_file(config(states_path, episodes=17, seed=1), interrupted, resume=True)
-    to_file(config(states_path, episodes=1), interrupted)  # begun anew, what was left goes
+    with pytest.raises(Occupied, match="--resume goes on from it, --restart throws it away"):
+        to_file(config(states_path, episodes=1), interrupted)
+    to_file(config(states_path, episodes=1), interrupted, restart=True)
     with pytest.raises(InvalidRun, match="settings.episodes is 1 there and 2 here"):
         to_file(config(states_path, episodes=2), interrupted, resume=True)
     interrupted.write_text('{"version": 1}')
     with pytest.raises(InvalidRun, match="isn't an evaluation"):
         to_file(config(states_path, episodes=2), interrupted, resume=True)
-    with pytest.raises(InvalidEvaluation, match="--resume goes on with the evaluation of an --out"):
+    with pytest.raises(InvalidEvaluation, match="--resume and --restart need the --out"):
         run(
             config(states_path),
             workers=1,
@@ -277,7 +276,7 @@ def test_an_evaluation_of_other_settings_is_not_gone_on_with(
             video=None,
             quiet=True,
             console=Console(),
-            resume=True,
+            existing=Existing(resume=True),
         )
 
 
@@ -295,5 +294,105 @@ def test_what_was_played_is_not_gone_on_from_once_it_is_spoilt(
 ) -> None:
     for spoilt in ("{}", '{"0": [[1]]}', "no JSON"):
         (staging_folder(interrupted) / "played.json").write_text(spoilt)
-        with pytest.raises(InvalidRun, match="is damaged; start without --resume"):
+        with pytest.raises(InvalidRun, match="is damaged; --restart begins anew"):
             to_file(config(states_path, episodes=17), interrupted, resume=True)
+
+
+# What was played, and by whom: the file holds digests, and resuming compares them.
+
+
+MODULE = "import beside\n\ndef act(observation):\n    return [beside.PULL] * 6\n"
+
+
+@pytest.fixture
+def own_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder, with a module whose policy pulls as a file beside it says."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    for name in ("resumed_policy", "beside"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    (tmp_path / "resumed_policy.py").write_text(MODULE)
+    (tmp_path / "beside.py").write_text("PULL = 0.5\n")
+    (tmp_path / "other.py").write_text("PULL = 0.25\n")
+    return tmp_path
+
+
+def test_the_file_holds_digests_of_policy_states_code_and_rope(
+    own_policy: Path, states_path: str
+) -> None:
+    made = config(states_path, policies=(PolicyConfig(policy="resumed_policy:act"),), episodes=1)
+    to_file(made, own_policy / "r.json")
+    told = json.loads((own_policy / "r.json").read_text())["digests"]
+    assert told["policies"] == {
+        "resumed_policy:act": {
+            name: sha256(own_policy / name) for name in ("beside.py", "resumed_policy.py")
+        }
+    }
+    assert told["states"] == {"own": sha256(states_path)}
+    assert told["rope"] == RopeConfig().fingerprint
+    assert {"knotgym", "code", "mujoco"} <= told["versions"].keys()
+
+
+@pytest.mark.parametrize("swapped", ["states.h5", "resumed_policy.py", "beside.py"])
+@pytest.mark.parametrize("finished", [True, False])
+def test_a_file_swapped_in_between_is_refused_by_name(
+    swapped: str,
+    finished: bool,
+    own_policy: Path,
+    states: States,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    write_states(own_policy / "states.h5", states)
+    made = config(
+        str(own_policy / "states.h5"),
+        policies=(PolicyConfig(policy="resumed_policy:act"),),
+        episodes=9,
+    )
+    if finished:
+        to_file(made, own_policy / "r.json")
+    else:
+        with monkeypatch.context() as stopped, pytest.raises(KeyboardInterrupt):
+            counted_pieces(stopped, 1)
+            to_file(made, own_policy / "r.json")
+    if swapped == "states.h5":
+        write_states(own_policy / swapped, states.taken(np.arange(len(states))[::-1]))
+    else:
+        with (own_policy / swapped).open("a") as file:
+            file.write("# changed\n")
+    name = "states.own" if swapped == "states.h5" else re.escape(swapped)
+    with pytest.raises(InvalidRun, match=rf"{name} is .* there and .* here"):
+        to_file(made, own_policy / "r.json", resume=True)
+
+
+def test_a_file_swapped_while_episodes_are_played_is_refused(
+    own_policy: Path, states_path: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    play = evaluation._play
+
+    def swap(piece: Any) -> Any:
+        (own_policy / "beside.py").write_text("PULL = 1\n")
+        return play(piece)
+
+    monkeypatch.setattr(evaluation, "_play", swap)
+    made = config(states_path, policies=(PolicyConfig(policy="resumed_policy:act"),), episodes=1)
+    with pytest.raises(InvalidRun, match="changed while episodes were played.*beside.py"):
+        to_file(made, own_policy / "r.json")
+    assert not (own_policy / "r.json").exists()
+
+
+def test_no_seed_makes_an_evaluation_play_the_episodes_of_a_dataset(states_path: str) -> None:
+    seeds = [
+        {episode_seed(seed, number, streams) for seed in range(20) for number in range(200)}
+        for streams in (DATASET, EVALUATION)
+    ]
+    assert not seeds[0] & seeds[1]
+    # learners that train online seed rope i with s + i: below any seed of an evaluation
+    assert min(seeds[1]) > 2**32
+    made = config(states_path, splits=("train",), episodes=2, filmed=2)
+    _, films = evaluate(made, InProcess())
+    task = replace(made.task, nx=1, split="train")
+    trained = rollout(task, make_policy(made.policies[0]), range(2), made.seed)
+    assert [one.seed for one in films] == [episode_seed(0, i, EVALUATION) for i in range(2)]
+    for scored, stored in zip(films, trained, strict=True):
+        assert scored.seed != stored.episode.seed
+        assert not np.array_equal(scored.actions[0], stored.episode.actions[0])

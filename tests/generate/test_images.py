@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from knotgym.atomic_files import Occupied
 from knotgym.cli.main import main
 from knotgym.datasets import image_table as tables
 from knotgym.datasets.image_rows import Row, record
@@ -23,7 +24,6 @@ from knotgym.datasets.image_table import (
     COLUMNS,
     GRADES,
     InvalidImages,
-    MissingArrow,
     decode,
     encode,
     read_rows,
@@ -32,13 +32,13 @@ from knotgym.datasets.image_table import (
     write_rows,
 )
 from knotgym.datasets.image_verification import image_faults, row_faults
-from knotgym.datasets.near_duplicates import NEAR, distances
+from knotgym.datasets.near_duplicates import NEAR, distances, families
 from knotgym.datasets.splits import IMAGE_SPLITS
 from knotgym.difficulty import grade
 from knotgym.generate.images import image_recipe
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig, quotas
-from knotgym.generate.images.seed_states import NoSeedStates, families, seed_states
+from knotgym.generate.images.seed_states import NoSeedStates, seed_states
 from knotgym.generate.images.selection import _options
 from knotgym.loaders import MissingExtra
 from knotgym.loaders import images as load
@@ -47,7 +47,6 @@ from knotgym.relaxation import RelaxationConfig, relaxed
 from knotgym.rendering.appearance import VARIED, AppearanceConfig
 from knotgym.rope import Array, Rope
 from knotgym.runs.run_options import InvalidRun, RunOptions
-from knotgym.runs.staging import Occupied
 from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry
@@ -205,14 +204,18 @@ def test_a_leak_between_splits_is_found(
     )
 
 
+@pytest.mark.parametrize(
+    "symmetry",
+    [Symmetry(turn=1.0), Symmetry(reflect=True, turn=1.0, reverse=True, base_shift=37)],
+)
 def test_a_near_duplicate_in_another_split_is_found(
-    rows: list[dict[str, Any]], tmp_path: Path
+    rows: list[dict[str, Any]], tmp_path: Path, symmetry: Symmetry
 ) -> None:
-    """The planted row is true in every other way: a training row's rope turned, moved and shaken,
-    with labels, picture and family of its own.
+    """The planted row is true in every other way: a training row's rope moved by a symmetry and
+    shaken, with labels, picture and family of its own.
     """
     train = next(row for row in rows if row["split"] == "train" and row["nx"] == 1)
-    points = Symmetry(turn=1.0).configuration(np.array(train["points"]).reshape(-1, 3))
+    points = symmetry.configuration(np.array(train["points"]).reshape(-1, 3))
     points = points + (0.1, 0, 0) + np.random.default_rng(0).normal(0, 0.001, points.shape)
     planted = Row(points, label(points), "test", {**train["source"], "family": 10**6, "row": 10**6})
     write_rows(tmp_path / "data.parquet", [train, record(planted, AppearanceConfig())])
@@ -259,11 +262,11 @@ def test_without_pyarrow_one_line_names_the_extra(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(MissingArrow, match="huggingface"):
+    with pytest.raises(MissingExtra, match="huggingface"):
         read_table(folder)
     with pytest.raises(SystemExit) as left:
         main(["images", "--count", "5", "--out", str(tmp_path / "x")])
-    assert left.value.code == 2 and "pip install 'knotgym[huggingface]'" in capsys.readouterr().err
+    assert left.value.code == 2 and "pip install '.[huggingface]'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -372,7 +375,7 @@ def test_a_loader_without_its_library_names_the_extra(
     for kind, module in (("torch", "torch"), ("huggingface", "datasets")):
         with monkeypatch.context() as patch:
             patch.setitem(sys.modules, module, None)
-            with pytest.raises(MissingExtra, match=rf"knotgym\[{kind}\]"):
+            with pytest.raises(MissingExtra, match=rf"\.\[{kind}\]"):
                 load(folder, kind=kind)
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from knotgym.atomic_files import sha256
 from knotgym.control.basic_policies import RandomPolicy
 from knotgym.control.policies import InvalidPolicy
 from knotgym.generate.episodes.learner_evaluation import EVALUATION, evaluate_learner
@@ -14,6 +15,8 @@ from knotgym.tasks import TaskConfig
 
 
 def test_scores_stand_beside_the_training_and_a_name_is_had_once(tmp_path: Path) -> None:
+    weights = tmp_path / "weights.pt"
+    weights.write_bytes(b"of the learner")
     task = TaskConfig(task="tie", observation="state", horizon=2)
 
     def measured() -> None:
@@ -22,6 +25,7 @@ def test_scores_stand_beside_the_training_and_a_name_is_had_once(tmp_path: Path)
             RandomPolicy(),
             tmp_path,
             {"steps": 7},
+            files=[weights],
             quiet=True,
             tasks=("unknot",),
             nx=(2,),
@@ -32,6 +36,7 @@ def test_scores_stand_beside_the_training_and_a_name_is_had_once(tmp_path: Path)
     measured()
     (row,) = read_scores([tmp_path / EVALUATION])
     assert (row["policy"], row["task"], row["split"]) == ("a-learner", "unknot", "test")
+    assert row["policy_sha256"] == sha256(weights)
     assert row["episodes"] == 2 and row["training"] == {"steps": 7}
     with pytest.raises(InvalidPolicy, match="there is a policy 'a-learner' already"):
         measured()

@@ -72,7 +72,7 @@ def test_every_policy_has_its_set_and_the_card_tells_of_it(
 ) -> None:
     assert knotgym(*WORDS, "--episodes", 1, "--budget", 60, "--out", tmp_path) == 0
     told = capfd.readouterr().out
-    assert told.startswith("4 sets; 4 episodes to play, about ") and "with 1 workers" in told
+    assert "\n4 sets; 4 episodes to play, about " in told and "with 1 workers" in told
     sets = card(tmp_path)["sets"]
     assert sets.keys() == {ID.format(policy) for policy in POLICIES}
     for name, one in sets.items():

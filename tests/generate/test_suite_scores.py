@@ -1,93 +1,121 @@
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig
-from knotgym.generate.episodes.evaluate import EvaluateConfig, Result, report
+from knotgym.generate.episodes import evaluate as evaluation
+from knotgym.generate.episodes.evaluate import EvaluateConfig, as_text, report, sources_of
 from knotgym.generate.episodes.suite_scores import InvalidScores, read_scores, score_tables
+from knotgym.generate.episodes.unfinished_evaluation import PlayedEpisode
+from knotgym.runs.intervals import cluster_interval
 from knotgym.tasks import TaskConfig
 
-RESULT = Result(
-    policy="random",
-    task="tie",
-    nx=2,
-    split="test",
-    episodes=64,
-    successes=16,
-    success_rate=0.25,
-    low=0.16,
-    high=0.37,
-    steps=20.0,
-    mean_return=-2.5,
-    planned_actions=0.0,
-    planning_seconds=0.0,
-    simulation_failures=0,
-    start_states="own",
-    goal_states="own",
-)
+STARTS = 8
 
 
-def told(path: Path, seed: int, successes: int, episodes: int, **rules: Any) -> Path:
-    """A file of `knotgym evaluate --out`."""
+def told(
+    path: Path, seed: int, successes: int, episodes: int, budget: int = 20000, **rules: Any
+) -> Path:
+    """A file of `knotgym evaluate --out`, whose first episodes succeed."""
+    policy = PolicyConfig(planner=PlannerConfig(budget=budget))
+    task = TaskConfig(task="tie", nx=2, split="test", observation="state", **rules)
     config = EvaluateConfig(
-        policies=(PolicyConfig(),),
-        tasks=("tie",),
-        nx=(2,),
-        splits=("test",),
-        episodes=episodes,
-        seed=seed,
-        task=TaskConfig(task="tie", **rules),
+        policies=(policy,), tasks=("tie",), episodes=episodes, seed=seed, task=task
     )
-    result = replace(
-        RESULT, episodes=episodes, successes=successes, success_rate=successes / episodes
-    )
-    path.write_text(json.dumps(report(config, [result])), encoding="utf-8")
+    played = [
+        PlayedEpisode(number % STARTS, number % 5, number < successes, 20, -2.5, 0, 0.0, False)
+        for number in range(episodes)
+    ]
+    result = evaluation._result(policy, task, played)
+    path.write_text(as_text(report(config, [result], sources_of(config))), encoding="utf-8")
     return path
 
 
-def test_files_of_one_set_up_with_other_seeds_are_counted_together(tmp_path: Path) -> None:
+def changed(path: Path, *place: Any, value: Any) -> None:
+    """Write `value` at a place of a JSON file."""
+    said = inner = json.loads(path.read_text())
+    for name in place[:-1]:
+        inner = inner[name]
+    inner[place[-1]] = value
+    path.write_text(json.dumps(said))
+
+
+def test_files_of_one_cell_with_other_seeds_are_counted_together(tmp_path: Path) -> None:
     files = [told(tmp_path / "a", 1, 16, 64), told(tmp_path / "b", 2, 80, 192)]
     (row,) = read_scores(files)
     assert (row["successes"], row["episodes"], row["success_rate"]) == (96, 256, 0.375)
     assert row["seeds"] == [1, 2] and row["steps"] == 20.0
-    low, high = row["interval"]
-    assert 0.317 < low < 0.319 and 0.435 < high < 0.437  # Wilson, of 96 in 256
+    assert (row["starts"], row["goals"]) == (STARTS, 5)
+    episodes = [(number, number < most) for most, n in ((16, 64), (80, 192)) for number in range(n)]
+    success = [int(reached) for _, reached in episodes]
+    clusters = [[number % count for number, _ in episodes] for count in (STARTS, 5)]
+    assert row["interval"] == list(cluster_interval(success, *clusters))
     assert read_scores(files[::-1]) == [row]
 
 
-def test_a_file_from_before_a_rule_came_is_of_its_default(tmp_path: Path) -> None:
-    files = [told(tmp_path / "a", 1, 16, 64), told(tmp_path / "b", 2, 80, 192)]
-    old = json.loads(files[0].read_text(encoding="utf-8"))
-    del old["settings"]["task"]["max_goals"]
-    files[0].write_text(json.dumps(old), encoding="utf-8")
-    (row,) = read_scores(files)
-    assert row["episodes"] == 256 and row["rules"]["max_goals"] is None
-
-
-def test_the_same_episodes_twice_and_other_rules_are_refused(tmp_path: Path) -> None:
+def test_the_same_episodes_twice_are_refused(tmp_path: Path) -> None:
     first = told(tmp_path / "a", 1, 16, 64)
     with pytest.raises(InvalidScores, match=r"b tells once more of random, readable, test, tie, 2"):
         read_scores([first, told(tmp_path / "b", 1, 80, 192)])
-    with pytest.raises(InvalidScores, match="by other rules, another version or other weights"):
-        read_scores([first, told(tmp_path / "b", 2, 80, 192, horizon=20)])
 
 
-def test_a_learner_s_training_stands_beside_its_scores_and_weights_are_not_mixed(
-    tmp_path: Path,
+@pytest.mark.parametrize(
+    "place, value",
+    [
+        (("digests", "policies", "random"), {"model.pt": "ab"}),
+        (("digests", "states", "shipped"), "cd"),
+        (("digests", "versions", "code"), "ef"),
+        (("digests", "versions", "mujoco"), "0"),
+        (("settings", "policies", 0, "planner", "budget"), 7),
+        (("settings", "task", "horizon"), 20),
+    ],
+)
+def test_what_was_played_otherwise_is_never_in_one_row(
+    place: tuple[Any, ...], value: Any, tmp_path: Path
 ) -> None:
     files = [told(tmp_path / "a", 1, 16, 64), told(tmp_path / "b", 2, 80, 192)]
-    for path, digest in zip(files, ("ab", "cd"), strict=True):
-        said = json.loads(path.read_text())
-        said["learners"] = {"random": {"weights_sha256": digest, "seconds": 766, "episodes": 810}}
-        path.write_text(json.dumps(said))
-    assert "| random |" in (page := "\n".join(score_tables(read_scores(files[:1]))))
+    changed(files[1], *place, value=value)
+    assert sorted(row["episodes"] for row in read_scores(files)) == [64, 192]
+    page = score_tables(read_scores(files))
+    assert len([line for line in page if line.startswith("| random |")]) == 2
+
+
+def test_budgets_and_rules_that_differ_stand_in_the_table(tmp_path: Path) -> None:
+    page = score_tables(read_scores([told(tmp_path / "a", 1, 16, 64, budget=7, horizon=20)]))
+    assert any("| random | horizon=20; planner.budget=7 |" in line for line in page)
+
+
+def test_a_file_without_digests_is_refused(tmp_path: Path) -> None:
+    path = told(tmp_path / "a", 1, 16, 64)
+    said = json.loads(path.read_text())
+    del said["digests"]
+    path.write_text(json.dumps(said))
+    with pytest.raises(InvalidScores, match="no digests of policy, states and code"):
+        read_scores([path])
+
+
+def test_a_learner_s_training_stands_beside_its_scores(tmp_path: Path) -> None:
+    path = told(tmp_path / "a", 1, 16, 64)
+    changed(path, "learners", value={"random": {"seconds": 766}})
+    page = "\n".join(score_tables(read_scores([path])))
     assert re.search(r"\| random \|.*\| 766 \|$", page, re.M)
-    with pytest.raises(InvalidScores, match="other weights"):
-        read_scores(files)
+
+
+def test_outcomes_that_are_no_columns_are_refused(tmp_path: Path) -> None:
+    for name, values in {
+        "goal": [0],
+        "success": [2] * 4,
+        "start": [-1] * 4,
+        "steps": "1234",
+    }.items():
+        path = told(tmp_path / name, 1, 2, 4)
+        changed(path, "results", 0, "outcomes", name, value=values)
+        with pytest.raises(InvalidScores, match="outcomes aren't columns"):
+            read_scores([path])
 
 
 @pytest.mark.parametrize("name, value", [("policy", []), ("split", "\x1b[2J"), ("nx", "2")])
@@ -96,15 +124,15 @@ def test_what_no_evaluation_says_is_refused(name: str, value: Any, tmp_path: Pat
     said = json.loads(path.read_text())
     said["results"][0][name] = value
     path.write_text(json.dumps(said))
-    with pytest.raises(InvalidScores, match=f"evaluate --out`: {name} is"):
+    with pytest.raises(InvalidScores, match="isn't a file of `knotgym evaluate --out`"):
         read_scores([path])
 
 
-@pytest.mark.parametrize("name", ["success_rate", "seconds"])
+@pytest.mark.parametrize("name", ["planning_seconds", "seconds"])
 def test_numbers_beyond_all_bounds_are_refused(name: str, tmp_path: Path) -> None:
     path = told(tmp_path / "a", seed=0, successes=1, episodes=2)
     said = json.loads(path.read_text())
-    holder = said["results"][0] if name == "success_rate" else said.setdefault("training", {})
+    holder = said["results"][0] if name == "planning_seconds" else said.setdefault("training", {})
     holder[name] = 10**400
     path.write_text(json.dumps(said))
     with pytest.raises(InvalidScores, match="evaluate --out`"):

@@ -5,6 +5,8 @@ from typing import Any
 
 import pytest
 
+from knotgym.runs.run_options import Existing
+
 from ..small_job import knotgym
 
 TINY = {"steps": 6, "batch": 2, "stretches": 2, "tries": 1, "save_every": 2}
@@ -35,5 +37,5 @@ def learner(tmp_path_factory: pytest.TempPathFactory, episodes: Path) -> Path:
 def train_tiny(episodes: Path, out: Path, **changes: Any) -> None:
     from knotgym.learn.training import TrainConfig, train
 
-    resume = changes.pop("resume", False)
-    train([episodes], out, TrainConfig(**{**TINY, **changes}), resume=resume, quiet=True)
+    existing = Existing(resume=changes.pop("resume", False))
+    train([episodes], out, TrainConfig(**{**TINY, **changes}), existing=existing, quiet=True)

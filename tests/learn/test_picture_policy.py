@@ -8,9 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from rich.console import Console
 
 from knotgym.control.policies import InvalidPolicy, PolicyConfig, make_policy
+from knotgym.control.rollouts import rollout
 from knotgym.episode_batch import EpisodeBatch
+from knotgym.generate.episodes.collect import CollectConfig, EpisodeRecipe
+from knotgym.generate.episodes.evaluate import EvaluateConfig, run
+from knotgym.runs.run_options import RunOptions
 from knotgym.tasks import TaskConfig
 
 pytestmark = pytest.mark.clients
@@ -82,8 +87,26 @@ def test_its_networks_run_on_one_thread(
         torch.set_num_threads(before)
 
 
-def test_pictures_that_it_did_not_learn_from_are_refused(learner: Path) -> None:
-    policy = make_policy(PolicyConfig(policy=str(learner)))
-    other: Any = PicturesAlone(TaskConfig(task="tie", camera="perspective"), [])
-    with pytest.raises(InvalidPolicy, match="learned from orthographic pictures of 128 pixels"):
-        policy.begin(other, 0, np.random.default_rng(0))
+@pytest.mark.parametrize(
+    ("setting", "told"),
+    [
+        ({"camera": "perspective"}, "camera perspective instead of orthographic"),
+        ({"views": ("left",)}, "views left instead of top"),
+        ({"views": ("top", "front")}, "views top,front instead of top"),
+        ({"depth": True}, "depth True instead of False"),
+        ({"image_size": 64}, "image_size 64 instead of 128"),
+        ({"hold": 2}, "hold 2 instead of 1"),
+    ],
+)
+def test_a_task_whose_pictures_are_others_is_refused_before_any_work(
+    learner: Path, states_path: str, tmp_path: Path, setting: dict[str, Any], told: str
+) -> None:
+    policy = PolicyConfig(policy=str(learner))
+    task = TaskConfig(task="unknot", nx=1, states=states_path, **setting)
+    with pytest.raises(InvalidPolicy, match=told):
+        rollout(task, make_policy(policy), [0], 0)
+    with pytest.raises(InvalidPolicy, match=told):
+        EpisodeRecipe(CollectConfig(task=task, policy=policy), RunOptions())
+    config = EvaluateConfig(policies=(policy,), tasks=("unknot",), nx=(1,), task=task)
+    with pytest.raises(InvalidPolicy, match=told):
+        run(config, workers=1, out=None, video=None, quiet=True, console=Console())

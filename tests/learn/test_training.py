@@ -79,14 +79,16 @@ def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
 def test_a_folder_in_use_is_refused(
     episodes: Path, learner: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert "holds something already" in refused(capsys, "--data", episodes, "--out", learner)
+    assert "exists already" in refused(capsys, "--data", episodes, "--out", learner)
 
 
-def test_resuming_nothing_is_refused(
-    episodes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    said = refused(capsys, "--data", episodes, "--out", tmp_path / "new", "--resume")
-    assert "no training under way" in said
+def test_resuming_another_training_names_what_differs(tmp_path: Path) -> None:
+    training = pytest.importorskip("knotgym.learn.training")
+    begun = {"config": {"steps": 6, "seed": 0}, "data_sha256": "ab"}
+    (tmp_path / training.REQUEST).write_text(json.dumps(begun))
+    asked = {"config": {"steps": 9, "seed": 0}, "data_sha256": "ab"}
+    with pytest.raises(training.InvalidTraining, match=r"config\.steps is 6 there and 9 here;"):
+        training._begin(tmp_path, asked, resume=True)
 
 
 def test_a_missing_set_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -108,6 +110,20 @@ def test_a_set_of_the_test_split_is_refused(
     with h5py.File(path, "a") as file:
         file.attrs["task"] = json.dumps({**json.loads(file.attrs["task"]), "split": "test"})
     assert "test split" in refused(capsys, "--data", copy, "--out", tmp_path / "new")
+
+
+def test_the_rope_is_fitted_to_the_forces_that_were_applied(episodes: Path, tmp_path: Path) -> None:
+    from knotgym.learn.training_data import STRETCH, read_training_data
+
+    copy, path = copied(episodes, tmp_path)
+    with h5py.File(path, "a") as file:
+        name = min(name for name in file if len(file[name]["actions"]) >= STRETCH)
+        group = file[name]["infos"]
+        group["force"][1], group["applied_share"][1] = group["force"][1] / 2, 0.5
+        force = group["force"][1]
+    data = read_training_data([copy])
+    assert (data.stretches.forces[0] == force).all(axis=1).any()
+    assert (data.forces == force).all(axis=1).any()
 
 
 def test_an_empty_set_is_refused(
@@ -150,13 +166,13 @@ def test_changed_arrays_are_not_gone_on_with(tmp_path: Path) -> None:
     path = tmp_path / training.UNDER_WAY
     (tmp_path / training.REQUEST).write_text("{}")
     training._keep(tmp_path, {"rope": torch.from_numpy(FIRST_GUESS), "fit": torch.ones(2)})
-    assert training._begin(tmp_path, {}, resume=True).keys() == {"rope", "fit"}
+    assert training._begin(tmp_path, {}).keys() == {"rope", "fit"}
     raw = bytearray(path.read_bytes())
     raw[-50] ^= 1
     path.write_bytes(raw)
     with pytest.raises(training.InvalidTraining, match="its checksum differs"):
-        training._begin(tmp_path, {}, resume=True)
+        training._begin(tmp_path, {})
     path.unlink()
     os.mkfifo(path)
     with pytest.raises(training.InvalidTraining, match="isn't a regular file"):
-        training._begin(tmp_path, {}, resume=True)
+        training._begin(tmp_path, {})

@@ -21,12 +21,13 @@ class ChatServer:
     """Remembers every request; `answer` says what each gets, by its number and its body.
 
     Misdeeds: ("status", (503, {header: value}, body)), ("cut", None), ("slow", seconds),
-    ("body", "{not json"), ("refusal", "I can't").
+    ("body", "{not json"), ("refusal", "I can't"), ("raw", function that yields bytes to send).
     """
 
     def __init__(self, answer: Callable[[int, Any], Answer]) -> None:
         self.requests: list[dict[str, Any]] = []
         self.keys: list[str] = []
+        self.hung_up = threading.Event()  # a client closed its connection before it had all
         self._answer, self._lock = answer, threading.Lock()
         server = self
 
@@ -67,6 +68,14 @@ class ChatServer:
         if kind == "slow":
             threading.Event().wait(detail)
             kind, detail = "answer", ""
+        if kind == "raw":
+            handler.close_connection = True
+            try:
+                for piece in detail():
+                    handler.connection.sendall(piece)
+            except OSError:  # the other side has had enough
+                self.hung_up.set()
+            return
         if kind == "cut":
             linger = struct.pack("ii", 1, 0)  # a reset, in the middle of what was promised
             handler.connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)

@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
+import base64
+import gzip
 import importlib.util
 import json
 import os
 import signal
 import sys
 import time
-from collections.abc import Callable
+import tracemalloc
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import pytest
 
 from knotgym.datasets.image_rows import Row, record
 from knotgym.datasets.image_table import encode, write_rows
-from knotgym.prompting.chat import Chat, ChatConfig, InvalidChat, Unanswered, retry_after
+from knotgym.prompting.chat import (
+    Chat,
+    ChatConfig,
+    InvalidChat,
+    Unanswered,
+    _spellings,
+    retry_after,
+)
 from knotgym.prompting.first_picture import first_picture
 from knotgym.prompting.prompt_run import run
 from knotgym.prompting.prompted_episodes import PromptConfig, play, read
@@ -26,7 +37,7 @@ from knotgym.prompting.transcripts import InvalidTranscript, read_transcripts
 from knotgym.rendering.appearance import AppearanceConfig
 from knotgym.rope import Rope
 from knotgym.runs.progress import Progress
-from knotgym.runs.run_options import InvalidRun
+from knotgym.runs.run_options import Existing, InvalidRun
 from knotgym.tasks import TaskConfig
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
@@ -35,9 +46,7 @@ from ..conftest import curled
 from ..small_job import knotgym
 from .chat_server import Answer, ChatServer, hashes, kinds
 
-pytest.importorskip("openai")
-
-KEY = "sk-test-" + "51ec2e7" * 4
+KEY = "sk-test/+" + "51ec2e7" * 4
 PULL = "I pull. <answer>[0.1, 0, 0, 1, 0, 0]</answer>"
 NAN = "<answer>[0.1, 0, 0, nan, 0, 0]</answer>"
 
@@ -184,6 +193,132 @@ def test_a_question_the_server_calls_wrong_is_not_put_again(status: int) -> None
     assert str(status) in str(error) and KEY not in str(error) and "[key]" in str(error)
 
 
+def drip(first: bytes) -> Callable[[], Iterator[bytes]]:
+    """Some bytes, then one every 50 ms, for two seconds."""
+
+    def pieces() -> Iterator[bytes]:
+        yield first
+        for _ in range(40):
+            time.sleep(0.05)
+            yield b" "
+
+    return pieces
+
+
+def flood() -> Iterator[bytes]:
+    yield b"HTTP/1.1 200 OK\r\ncontent-length: 600000000\r\n\r\n"
+    for _ in range(600):
+        yield b" " * 1_000_000
+
+
+@pytest.mark.parametrize(
+    "first",
+    [
+        b"HTTP/1.1 200 OK\r\ncontent-length: 999\r\n\r\n",
+        b"HTTP/1.1 500 Oh\r\ncontent-length: 999\r\n\r\n",
+        b"HTTP/1.1 200 OK\r\nx:",
+    ],
+    ids=["body", "error body", "headers"],
+)
+def test_an_attempt_ends_in_time_however_slowly_bytes_drip(first: bytes) -> None:
+    began = time.monotonic()
+    reply, _ = asked(lambda number, body: PULL if number else ("raw", drip(first)))
+    assert reply.text == PULL and reply.retries == {"timeout": 1}
+    assert time.monotonic() - began < 1.5  # 0.5 s are allowed; all that is sent takes 2 s
+
+
+def test_a_reply_without_end_is_hung_up_on() -> None:
+    reply, server = asked(lambda number, body: PULL if number else ("raw", flood))
+    assert reply.text == PULL and reply.retries == {"too long": 1}
+    assert server.hung_up.wait(5)
+
+
+def test_compressed_bytes_are_not_expanded() -> None:
+    packed = gzip.compress(bytes(20_000_000))
+    head = "HTTP/1.1 500 Oh\r\ncontent-encoding: gzip\r\ncontent-length: "
+    bomb = f"{head}{len(packed)}\r\n\r\n".encode() + packed
+    tracemalloc.start()
+    reply, _ = asked(lambda number, body: PULL if number else ("raw", lambda: [bomb]))
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert reply.retries == {"500": 1} and most < 10_000_000
+
+
+def test_the_key_is_not_sent_to_where_a_server_redirects() -> None:
+    other = ChatServer(always(PULL))
+    with other.serving():
+        moved = ("status", (302, {"location": f"{other.url}/chat/completions"}, ""))
+        error, _ = asked(always(moved))
+    assert isinstance(error, InvalidChat) and "302" in str(error) and not other.requests
+
+
+SPELLINGS = {
+    "slashes": KEY.replace("/", r"\/"),
+    "unicode": KEY.replace("+", r"\u002b").replace("/", r"\u002F"),
+    "escaped twice": json.dumps(json.dumps(KEY.replace("+", r"\u002b"))),
+    "percent": quote(KEY, safe=""),
+    "percent twice": quote(quote(KEY, safe="")),
+    "html": KEY.replace("+", "&#43;").replace("/", "&#x2f;"),
+    **{
+        f"base64 {shift}": base64.b64encode(b"x" * shift + KEY.encode() + b"y").decode()
+        for shift in range(3)
+    },
+}
+
+
+@pytest.mark.parametrize("spelled", SPELLINGS.values(), ids=[*SPELLINGS])
+@pytest.mark.parametrize(
+    "body", ['{"error": {"message": "%s"}}', '{"detail": "%s"}', "<p>%s</p>"], ids=str
+)
+def test_the_key_is_blotted_however_it_is_spelled(body: str, spelled: str) -> None:
+    error, _ = asked(always(("status", (401, {}, body.replace("%s", spelled)))))
+    assert isinstance(error, InvalidChat) and "[key]" in str(error)
+    assert "51ec2e7" not in str(error) and spelled[8:-8] not in str(error)
+
+
+@pytest.mark.parametrize("spelled", SPELLINGS.values(), ids=[*SPELLINGS])
+def test_a_model_s_words_are_blotted_too(spelled: str) -> None:
+    for answer in (spelled, ("refusal", spelled)):
+        reply, _ = asked(always(answer))
+        assert "[key]" in reply.text and "51ec2e7" not in reply.text
+        assert spelled[8:-8] not in reply.text
+
+
+@pytest.mark.parametrize("letter", ["\\", "&amp;", "%25", "s"])
+def test_blotting_takes_time_in_proportion_to_the_text(letter: str) -> None:
+    secret = _spellings(KEY)
+    seconds = []
+    for length in (20_000, 200_000):
+        began = time.process_time()
+        assert not secret.search(letter * (length // len(letter)))
+        seconds.append(time.process_time() - began)
+    assert seconds[1] < 40 * seconds[0] + 0.1  # quadratic would be 100 times
+
+
+def test_half_a_surrogate_pair_doesn_t_end_a_run(states_path: str, tmp_path: Path) -> None:
+    broken = [True]
+
+    def answer(number: int, body: Any) -> Answer:
+        stopped = broken[0] and number >= 2
+        return ("status", (500, {}, "")) if stopped else f"\ud83d{PULL}\ude00"
+
+    server = ChatServer(answer)
+    with server.serving():
+        own = config(server.url, states_path, "stateful")
+        for resume in (False, True):
+            arguments: dict[str, Any] = {
+                "side_by_side": 1,
+                "existing": Existing(resume=resume),
+                "progress": Progress(quiet=True),
+            }
+            try:
+                run(own, lambda number, ask: play(own, number, ask), 2, tmp_path / "r", **arguments)
+            except Unanswered:
+                broken[0] = False
+    (_, told) = read_transcripts(tmp_path / "r" / "transcripts.jsonl")
+    assert not broken[0] and told["turns"][0]["answer"] == f"\ufffd{PULL}\ufffd"
+
+
 def test_wrong_answers_are_counted_apart_and_leave_the_rope_alone(states_path: str) -> None:
     answers = [NAN, "no", PULL, "<answer>[" + ", ".join(["0"] * 11) + "]</answer>"]
     told = played(ChatServer(lambda number, body: answers[number]), states_path, "stateless")
@@ -205,7 +340,7 @@ def test_without_a_key_the_public_server_is_not_asked(monkeypatch: pytest.Monkey
     monkeypatch.delenv("OPENAI_API_KEY")
     with pytest.raises(InvalidChat, match="OPENAI_API_KEY"):
         Chat(ChatConfig(model="m"))
-    Chat(ChatConfig(model="m", base_url="http://127.0.0.1:1/v1")).close()
+    Chat(ChatConfig(model="m", base_url="http://127.0.0.1:1/v1"))
 
 
 def test_a_word_that_stands_for_no_key_is_a_word(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -217,12 +352,6 @@ def test_a_key_in_the_base_url_is_refused() -> None:
     with pytest.raises(InvalidChat, match="--base-url") as refused:
         Chat(ChatConfig(model="m", base_url=f"http://127.0.0.1:1/{KEY}/v1"))
     assert KEY not in str(refused.value)
-
-
-def test_without_the_client_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "openai", None)
-    with pytest.raises(InvalidChat, match=r"pip install 'knotgym\[prompt\]'"):
-        Chat(ChatConfig(model="m"))
 
 
 # runs
@@ -281,12 +410,12 @@ def test_a_run_is_resumed_shown_and_replayed_and_the_key_is_nowhere(
 
 
 def test_a_replay_shows_the_same_codes(states_path: str) -> None:
-    from knotgym.control.rollouts import rollout
+    from knotgym.control.rollouts import EVALUATION, rollout
     from knotgym.control.transcript_policy import TranscriptPolicy
 
     told = played(ChatServer(always(PULL)), states_path, "open")
     task = config("http://host", states_path).task
-    (again,) = rollout(task, TranscriptPolicy([told], "t"), [0], 0)
+    (again,) = rollout(task, TranscriptPolicy([told], "t"), [0], 0, streams=EVALUATION)
     assert again.episode.gauss_code.tolist() == told["gauss_code"]
 
 
@@ -330,12 +459,12 @@ def test_side_by_side_gives_the_same_transcripts(states_path: str, tmp_path: Pat
                 3,
                 out,
                 side_by_side=count,
-                resume=False,
+                existing=Existing(),
                 progress=Progress(quiet=True),
             )
             texts.append((out / "transcripts.jsonl").read_text())
         with pytest.raises(InvalidRun, match="at least 1"):
-            run(own, play, 1, out, side_by_side=0, resume=False, progress=Progress(True))  # type: ignore[arg-type]
+            run(own, play, 1, out, side_by_side=0, existing=Existing(), progress=Progress(True))  # type: ignore[arg-type]
     assert texts[0] == texts[1]
 
 

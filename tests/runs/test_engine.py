@@ -8,17 +8,18 @@ import os
 import shutil
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from knotgym.atomic_files import atomic_write
+from knotgym.atomic_files import Occupied, atomic_write
 from knotgym.runs import engine
 from knotgym.runs.engine import CHECKPOINT, Batch
 from knotgym.runs.progress import Progress, Status
 from knotgym.runs.run_options import InvalidRun, RunOptions
-from knotgym.runs.staging import Occupied, staging_folder
+from knotgym.runs.staging import staging_folder
 
 COUNT = 4
 QUIET = RunOptions(workers=1, quiet=True)
@@ -156,9 +157,11 @@ def test_what_does_not_say_what_it_is_of_is_not_gone_on_with(
         os.mkfifo(request)
     elif harm != "missing":
         request.write_text(text.replace("squares", "cubes") if harm == "another" else text[:-9])
-    with pytest.raises(InvalidRun, match="start without --resume"):
+    with pytest.raises(InvalidRun, match="--restart"):
         made(tmp_path / "a", RESUMED)
-    assert made(tmp_path / "a") == "[0, 1, 4, 9]"
+    with pytest.raises(Occupied, match="--resume goes on from it, --restart throws it away"):
+        made(tmp_path / "a")
+    assert made(tmp_path / "a", replace(QUIET, restart=True)) == "[0, 1, 4, 9]"
 
 
 def test_a_run_that_was_killed_at_once_leaves_nothing_in_the_way(tmp_path: Path) -> None:

@@ -223,7 +223,7 @@ def test_without_dask_one_line_names_the_extra(
         == 2
     )
     (line,) = said(capfd)
-    assert "pip install 'knotgym[dask]'" in line
+    assert "pip install '.[dask]'" in line
 
 
 @with_dask

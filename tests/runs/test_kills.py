@@ -259,7 +259,7 @@ def test_a_spoilt_checkpoint_is_one_line(
     assert knotgym("generate", *WANTED, "--workers", 1, "--out", tmp_path / "a", "--resume") == 2
     (line,) = said(capfd)
     assert line.startswith(f"knotgym: {partial} can't be resumed, it is damaged")
-    assert line.endswith("start without --resume")
+    assert line.endswith("start with --restart")
 
 
 @pytest.mark.parametrize("key", ["knotgym", "mujoco", "numpy", "opencv"])

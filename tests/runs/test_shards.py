@@ -287,7 +287,7 @@ def test_merged_pictures_verify_without_a_leak_or_a_duplicate(
         (distances(points[k], points[k + 1 :]) >= NEAR).all() for k in range(len(points) - 1)
     )
     assert knotgym("dataset", "merge", *parts, "--out", tmp_path / "table") == 2
-    assert "is there already" in said(capfd)[-1]
+    assert "exists already" in said(capfd)[-1]
 
 
 # The example for Slurm.

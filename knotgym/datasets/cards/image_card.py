@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 import knotgym
-from knotgym.datasets.cards.citation import TO_CITE
+from knotgym.datasets.cards.citation import TO_CITE, plain
 from knotgym.datasets.cards.state_card import table
 from knotgym.datasets.image_table import GRADES, file_stem, read_table
 from knotgym.datasets.splits import IMAGE_SPLITS
@@ -91,7 +91,7 @@ def card(
         size: of all files of the table, bytes.
     """
     paths = [(file_stem(split), f"data/{file_stem(split)}-*.parquet") for split in facts["splits"]]
-    not_taken = json.dumps({**report["dropped"], **report["refused"]})
+    not_taken = plain(json.dumps({**report["dropped"], **report["refused"]}))
     lines = [
         "---",
         "license: cc-by-4.0",
@@ -128,7 +128,7 @@ def card(
         *table(
             ("measure", "5 %", "median", "95 %"),
             [
-                (name, *(f"{value:.3g}" for value in spread))
+                (plain(name), *(f"{value:.3g}" for value in spread))
                 for name, spread in facts["quality"].items()
             ],
         ),

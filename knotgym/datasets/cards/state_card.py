@@ -8,10 +8,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from knotgym.datasets.cards.citation import TO_CITE
-from knotgym.datasets.splits import STATE_SPLITS
+from knotgym.datasets.cards.citation import TO_CITE, code_span, plain
+from knotgym.datasets.splits import STATE_SPLITS, overlap
 from knotgym.datasets.spread import spread_of
 from knotgym.datasets.state_schema import COLUMNS, RANDOM_WALK
 from knotgym.datasets.states import States
@@ -27,10 +26,7 @@ def summary(states: States) -> dict[str, Any]:
         "sources": dict(
             sorted(Counter(states.source.get("policy", np.array([])).tolist()).items())
         ),
-        "nx": {
-            str(nx): _counts(states, np.flatnonzero(states.nx == nx))
-            for nx in sorted(set(states.nx.tolist()))
-        },
+        "nx": {str(nx): _counts(states, nx) for nx in sorted(set(states.nx.tolist()))},
         "quality": {
             name: {
                 "unit": states.units[name],
@@ -62,9 +58,10 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         "",
         f"# Rope states with {', '.join(facts['nx'])} crossings",
         "",
-        f"{len(states)} configurations of a closed rope in MuJoCo (knot type {report['knot']}),"
-        f" each labelled with its Gauss code, made by `knotgym generate` {report['version']}"
-        f" (MuJoCo {report['mujoco']}) with seed {config['seed']}. {_holds(report, demonstrated)}"
+        f"{len(states)} configurations of a closed rope in MuJoCo (knot type"
+        f" {plain(report['knot'])}), each labelled with its Gauss code, made by"
+        f" `knotgym generate` {report['version']} (MuJoCo {report['mujoco']}) with seed"
+        f" {config['seed']}. {_holds(report, demonstrated)}"
         " `gallery.png` shows all states, `manifest.json` lists checksums, configuration and"
         " counts. `knotgym dataset verify` recomputes every label and replays every trajectory.",
         "",
@@ -74,12 +71,22 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         "",
         *table(_STATES_HEAD, _states_rows(facts["nx"], report["existing_codes"])),
         "",
+        "## Train and test",
+        "",
+        OVERLAP_SAYS[0].upper() + OVERLAP_SAYS[1:] + ".",
+        "",
+        *table(OVERLAP_HEAD, overlap_rows(facts["nx"])),
+        "",
         "## Quality",
         "",
         *table(
             ("measure", "unit", "min", "median", "max"),
             [
-                (name, spread["unit"], *(f"{spread[key]:.3g}" for key in ("min", "median", "max")))
+                (
+                    plain(name),
+                    plain(spread["unit"]),
+                    *(f"{spread[key]:.3g}" for key in ("min", "median", "max")),
+                )
                 for name, spread in facts["quality"].items()
             ],
         ),
@@ -97,7 +104,7 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         *table(
             ("nx", "reason", "rejected"),
             [
-                (nx, reason, count)
+                (nx, plain(reason), count)
                 for nx, reasons in report["rejected"].items()
                 for reason, count in most_first(reasons)
             ],
@@ -108,7 +115,10 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         "",
         *table(
             ("column", "type", "unit", "holds"),
-            [(f"`{one.name}`", one.kind, one.unit, one.doc) for one in columns_of(states)],
+            [
+                (code_span(one.name), one.kind, plain(one.unit), one.doc)
+                for one in columns_of(states)
+            ],
         ),
         "",
         *TO_CITE,
@@ -159,8 +169,9 @@ def _holds(report: Mapping[str, Any], demonstrated: bool) -> str:
         return states
     return (
         f"{states} `minari/` holds for each state an action sequence from the start to its Gauss"
-        " code (train and test are datasets of their own), `archive.h5` the action sequences found"
-        " (`--archive` goes on from it)."
+        " code (train and test are datasets of their own): `knotgym.loaders.arrays(FOLDER)` loads"
+        " those of the train split, and Minari finds all with `MINARI_DATASETS_PATH=FOLDER/minari`;"
+        " `archive.h5` holds the action sequences found (`--archive` goes on from it)."
     )
 
 
@@ -228,6 +239,26 @@ SPREAD_SAYS = (
 )
 
 
+OVERLAP_HEAD = ("nx", "test states", "code in train", "diagram in train", "nearest, mm")
+OVERLAP_SAYS = (
+    "code in train: test states whose code a train state shows, chirality aside; diagram in train:"
+    " those whose code one shows up to symmetry (from another base bead, walked the other way,"
+    " mirrored or switched); nearest: the least distance of a test state to a train state of any"
+    " nx, root mean square over the beads, at the best of those symmetries and turn about z"
+)
+
+
+def overlap_rows(counts: Mapping[str, Any]) -> list[list[str]]:
+    """What train and test share at each nx of a summary, in the order of OVERLAP_HEAD."""
+    rows = []
+    for nx, count in counts.items():
+        found = count["overlap"]
+        near = "-" if found["nearest"] is None else f"{1000 * found['nearest']:.1f}"
+        shared = [str(found[name]) for name in ("test_states", "code_in_train", "diagram_in_train")]
+        rows.append([nx, *shared, near])
+    return rows
+
+
 def spread_rows(counts: Mapping[str, Any]) -> list[list[str]]:
     """The spread of each nx of a summary, in the order of SPREAD_HEAD."""
 
@@ -272,7 +303,8 @@ def most_first(counts: Mapping[str, int]) -> list[tuple[str, int]]:
     return sorted(counts.items(), key=lambda item: (-item[1], item[0]))
 
 
-def _counts(states: States, rows: NDArray[np.int64]) -> dict[str, Any]:
+def _counts(states: States, nx: int) -> dict[str, Any]:
+    rows = np.flatnonzero(states.nx == nx)
     split = states.split[rows]
     codes = {name: set(states.gauss_code[rows[split == name]].tolist()) for name in STATE_SPLITS}
     shown = [GaussCode.parse(text) for text in states.gauss_code_chiral[rows]]
@@ -290,6 +322,7 @@ def _counts(states: States, rows: NDArray[np.int64]) -> dict[str, Any]:
         "positive_crossings": signs.count(1),
         "negative_crossings": signs.count(-1),
         "actions_to_reach": actions,
+        "overlap": overlap(states, nx),
         "spread": spread_of(states.points[rows]).as_json(),
     }
 

@@ -28,11 +28,16 @@ class UnknownForm(KnotgymError, ValueError):
 
 
 class NothingToExport(KnotgymError, ValueError):
-    """A dataset lacks what a form is made of, or something is there already."""
+    """A dataset lacks what a form is made of."""
 
 
 def export(
-    source: Any, out: str | os.PathLike[str], form: str = "compact", count: Count = uncounted
+    source: Any,
+    out: str | os.PathLike[str],
+    form: str = "compact",
+    count: Count = uncounted,
+    *,
+    overwrite: bool = False,
 ) -> None:
     """Write a dataset of episodes in another form.
 
@@ -41,12 +46,14 @@ def export(
         out: a file for "compact", a folder for the others.
         form: one of FORMS.
         count: told before each episode.
+        overwrite: replace what exists.
 
     Raises:
         UnknownForm: there is no such form.
-        NothingToExport: the dataset can't be put into it, or `out` is there.
+        NothingToExport: the dataset can't be put into it.
+        Occupied: something exists at `out`, and `overwrite` isn't asked for.
     """
     if form not in FORMS:
         raise UnknownForm(form)
     module, _, function = FORMS[form].partition(":")
-    getattr(importlib.import_module(module), function)(source, out, count)
+    getattr(importlib.import_module(module), function)(source, out, count, overwrite=overwrite)

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,8 +21,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import knotgym
-from knotgym.atomic_files import atomic_write
-from knotgym.datasets.cards.citation import BIBTEX, TO_CITE, citation_file
+from knotgym.atomic_files import atomic_write, copy_file, require_output
+from knotgym.datasets.cards.citation import (
+    BIBTEX,
+    TO_CITE,
+    citation_file,
+    code_span,
+    plain,
+    yaml_string,
+)
 from knotgym.datasets.cards.state_card import table
 from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
 from knotgym.datasets.exports.croissant import FileObject, croissant
@@ -37,14 +43,13 @@ from knotgym.datasets.exports.parquet_tables import (
     step_rows,
     write_parquet,
 )
-from knotgym.datasets.gallery import contact_sheet, write_gallery, write_png
-from knotgym.datasets.image_table import arrow, decode, file_stem, read_rows, shards
+from knotgym.datasets.gallery import write_gallery, write_picture_gallery
+from knotgym.datasets.image_table import arrow, file_stem, shards
 from knotgym.datasets.page.page_data import dataset_name
-from knotgym.datasets.splits import STATE_SPLITS
+from knotgym.datasets.splits import IMAGE_SPLITS, STATE_SPLITS
 from knotgym.datasets.states import read_states
 
 _SIZES = ((1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (10**6, "100K<n<1M"))
-_SHOWN = 64  # pictures in a gallery
 
 
 class ToUpload(NamedTuple):
@@ -63,17 +68,23 @@ class ToUpload(NamedTuple):
     pictures: Path | None = None
 
 
-def to_huggingface(source: ToUpload, out: str | os.PathLike[str], count: Count = uncounted) -> None:
+def to_huggingface(
+    source: ToUpload,
+    out: str | os.PathLike[str],
+    count: Count = uncounted,
+    *,
+    overwrite: bool = False,
+) -> None:
     """Write the folder, whole or not at all; `count` is told before each episode.
 
     Raises:
-        NothingToExport: there is no row, or `out` is there.
-        MissingArrow: pyarrow isn't installed.
+        NothingToExport: there is no row.
+        Occupied: `out` exists, and `overwrite` isn't asked for.
+        MissingExtra: pyarrow isn't installed.
     """
-    if Path(out).exists():
-        raise NothingToExport(f"{out} is there already; choose another --out, or remove it")
+    require_output(out, folder=True, overwrite=overwrite)
     arrow()
-    with atomic_write(out) as folder:
+    with atomic_write(out, overwrite=overwrite) as folder:
         folder.mkdir()
         files = [file for file in _written(source, folder, count) if file.rows]
         if not files:
@@ -102,12 +113,18 @@ def _written(source: ToUpload, folder: Path, count: Count) -> Iterator[FileObjec
     if source.pictures is not None:
         columns = picture_columns()
         for path in shards(source.pictures):
+            split = path.name.split("-")[0]
+            if split not in map(file_stem, IMAGE_SPLITS):
+                raise NothingToExport(
+                    f"{path.name} must begin with a split, as train-00000-of-00001.parquet; there"
+                    f" are {', '.join(map(file_stem, IMAGE_SPLITS))}"
+                )
             place = f"data/pictures/{path.name}"
             (folder / place).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(path, folder / place)
+            copy_file(path, folder / place)
             rows = arrow("pyarrow.parquet").ParquetFile(path).metadata.num_rows
-            yield FileObject("pictures", path.name.split("-")[0], place, rows, columns)
-        _picture_gallery(source.pictures, folder / "gallery.png")
+            yield FileObject("pictures", split, place, rows, columns)
+        write_picture_gallery(folder / "gallery.png", source.pictures)
     if source.states is not None:
         states = read_states(source.states)
         if len(states):
@@ -139,24 +156,12 @@ def _steps(datasets: Sequence[Path], folder: Path, count: Count) -> Iterator[Fil
         reader.close()
 
 
-def _picture_gallery(pictures: Path, out: Path) -> None:
-    shown: list[tuple[np.ndarray, tuple[str, str]]] = []
-    for row in read_rows(pictures, columns=["image", "gauss_code_chiral", "split"]):
-        image = decode(row["image"])
-        if not shown or image.shape == shown[0][0].shape:
-            shown.append((image, (row["gauss_code_chiral"] or "loop", row["split"])))
-        if len(shown) == _SHOWN:
-            break
-    if shown:
-        write_png(out, contact_sheet(np.stack([one for one, _ in shown]), [c for _, c in shown]))
-
-
 def _card(title: str, description: str, folder: Path, files: Sequence[FileObject]) -> Iterator[str]:
     """The lines of README.md. JSON strings are YAML too."""
     configs = list(dict.fromkeys(file.config for file in files))
     total = sum(file.rows for file in files)
     size = next((name for most, name in _SIZES if total < most), "1M<n<10M")
-    yield from ("---", "license: cc-by-4.0", f"pretty_name: {json.dumps(title)}")
+    yield from ("---", "license: cc-by-4.0", f"pretty_name: {yaml_string(title)}")
     yield "tags: [knot-theory, gauss-code, mujoco, spatial-reasoning, reinforcement-learning]"
     yield from ("task_categories: [reinforcement-learning, image-to-text]", "language: [en]")
     yield from (f"size_categories: [{json.dumps(size)}]", "configs:")
@@ -170,7 +175,7 @@ def _card(title: str, description: str, folder: Path, files: Sequence[FileObject
     yield "dataset_info:"
     for config in configs:
         yield from _info(folder, config, [file for file in files if file.config == config])
-    yield from ("---", "", f"# {title}", "", description, "")
+    yield from ("---", "", f"# {plain(title)}", "", description, "")
     if (folder / "gallery.png").is_file():
         yield from ("![the rope, picture by picture](gallery.png)", "")
     yield from ("```python", "from datasets import load_dataset", "")
@@ -180,7 +185,7 @@ def _card(title: str, description: str, folder: Path, files: Sequence[FileObject
         yield from (f"## {config}", "")
         counts = [(file.split, file.rows) for file in files if file.config == config]
         yield from (*table(("split", "rows"), counts), "")
-        rows = [(f"`{one.name}`", _kind(one), one.unit, one.doc) for one in columns]
+        rows = [(code_span(one.name), _kind(one), plain(one.unit), one.doc) for one in columns]
         yield from (*table(("column", "type", "unit", "holds"), rows), "")
     yield from TO_CITE
     yield from ("## Licence", "", "[CC-BY-4.0](https://creativecommons.org/licenses/by/4.0/)", "")

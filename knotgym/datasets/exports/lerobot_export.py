@@ -5,7 +5,7 @@
 
 A row is what was seen, the action taken, and what it led to (`next.reward`, `next.done`,
 `next.success`). The last state of an episode, which no action leaves, is in no row.
-The task of an episode is the goal's Gauss code, "" for the plain loop.
+The task of an episode is a sentence with the goal's Gauss code, see `task_text`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.atomic_files import atomic_write
+from knotgym.atomic_files import atomic_write, require_output
 from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
 from knotgym.datasets.exports.forms import NothingToExport
 from knotgym.datasets.image_table import arrow, encode
@@ -31,22 +31,29 @@ _PLACE = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _NAMES = {"pixels": "observation.image", "state": "observation.environment_state"}
 
 
-def to_lerobot(source: Any, out: str | os.PathLike[str], count: Count = uncounted) -> None:
+def to_lerobot(
+    source: Any,
+    out: str | os.PathLike[str],
+    count: Count = uncounted,
+    *,
+    overwrite: bool = False,
+) -> None:
     """Write the dataset; it appears whole or not at all.
 
     Args:
         source: what `EpisodeReader` takes.
         out: the folder to make.
         count: told before each episode.
+        overwrite: replace a folder that exists.
 
     Raises:
-        NothingToExport: no episode, `out` is there, or its observations have no place in the form.
-        MissingArrow: pyarrow isn't installed.
+        NothingToExport: no episode, or its observations have no place in the form.
+        Occupied: `out` exists, and `overwrite` isn't asked for.
+        MissingExtra: pyarrow isn't installed.
     """
     reader, folder = EpisodeReader(source), Path(out)
     task = reader.task
-    if folder.exists():
-        raise NothingToExport(f"{folder} is there already; choose another --out")
+    require_output(folder, folder=True, overwrite=overwrite)
     plain = task.layout == "beside" and not task.depth
     if not len(reader) or task.observation == "symbolic" or not plain:
         raise NothingToExport(
@@ -54,9 +61,20 @@ def to_lerobot(source: Any, out: str | os.PathLike[str], count: Count = uncounte
             f" depth; {reader.path} has {len(reader)} of {task.observation} in layout {task.layout}"
         )
     looks = [name for name in _NAMES if task.observation in (name, "both")]
-    with atomic_write(folder) as temporary:
+    with atomic_write(folder, overwrite=overwrite) as temporary:
         _Writer(reader, looks, temporary).write(count)
     reader.close()
+
+
+def task_text(goal: str) -> str:
+    """Say in words what an episode is to reach.
+
+    >>> task_text("1+,1-"), task_text("")
+    ('Move the rope until its Gauss code is 1+,1-.', 'Untie the rope into a plain loop.')
+    """
+    if not goal:
+        return "Untie the rope into a plain loop."
+    return f"Move the rope until its Gauss code is {goal}."
 
 
 class _Writer:
@@ -109,7 +127,7 @@ class _Writer:
     def _columns(self, k: int) -> list[Any]:
         """The columns of an episode, in the order of the features; notes it down."""
         length = int(self.reader.lengths[k])
-        goal = str(self.reader.labels(k)["goal_gauss_code"])
+        goal = task_text(str(self.reader.labels(k)["goal_gauss_code"]))
         number = self.tasks.setdefault(goal, len(self.tasks))
         first = self.episodes[-1]["dataset_to_index"] if self.episodes else 0
         steps = np.arange(length)

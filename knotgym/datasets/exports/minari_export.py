@@ -11,24 +11,20 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from knotgym.atomic_files import atomic_write
+from knotgym.atomic_files import atomic_write, copy_file, require_no_links, require_output
 from knotgym.configuration import read_json
-from knotgym.datasets.cards.citation import TO_CITE, citation_file
+from knotgym.datasets.cards.citation import TO_CITE, citation_file, plain
 from knotgym.datasets.cards.state_card import table
-from knotgym.datasets.episode_reader import EpisodeReader, episode_file
+from knotgym.datasets.episode_reader import episode_file
 from knotgym.datasets.exports.forms import NothingToExport
-from knotgym.datasets.gallery import contact_sheet, write_png
+from knotgym.datasets.gallery import write_episode_gallery
+from knotgym.datasets.minari_dataset import dataset_files
 from knotgym.datasets.states import leads_out
-from knotgym.rendering.picture import draw
 
-_SHOWN = 64  # episodes in the gallery
 _ROWS = (
     ("`observations`", "pictures uint8, vertices float32 (600,) in metres, or both"),
     ("`actions`", "float32 (T, 6) in [-1, 1]: place / 2 m, force / 0.2 N"),
@@ -41,19 +37,22 @@ _ROWS = (
 )
 
 
-def to_minari(datasets: Sequence[Path], out: str | os.PathLike[str]) -> None:
+def to_minari(
+    datasets: Sequence[Path], out: str | os.PathLike[str], *, overwrite: bool = False
+) -> None:
     """Write the folder, whole or not at all.
 
     Raises:
-        NothingToExport: one is no Minari dataset, two have one id or no common first word, or `out`
-            is there.
+        NothingToExport: one is no Minari dataset, or two have one id or no common first word.
+        LinkedFile: a dataset's file is a link.
+        Occupied: `out` exists, and `overwrite` isn't asked for.
     """
-    if Path(out).exists():
-        raise NothingToExport(f"{out} is there already; choose another --out, or remove it")
+    require_output(out, folder=True, overwrite=overwrite)
     entries: dict[str, dict[str, Any]] = {}
     sources: dict[str, Path] = {}
     for dataset in datasets:
         data = episode_file(dataset).parent
+        require_no_links(Path(dataset), dataset_files(data))
         try:
             said = read_json(data / "metadata.json")
             name, _ = str(said["dataset_id"]), (said["total_episodes"], said["total_steps"])
@@ -72,35 +71,26 @@ def to_minari(datasets: Sequence[Path], out: str | os.PathLike[str]) -> None:
             "a repository holds ids that begin with one word, as knotgym/tie-nx2/expert-v0; these"
             f" are {', '.join(sources)}"
         )
-    with atomic_write(out) as root:
+    with atomic_write(out, overwrite=overwrite) as root:
         repository = root / words.pop()
         for name, data in sources.items():
-            shutil.copytree(data, root / name / "data")
+            (root / name / "data").mkdir(parents=True)
+            for file in dataset_files(data):
+                copy_file(file, root / name / "data" / file.name)
         namespace = {"description": "Closed ropes in MuJoCo, goals that are Gauss codes."}
         listed = {**namespace, "datasets": sorted(sources), "namespaces": []}
         _write(repository / "namespace_metadata.json", json.dumps(listed))
         _write(repository / "CITATION.cff", citation_file(", ".join(sorted(sources))))
-        _gallery(list(sources.values()), repository / "gallery.png")
+        write_episode_gallery(repository / "gallery.png", list(sources.values()))
         _write(repository / "README.md", "\n".join(_card(repository.name, entries)))
 
 
-def _gallery(datasets: Sequence[Path], out: Path) -> None:
-    """Draw the last state of the first episodes."""
-    shown: list[tuple[np.ndarray, tuple[str, str]]] = []
-    for data in datasets:
-        reader = EpisodeReader(data)
-        for row in range(min(len(reader), _SHOWN - len(shown))):
-            points, code = reader.column(row, "points")[-1], reader.column(row, "gauss_code")[-1]
-            shown.append((draw(points), (str(code) or "loop", data.parent.name)))
-        reader.close()
-    if shown:
-        captions = [caption for _, caption in shown]
-        write_png(out, contact_sheet(np.stack([one for one, _ in shown]), captions))
+_LISTED = ("total_episodes", "total_steps", "algorithm_name")  # of a dataset's metadata
 
 
 def _card(repository: str, entries: dict[str, dict[str, Any]]) -> list[str]:
     rows = [
-        (name, said["total_episodes"], said["total_steps"], said.get("algorithm_name", ""))
+        tuple(map(plain, (name, *(said.get(key, "") for key in _LISTED))))
         for name, said in sorted(entries.items())
     ]
     return [
@@ -110,7 +100,7 @@ def _card(repository: str, entries: dict[str, dict[str, Any]]) -> list[str]:
         "task_categories: [reinforcement-learning]",
         "---",
         "",
-        f"# Minari datasets: {repository}",
+        f"# Minari datasets: {plain(repository)}",
         "",
         "Trajectories of a closed rope in MuJoCo; goals are Gauss codes. With"
         " `MINARI_REMOTE=hf://USER`:",

@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.atomic_files import atomic_write
+from knotgym.atomic_files import atomic_write, require_output
 from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
 from knotgym.datasets.exports.forms import NothingToExport
 from knotgym.datasets.minari_dataset import metadata_of
@@ -34,16 +34,24 @@ _TENTH = 10  # every tenth episode is for validation
 _LOOKS = {"pixels": "visual-", "state": ""}
 
 
-def to_ogbench(source: Any, out: str | os.PathLike[str], count: Count = uncounted) -> None:
+def to_ogbench(
+    source: Any,
+    out: str | os.PathLike[str],
+    count: Count = uncounted,
+    *,
+    overwrite: bool = False,
+) -> None:
     """Write the files; of a dataset of both pictures and vertices, those of either.
 
     Args:
         source: what `EpisodeReader` takes.
         out: the folder they go to; OGBench's own is ~/.ogbench/data.
         count: told before each episode of a file.
+        overwrite: replace files that exist.
 
     Raises:
-        NothingToExport: fewer than two episodes, neither pictures nor vertices, or a file is there.
+        NothingToExport: fewer than two episodes, or neither pictures nor vertices.
+        Occupied: a file exists, and `overwrite` isn't asked for.
     """
     reader, folder = EpisodeReader(source), Path(out)
     shown = reader.task.observation
@@ -55,9 +63,8 @@ def to_ogbench(source: Any, out: str | os.PathLike[str], count: Count = uncounte
         )
     names = {look: _LOOKS[look] + _name(source, reader) for look in looks}
     files = [f"{name}{end}.npz" for name in names.values() for end in ("-train", "-val", "")]
-    there = [file for file in files if (folder / file).exists()]
-    if there:
-        raise NothingToExport(f"{folder / there[0]} is there already; choose another --out")
+    for wanted in files:
+        require_output(folder / wanted, folder=False, overwrite=overwrite)
     last = min(_TENTH, len(reader)) - 1
     parts = {
         end: [k for k in range(len(reader)) if (k % _TENTH == last) == (end == "-val")]
@@ -65,11 +72,12 @@ def to_ogbench(source: Any, out: str | os.PathLike[str], count: Count = uncounte
     }
     for look, name in names.items():
         for end, episodes in parts.items():
-            with atomic_write(folder / f"{name}{end}.npz") as temporary:
+            path = folder / f"{name}{end}.npz"
+            with atomic_write(path, overwrite=overwrite) as temporary:
                 arrays: dict[str, Any] = _rows(reader, episodes, look, count)
                 with temporary.open("wb") as file:
                     np.savez_compressed(file, **arrays)
-        with atomic_write(folder / f"{name}.npz") as temporary:
+        with atomic_write(folder / f"{name}.npz", overwrite=overwrite) as temporary:
             try:
                 os.link(folder / f"{name}-train.npz", temporary)
             except OSError:  # a file system without hard links

@@ -259,6 +259,8 @@ function showState() {
 
 let listed = [];
 
+const outcomeOf = (success) => (success ? "reached" : "failed");
+
 function unpacked(episode) {
   if (episode.frames) return episode;
   episode.frames = decoded(episode.points);
@@ -272,7 +274,7 @@ function startEpisodes() {
   const items = new Map(rows.map((episode, k) => {
     episode.nx = episode.code.map((code) => (episode.codes[code] ? episode.codes[code].split(",").length / 2 : 0));
     const button = made("button", "", { type: "button", className: "row", onclick: () => openEpisode(k) });
-    const won = made("em", episode.success ? "reached" : "not reached", { className: episode.success ? "" : "no" });
+    const won = made("em", outcomeOf(episode.success), { className: episode.success ? "" : "no" });
     const steps = `${episode.code.length - 1} steps`;
     button.append(made("b", episode.goal || "loop"), won,
       made("small", `${episode.name}  #${episode.number}  ${steps}  ${episode.policy}`));
@@ -280,7 +282,7 @@ function startEpisodes() {
   }));
   const tests = [
     chips(form, rows, "split", (episode) => episode.split),
-    chips(form, rows, "goal", (episode) => (episode.success ? "reached" : "not reached")),
+    chips(form, rows, "goal", (episode) => outcomeOf(episode.success)),
     chips(form, rows, "policy", (episode) => episode.policy),
     search(form, "goal's code", (episode) => episode.goal),
   ];
@@ -356,6 +358,7 @@ function showEpisode() {
   const share = next <= last ? episode.applied_share[next] : 1;
   draw("film", frame, part ? null : episode.x[now], (pen, see) => {
     if (strength) drawPull(pen, frame, episode.bead[next], episode.force[next], see);
+    if (now === last) drawOutcome(pen, episode.success);
   });
   draw("goal", episode.goalFrame, episode.goal_x);
   drawTimeLine(by("time"), episode, state.step);

@@ -191,6 +191,18 @@ function drawPull(pen, points, bead, force, see) {
   pen.fill();
 }
 
+// how an episode ended: a frame round the last state, and the word
+function drawOutcome(pen, success) {
+  const { clientWidth: wide, clientHeight: high } = pen.canvas;
+  pen.strokeStyle = pen.fillStyle = success ? "#34d399" : "#fb7185";
+  pen.lineWidth = 6;
+  pen.strokeRect(3, 3, wide - 6, high - 6);
+  pen.font = "700 26px system-ui, sans-serif";
+  pen.textAlign = "left";
+  pen.textBaseline = "alphabetic";
+  pen.fillText(outcomeOf(success), 18, high - 20);
+}
+
 // turn by dragging, zoom by wheel or two fingers, double click for the top view
 function turnable(canvas, camera, redraw) {
   const held = new Map();

@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from knotgym.atomic_files import sha256
+from knotgym.atomic_files import require_output, sha256
 from knotgym.configuration import as_json, differences
 from knotgym.control.expert import Expert
 from knotgym.control.policies import PolicyConfig, make_policy
@@ -26,15 +26,18 @@ from knotgym.datasets.machine import machine
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
 from knotgym.datasets.states import minari_root, read_states, ships, states_file
 from knotgym.errors import KnotgymError
+from knotgym.generate.episodes.digests import digests, require_unchanged, sources
 from knotgym.rope import RopeConfig
 from knotgym.runs.engine import Batch, run
 from knotgym.runs.progress import Progress, Status, tell_if_long
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.sealed_json import read_sealed, write_sealed
-from knotgym.tasks import TaskConfig
+from knotgym.runs.staging import require_no_interrupted_run
+from knotgym.tasks import OBSERVATIONS, TaskConfig
 
 REPORT = "collection.json"
 LABELS = ("", "expert")
+OBSERVATION = "both"  # that `knotgym collect` stores unless told otherwise
 _REFERENCES = Path(__file__).parent / "data" / "references.json"
 
 
@@ -57,6 +60,8 @@ class CollectConfig:
         labels: "expert": at every state it is asked for its action, `Episode.expert_action`, with
             the policy's planner and its whole budget for each; "" for none.
         episodes_per_file: of a run under way; doesn't show in the dataset.
+        seen: the observation that functions and models get that don't state their own; "" for the
+            stored one.
         dataset_id: of Minari; "" for knotgym/tie-nx3/expert-v0 and the like, of the test split
             knotgym/tie-nx3/expert-test-v0.
         author, author_email, code_permalink: for Minari's metadata.
@@ -70,17 +75,25 @@ class CollectConfig:
     attempts: int = 1
     labels: str = ""
     episodes_per_file: int = 4
+    seen: str = ""
     dataset_id: str = ""
     author: tuple[str, ...] = ()
     author_email: tuple[str, ...] = ()
     code_permalink: str | None = None
 
     def __post_init__(self) -> None:
+        if self.policy.policy.startswith("prompt:"):
+            raise InvalidCollection(
+                "transcripts are of episodes of an evaluation, which no dataset holds; give"
+                f" knotgym evaluate --policy {self.policy.policy}"
+            )
         if self.labels not in LABELS:
             raise InvalidCollection(f"labels must be expert or empty, got {self.labels!r}")
         for name in ("episodes", "episodes_per_file", "attempts"):
             if getattr(self, name) < 1:
                 raise InvalidCollection(f"{name} must be at least 1, got {getattr(self, name)}")
+        if self.seen not in ("", *OBSERVATIONS):
+            raise InvalidCollection(f"seen must be of {', '.join(OBSERVATIONS)}, got {self.seen!r}")
         if self.seed < 0:
             raise InvalidCollection(f"seed must be at least 0, got {self.seed}")
         if not self.dataset_id:
@@ -92,6 +105,11 @@ class CollectConfig:
         """What an episode costs, as `PolicyConfig.core_seconds`."""
         labelling = 40.0 if self.labels else 0.0
         return self.attempts * (self.policy.core_seconds + labelling)
+
+    @property
+    def seen_task(self) -> TaskConfig:
+        """The environment as the policy is given it."""
+        return replace(self.task, observation=self.seen or self.task.observation)
 
     @property
     def stored_task(self) -> TaskConfig:
@@ -115,12 +133,18 @@ def collection_marks(attempts: int, labels: str) -> tuple[str, ...]:
     return f"best{attempts}" if attempts > 1 else "", "labelled" if labels else ""
 
 
-def distinct_id(
-    task: TaskConfig, policy: PolicyConfig, seed: int, *, attempts: int = 1, labels: str = ""
-) -> str:
-    """As `plain_id`, with marks for whatever isn't as in a plain collection: a set of states by its
-    name or, of a file, by its content; the seed; attempts and labels; the rules by a digest.
+def distinct_id(config: CollectConfig) -> str:
+    """Return the default id of a collection: `plain_id`, with a mark for every setting but the
+    number of episodes that changes its content.
+
+    A set of states is named, a state file marked by its digest; settings of the environment and
+    the policy that have no mark of their own share one digest.
+
+    >>> config = CollectConfig(task=TaskConfig(task="tie"), policy=PolicyConfig(policy="expert"))
+    >>> distinct_id(config)
+    'knotgym/tie-nx2/expert-pixels-v0'
     """
+    task, policy, seed = config.task, config.policy, config.seed
     states = ""
     if task.states not in (None, "readable"):
         file = states_file(task.states)
@@ -128,15 +152,23 @@ def distinct_id(
         if file.is_file() and not states:
             states = f"states{sha256(file)[:8]}"
     plain = TaskConfig(task=task.task, nx=task.nx, split=task.split, states=task.states)
-    plain = replace(plain, observation=task.observation, image_size=task.image_size)
+    plain = replace(plain, observation=task.observation)
     rules = list(differences(as_json(plain), as_json(task)))
-    if labels or policy.policy in ("noisy-expert", "mixed", "expert"):
+    if config.labels or policy.policy in ("noisy-expert", "mixed", "expert"):
         usual = PolicyConfig(policy=policy.policy)
         rules += differences(as_json(usual), as_json(policy))
     told = "; ".join(rules).encode()
     digest = f"rules{hashlib.sha256(told).hexdigest()[:8]}" if rules else ""
-    marks = (states, f"seed{seed}" if seed else "", *collection_marks(attempts, labels), digest)
-    return plain_id(task, policy, *marks)
+    return plain_id(
+        task,
+        policy,
+        states,
+        "" if task.observation == OBSERVATION else task.observation,
+        f"seed{seed}" if seed else "",
+        "" if config.keep_failed else "successes",
+        *collection_marks(config.attempts, config.labels),
+        digest,
+    )
 
 
 class _EpisodeFile(NamedTuple):
@@ -198,13 +230,28 @@ def collect(
         Occupied, InvalidRun: as of `runs.engine.run`.
         InvalidCollection: no episode is left to keep.
     """
-    root = Path(out) if out is not None else minari_root()
-    folder = options.shard.folder(root / config.dataset_id)
+    folder = _folder(config, out, options)
     recipe = EpisodeRecipe(config, options)
     if progress is not None:
         spent = config.core_seconds * len(recipe.numbers)
         tell_if_long(progress, spent, options.workers)
     return run(recipe, folder, options, progress)
+
+
+def require_collectable(config: CollectConfig, out: Path | None, options: RunOptions) -> None:
+    """Refuse a collection whose folder exists or was begun, unless it was said what becomes of it.
+
+    Raises:
+        Occupied: it is so.
+    """
+    folder = _folder(config, out, options)
+    if not options.resume:
+        require_output(folder, folder=True, overwrite=options.overwrite)
+    require_no_interrupted_run(folder, options)
+
+
+def _folder(config: CollectConfig, out: Path | None, options: RunOptions) -> Path:
+    return options.shard.folder((out or minari_root()) / config.dataset_id)
 
 
 class EpisodeRecipe:
@@ -215,7 +262,7 @@ class EpisodeRecipe:
     flexible: tuple[str, ...] = ()
 
     def __init__(self, config: CollectConfig, options: RunOptions) -> None:
-        make_policy(config.policy)  # refuses what isn't there before any work is done
+        make_policy(config.policy).suited(config.seen_task)  # refuses before any work is done
         _metadata(config, Tally())  # refuses a bad id
         if not ships(config.task.states):
             read_states(states_file(config.task.states), images=False)
@@ -229,9 +276,7 @@ class EpisodeRecipe:
             )
 
     def request(self) -> dict[str, Any]:
-        carried = self.config.task.states
-        source = {"states": None if ships(carried) else sha256(states_file(carried))}
-        return {"config": as_json(self.config), "source": source}
+        return {"config": as_json(self.config), "source": sources_of(self.config)}
 
     def begin(self) -> None:
         pass
@@ -266,6 +311,7 @@ class EpisodeRecipe:
         return Status(self.tally.played, len(self.numbers), "episodes", facts, even=True)
 
     def finish(self, folder: Path, request: dict[str, Any]) -> Path:
+        require_unchanged(request["source"], sources_of(self.config))
         paths = [file.path for file in self.files]
         if self.shard.is_whole:
             return write_whole(self.config, paths, self.tally, folder, request)
@@ -286,9 +332,15 @@ class EpisodeRecipe:
         )
 
 
+def sources_of(config: CollectConfig) -> dict[str, Any]:
+    """Digests of the policies, an expert that labels included, and states of a collection."""
+    labeller = [replace(config.policy, policy="expert")] if config.labels else []
+    return sources([config.policy, *labeller], [config.task])
+
+
 def write_whole(
     config: CollectConfig,
-    sources: Sequence[Path],
+    files: Sequence[Path],
     tally: Tally,
     root: Path,
     request: dict[str, Any],
@@ -308,7 +360,8 @@ def write_whole(
             " nothing is left to write"
         )
     carried = None if ships(config.task.states) else states_file(config.task.states)
-    made = publish(sources, _metadata(config, tally), root, concatenate=concatenate, states=carried)
+    metadata = replace(_metadata(config, tally), digests=digests(request["source"]))
+    made = publish(files, metadata, root, concatenate=concatenate, states=carried)
     _report(made / "data" / REPORT, request, tally, machines=machines)
     return made
 
@@ -363,10 +416,10 @@ def _best_of_attempts(config: CollectConfig, numbers: range) -> list[Rollout]:
     """
     policy = make_policy(config.policy)
     labeller = Expert(config.policy.planner) if config.labels else None
-    best = rollout(config.task, policy, numbers, config.seed, labeller=labeller)
+    best = rollout(config.seen_task, policy, numbers, config.seed, labeller=labeller)
     for attempt in range(1, config.attempts):
         again = rollout(
-            config.task, policy, numbers, config.seed, attempt=attempt, labeller=labeller
+            config.seen_task, policy, numbers, config.seed, attempt=attempt, labeller=labeller
         )
         for row, (old, new) in enumerate(zip(best, again, strict=True)):
             shorter = len(new.episode) < len(old.episode)

@@ -1,5 +1,5 @@
-"""Evaluation: how often a policy reaches its goals, on any tasks, crossings and splits, with
-Wilson's interval.
+"""Evaluation: how often a policy reaches its goals, on any tasks, crossings and splits, with an
+interval over states, see `cluster_interval`.
 
 Several policies, crossings and splits at once make the generalization matrix: a policy trained on
 one, tested on all.
@@ -8,6 +8,7 @@ one, tested on all.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -18,26 +19,25 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 import knotgym
-from knotgym.atomic_files import atomic_write, require_writable
+from knotgym.atomic_files import Occupied, atomic_write, require_output
 from knotgym.configuration import as_json, read_json
 from knotgym.control.learned_policies import is_learner, learner_card
 from knotgym.control.policies import PolicyConfig, make_policy
-from knotgym.control.rollouts import Rollout, rollout
+from knotgym.control.rollouts import EVALUATION, Rollout, rollout
 from knotgym.datasets.trajectory import Episode
 from knotgym.episode_batch import OWN, SHIPPED, state_origins
 from knotgym.errors import KnotgymError
-from knotgym.generate.episodes.unfinished_evaluation import (
-    PlayedEpisode,
-    Unfinished,
-    kept_beside,
-    request,
-)
-from knotgym.runs.engine import require_same
+from knotgym.generate.episodes.collect import reference_scores
+from knotgym.generate.episodes.digests import digests, require_unchanged, sources
+from knotgym.generate.episodes.unfinished_evaluation import PlayedEpisode, Unfinished, kept_beside
+from knotgym.runs.engine import require_same, whole_request
 from knotgym.runs.executors import executor
-from knotgym.runs.intervals import wilson
+from knotgym.runs.intervals import cluster_interval
 from knotgym.runs.pools import Pool
 from knotgym.runs.progress import Progress, compile_first, tell_if_long
-from knotgym.runs.run_options import InvalidRun
+from knotgym.runs.run_options import REFUSE_EXISTING, Existing, InvalidRun
+from knotgym.runs.shards import Shard
+from knotgym.runs.staging import may_be_finished
 from knotgym.runs.tables import narrow_table
 from knotgym.tasks import TaskConfig
 
@@ -57,7 +57,7 @@ class EvaluateConfig:
         policies: each on every task, crossing number and split.
         tasks, nx, splits: see `TaskConfig`.
         episodes: of each of these setups; episode i is the same for every policy.
-        seed: of the run.
+        seed: of the run; its streams are an evaluation's own, no dataset has these episodes.
         task: the settings that all environments share; its task, nx and split are not used.
         filmed: episodes of each setup whose course is kept.
     """
@@ -97,13 +97,15 @@ class Result:
     Attributes:
         policy, task, nx, split: which.
         episodes, successes: counted.
-        success_rate, low, high: with the 95 % Wilson interval.
+        success_rate, low, high: with the 95 % interval of `cluster_interval`.
         steps: mean over the episodes that succeeded, None if none did.
         mean_return: rewards of an episode, mean.
         planned_actions, planning_seconds: mean of an episode.
         simulation_failures: episodes that ended because the simulation blew up.
         start_states, goal_states: where they were drawn from, "own" for the state file asked for
             or "shipped" for the one that ships.
+        outcomes: of each episode `start` and `goal`, rows of those state files, `success` as 0 or
+            1, and `steps`.
     """
 
     policy: str
@@ -122,6 +124,7 @@ class Result:
     simulation_failures: int
     start_states: str
     goal_states: str
+    outcomes: dict[str, list[int]]
 
 
 class _Piece(NamedTuple):
@@ -191,18 +194,27 @@ def evaluate(
 _TRAINING = ("weights_sha256", "seconds", "episodes")
 
 
-def report(config: EvaluateConfig, results: Sequence[Result]) -> dict[str, Any]:
-    """What goes to the JSON file."""
-    successes, episodes = (
-        sum(one.successes for one in results),
-        sum(one.episodes for one in results),
-    )
+def sources_of(config: EvaluateConfig) -> dict[str, Any]:
+    """Digests of the policies and states of an evaluation, see `sources`."""
+    return sources(config.policies, (task for _, task in config.setups()))
+
+
+def report(
+    config: EvaluateConfig, results: Sequence[Result], source: dict[str, Any]
+) -> dict[str, Any]:
+    """What goes to the JSON file; `source` is that of `sources_of` before anything was played."""
+    columns: dict[str, list[Any]] = {"success": [], "start": [], "goal": []}
+    for one in results:
+        columns["success"] += one.outcomes["success"]
+        for side, origin in (("start", one.start_states), ("goal", one.goal_states)):
+            columns[side] += [f"{origin} {row}" for row in one.outcomes[side]]
     return {
         "version": knotgym.__version__,
-        "success_rate": successes / episodes,
-        "interval": list(wilson(successes, episodes)),
-        "episodes": episodes,
+        "success_rate": float(np.mean(columns["success"])),
+        "interval": list(cluster_interval(*columns.values())),
+        "episodes": len(columns["success"]),
         "settings": asdict(config),
+        "digests": digests(source),
         "learners": {
             one.policy: {name: learner_card(one.policy)[name] for name in _TRAINING}
             for one in config.policies
@@ -210,6 +222,15 @@ def report(config: EvaluateConfig, results: Sequence[Result]) -> dict[str, Any]:
         },
         "results": [asdict(one) for one in results],
     }
+
+
+def as_text(report: dict[str, Any]) -> str:
+    """A report as its file has it: JSON, a list of numbers on one line."""
+
+    def on_one_line(found: re.Match[str]) -> str:
+        return " ".join(found[0].split())
+
+    return re.sub(r"\[[-\d\s.,]+\]", on_one_line, json.dumps(report, indent=1)) + "\n"
 
 
 def show(results: Sequence[Result], console: Console) -> None:
@@ -247,6 +268,8 @@ def show(results: Sequence[Result], console: Console) -> None:
             f"{task} nx {nx}: the state file has no plain loops; those that ship are used.",
             highlight=False,
         )
+    for line in reference_lines(results):
+        console.print(line, highlight=False)
     columns = list(dict.fromkeys(one.nx for one in results))
     if len(columns) > 1:
         matrix = narrow_table(
@@ -262,6 +285,24 @@ def show(results: Sequence[Result], console: Console) -> None:
         console.print(matrix)
 
 
+def reference_lines(results: Sequence[Result]) -> list[str]:
+    """Return a line for each task and nx with the mean returns that a result is to be read beside.
+
+    The references are measured on readable states, whichever states the results are of.
+    """
+    known = reference_scores()
+    lines = []
+    for task, nx in dict.fromkeys((one.task, one.nx) for one in results):
+        scores = known.get(f"{task}-nx{nx}")
+        if scores is not None:
+            lines.append(
+                f"for reference, mean return of {task} nx {nx}: random {scores['random']:.2f},"
+                f" expert {scores['expert']:.2f} ({scores['episodes']} episodes, test split,"
+                " readable states)"
+            )
+    return lines
+
+
 def run(
     config: EvaluateConfig,
     *,
@@ -271,110 +312,148 @@ def run(
     quiet: bool,
     console: Console,
     progress: Progress | None = None,
-    resume: bool = False,
+    existing: Existing = REFUSE_EXISTING,
 ) -> list[Result]:
     """Evaluate, show, and write what was asked for.
 
-    With `resume` it goes on with what an evaluation of the same settings left beside `out` when it
-    was interrupted; one that is finished is shown.
+    With `existing.resume` it goes on from what an interrupted evaluation of the same settings left
+    beside `out`; one that is finished is shown.
 
     Raises:
-        InvalidEvaluation: fewer than 0 workers, or `resume` without `out`.
+        InvalidEvaluation: fewer than 0 workers, or to resume or restart is asked for without `out`.
         InvalidRun: what is to be resumed is of another evaluation, or damaged.
-        Occupied: another process is evaluating into `out`.
+        Occupied: `out` or `video` exists, an interrupted evaluation left work, or another process
+            is evaluating into `out`.
         Unwritable: nothing can be written where `out` or `video` are.
         UnknownFilm: the video is of no kind that can be written here.
         InvalidSetting: the state file lacks what a task needs.
     """
     if workers < 0:
         raise InvalidEvaluation(f"workers must be at least 0, got {workers}")
-    if resume and out is None:
-        raise InvalidEvaluation("--resume goes on with the evaluation of an --out; name it")
+    if out is None and (existing.resume or existing.restart):
+        raise InvalidEvaluation("--resume and --restart need the --out of the evaluation; name it")
     if video is not None:
         from knotgym.rendering.video import require_film, write_film
 
         require_film(video)
         config = config if config.filmed else replace(config, filmed=2)
+    _require_playable(config)
+    source = sources_of(config)
+    done = None if out is None else _done_already(out, video, config, source, existing)
+    if done is not None:
+        if not quiet:
+            show(done, console)
+            console.print(f"{out} is finished already", soft_wrap=True, highlight=False)
+        return done
     for path in (out, video):
         if path is not None:
-            require_writable(path)
-    for policy in config.policies:
-        make_policy(policy)  # refuses what isn't there before any work is done
-    for _, task in config.setups():
-        state_origins(task)  # so does this
-    if resume and out is not None and out.exists() and video is None:
-        results = _finished(out, config)
-        if not quiet:
-            show(results, console)
-            console.print(f"{out} is finished already", soft_wrap=True, highlight=False)
-        return results
+            require_output(path, folder=False, overwrite=existing.overwrite)
     progress = Progress(quiet=True) if progress is None else progress
-    with kept_beside(out, request(config), resume, progress) as unfinished:
+    asked = whole_request({"config": as_json(config), "source": source}, Shard())
+    with kept_beside(out, asked, existing, progress) as unfinished:
         spent = sum(policy.core_seconds for policy, _ in config.setups()) * config.episodes
         tell_if_long(progress, spent, workers)
         compile_first(progress)
         with executor(workers) as pool:
             results, films = evaluate(config, pool, progress, unfinished)
+        require_unchanged(source, sources_of(config))
         if not quiet:
             show(results, console)
+        if video is not None:  # before `out`, which says that all is done
+            frames = [frame for episode in films for frame in film(episode, config.task)]
+            with atomic_write(video, overwrite=existing.overwrite) as temporary:
+                write_film(temporary, frames)
         if out is not None:
-            with atomic_write(out) as temporary:
-                told = json.dumps(report(config, results), indent=1) + "\n"
-                temporary.write_text(told, encoding="utf-8")
+            with atomic_write(out, overwrite=existing.overwrite) as temporary:
+                temporary.write_text(as_text(report(config, results, source)), encoding="utf-8")
     if out is not None and not quiet:
         told = f"{out}: {len(results)} results of {config.episodes} episodes each"
         console.print(told, soft_wrap=True, highlight=False)
-    if video is not None:
-        frames = [frame for episode in films for frame in film(episode, config.task)]
-        write_film(video, frames)
-        if not quiet:
-            console.print(f"{video}: {len(films)} episodes", soft_wrap=True, highlight=False)
+    if video is not None and not quiet:
+        console.print(f"{video}: {len(films)} episodes", soft_wrap=True, highlight=False)
     return results
 
 
-def _finished(out: Path, config: EvaluateConfig) -> list[Result]:
-    """What an evaluation of the same settings wrote.
+def _done_already(
+    out: Path,
+    video: Path | None,
+    config: EvaluateConfig,
+    source: dict[str, Any],
+    existing: Existing,
+) -> list[Result] | None:
+    """The results at `out` if a resumed evaluation takes them as its own; None if it is to play.
+
+    Raises:
+        InvalidRun: the file is of another evaluation, and is not to be overwritten.
+        Occupied: it is finished, but its film isn't there.
+    """
+    if not may_be_finished(out, existing) or not out.is_file():
+        return None
+    try:
+        results = _finished(out, config, source)
+    except InvalidRun:
+        if existing.overwrite:
+            return None
+        raise
+    if video is not None and not video.exists():
+        raise Occupied(
+            f"{out} is finished already, but the film {video} isn't there; --overwrite alone makes"
+            " both anew"
+        )
+    return results
+
+
+def _require_playable(config: EvaluateConfig) -> None:
+    """Refuse a policy or task that isn't there, or a policy that can't act in a task."""
+    acting = {one.policy: make_policy(one) for one in config.policies}
+    for policy, task in config.setups():
+        acting[policy.policy].suited(task)
+        state_origins(task)
+
+
+def _finished(out: Path, config: EvaluateConfig, source: dict[str, Any]) -> list[Result]:
+    """What an evaluation of the same settings, policies, states and code wrote.
 
     Raises:
         InvalidRun: the file is of another one.
     """
     try:
         said = read_json(out)
-        there = {name: said[name] for name in ("version", "settings")}
+        there = {name: said[name] for name in ("version", "settings", "digests")}
         results = [Result(**row) for row in said["results"]]
     except (KeyError, TypeError, ValueError) as error:
         raise InvalidRun(
             f"{out} isn't an evaluation of this version; choose another --out"
         ) from error
-    asked = {"version": knotgym.__version__, "settings": as_json(config)}
+    asked = {
+        "version": knotgym.__version__,
+        "settings": as_json(config),
+        "digests": digests(source),
+    }
     require_same(there, asked, (), out)
     return results
 
 
 def film(episode: Episode, task: TaskConfig) -> list[NDArray[np.uint8]]:
-    """The frames of an episode in all its views, with each pull, why it was chosen, and both codes:
-    uint8 (height, width, 3) each.
-    """
-    from knotgym.rendering.observations import picture_config
-    from knotgym.rendering.video import film_frame
+    """Draw an episode in all its views, with each pull and why it was chosen: frames of a film."""
+    from knotgym.rendering.video import film_frames
 
-    steps, moves, picture = len(episode), episode.move, picture_config(replace(task, depth=False))
-    frames = []
-    for k, points in enumerate(episode.points):
-        move = "" if moves is None else str(moves[k])
-        reached = "  reached" if episode.is_success[k] else ""
-        heading = f"{episode.policy}  step {k} of {steps}  {move}{reached}"
-        pull = (
-            (int(episode.bead[k + 1]), episode.force[k + 1] / task.rope.max_force)
-            if k < steps
-            else None
-        )
-        frames.append(film_frame(points, episode.goal_points, heading, pull, picture))
-    return frames + frames[-1:] * 4
+    moves = [""] * len(episode.points) if episode.move is None else episode.move
+    headings = [
+        f"{episode.policy}  step {k} of {len(episode)}  {move}" for k, move in enumerate(moves)
+    ]
+    pulls = [
+        (int(bead), force / task.rope.max_force)
+        for bead, force in zip(episode.bead[1:], episode.force[1:], strict=True)
+    ]
+    return film_frames(
+        list(episode.points), episode.goal_points, headings, pulls, episode.is_success, task.views
+    )
 
 
 def _play(piece: _Piece) -> tuple[list[PlayedEpisode], list[Episode]]:
-    rollouts = rollout(piece.task, make_policy(piece.policy), piece.numbers, piece.seed)
+    policy = make_policy(piece.policy)
+    rollouts = rollout(piece.task, policy, piece.numbers, piece.seed, streams=EVALUATION)
     films = [one.episode for one in rollouts if one.number < piece.filmed]
     return [_counted(one) for one in rollouts], films
 
@@ -382,6 +461,8 @@ def _play(piece: _Piece) -> tuple[list[PlayedEpisode], list[Episode]]:
 def _counted(one: Rollout) -> PlayedEpisode:
     episode = one.episode
     return PlayedEpisode(
+        episode.options["start"],
+        episode.options["goal"],
         one.success,
         len(episode),
         float(episode.rewards.sum()),
@@ -393,7 +474,11 @@ def _counted(one: Rollout) -> PlayedEpisode:
 
 def _result(policy: PolicyConfig, task: TaskConfig, played: Sequence[PlayedEpisode]) -> Result:
     successes = sum(one.success for one in played)
-    low, high = wilson(successes, len(played))
+    outcomes = {
+        name: [int(getattr(one, name)) for one in played]
+        for name in ("start", "goal", "success", "steps")
+    }
+    low, high = cluster_interval(outcomes["success"], outcomes["start"], outcomes["goal"])
     origins = state_origins(task)
     return Result(
         policy=policy.policy,
@@ -412,4 +497,5 @@ def _result(policy: PolicyConfig, task: TaskConfig, played: Sequence[PlayedEpiso
         simulation_failures=sum(one.failed for one in played),
         start_states=origins["start"],
         goal_states=origins["goal"],
+        outcomes=outcomes,
     )

@@ -13,13 +13,14 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import knotgym
-from knotgym.atomic_files import atomic_write, sha256
+from knotgym.atomic_files import Occupied, atomic_write, require_output, sha256
 from knotgym.configuration import read_json
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import MIXED, PolicyConfig
@@ -35,11 +36,11 @@ from knotgym.generate.episodes.collect import (
 )
 from knotgym.generate.episodes.suite_card import suite_card
 from knotgym.generate.episodes.suite_scores import read_scores
-from knotgym.runs.engine import request_of, require_same, whole_request
+from knotgym.runs.engine import is_finished, request_of, require_resumable, whole_request
 from knotgym.runs.executors import cores
 from knotgym.runs.progress import Progress, duration
 from knotgym.runs.run_options import RunOptions
-from knotgym.runs.staging import Occupied, staging_folder
+from knotgym.runs.staging import has_work, require_no_interrupted_run, staging_folder
 from knotgym.tasks import TASKS, TaskConfig
 
 SETUPS = tuple((task, nx) for task in TASKS for nx in (2, 3, 4))
@@ -49,8 +50,9 @@ EPISODES = {"random": 250, "scripted": 500, "noisy-expert": 150, "expert": 1000}
 # for the sake of eight hours: with 20,000, as elsewhere, every episode that was timed reached its
 # goal, but tie and convert at nx 4 took 13 to 50 s each; with this they take 4 to 7, and some fail
 BUDGET = 1000
-# not 0, the usual seed of an evaluation: one of the train split would begin as these episodes do
 SEED = 1
+_FORMAT = "knotgym-suite"
+_CARD = ("suite.json", "README.md")
 _RATES = Path(__file__).parent / "data" / "suite_rates.json"
 
 
@@ -160,13 +162,13 @@ def make_suite(
         config: which sets.
         out: the root under which Minari would find them; None for Minari's own.
         options: how it is done. With `resume` sets that are finished are left alone and a set that
-            was killed goes on.
+            was interrupted goes on; with `overwrite` each is replaced once its new one is whole.
         scores: files of `knotgym evaluate --out`, for the card's table of results; those in the
             folder `evaluations` beside the card are taken as well.
         progress: to show it on.
 
     Raises:
-        Occupied: a set is there, or begun, and `resume` isn't asked for.
+        Occupied: a set or a card exists, or a set is begun, and it wasn't said what becomes of it.
         InvalidRun: one is there that was asked for differently.
         InvalidSuite: an evaluation can't be read.
     """
@@ -178,12 +180,13 @@ def make_suite(
     wanted = list(config.sets())
     results = read_scores([*scores, *sorted((folder / "evaluations").glob("*.json"))])
     left = [one for one in wanted if not _is_made(one, root, options)]
+    _require_own_card(folder, options)
     progress.say(_forecast(wanted, left, options))
     told = _described(config, root)
     _write_card(told, results, config.seed, folder)
     for number, one in enumerate(left, 1):
         progress.say(f"set {number} of {len(left)}: {one.dataset_id}, {one.episodes} episodes")
-        begun = staging_folder(root / one.dataset_id).exists()
+        begun = has_work(staging_folder(root / one.dataset_id))
         collect(one, root, replace(options, resume=options.resume and begun), progress=progress)
         told[one.dataset_id] = describe_set(root / one.dataset_id)
         _write_card(told, results, config.seed, folder)  # for whoever looks in meanwhile
@@ -198,22 +201,37 @@ def _is_made(one: CollectConfig, root: Path, options: RunOptions) -> bool:
         Occupied, InvalidRun: as of `make_suite`.
     """
     made = root / one.dataset_id
-    place = made if made.exists() else staging_folder(made)
-    if not place.exists():
+    request = whole_request(EpisodeRecipe(one, options).request(), options.shard)
+    require_no_interrupted_run(made, options)
+    if has_work(staging_folder(made)):
+        if options.resume:
+            left = request_of(staging_folder(made))
+            require_resumable(staging_folder(made), left, request, ())
         return False
-    if not options.resume:
+    if is_finished(made, request, options):
+        return True
+    if os.path.lexists(made) and not options.overwrite:
         raise Occupied(
-            f"{made} is there already, or begun; --resume leaves finished sets alone and goes on"
-            " with the rest"
+            f"{made} exists already; --resume leaves finished sets alone and goes on with the rest,"
+            " --overwrite makes all of them anew"
         )
-    found = request_of(place)
-    if found is None and place == made:
-        raise Occupied(f"{made} is there, and doesn't say what made it; remove it")
-    if found is not None:
-        require_same(
-            found, whole_request(EpisodeRecipe(one, options).request(), options.shard), (), place
-        )
-    return place == made and not staging_folder(made).exists()
+    require_output(made, folder=True, overwrite=options.overwrite)
+    return False
+
+
+def _require_own_card(folder: Path, options: RunOptions) -> None:
+    """Refuse to write the card over files that no suite wrote.
+
+    Raises:
+        Occupied: there is such a file, and `overwrite` wasn't asked for.
+    """
+    try:
+        own = read_json(folder / "suite.json")["format"] == _FORMAT
+    except (OSError, ValueError, KeyError, TypeError):
+        own = False
+    if not (own and options.resume):
+        for name in _CARD:
+            require_output(folder / name, folder=False, overwrite=options.overwrite)
 
 
 def _forecast(
@@ -271,7 +289,7 @@ def _write_card(
     told: Mapping[str, Any], results: Sequence[Mapping[str, Any]], seed: int, folder: Path
 ) -> None:
     report = {
-        "format": "knotgym-suite",
+        "format": _FORMAT,
         "format_version": 1,
         "knotgym": knotgym.__version__,
         "seed": seed,
@@ -279,9 +297,10 @@ def _write_card(
         "results": list(results),
     }
     folder.mkdir(parents=True, exist_ok=True)
-    for name, text in {
-        "suite.json": json.dumps(report, indent=1, sort_keys=True) + "\n",
-        "README.md": suite_card(report, reference_scores()),
-    }.items():
+    texts = (
+        json.dumps(report, indent=1, sort_keys=True) + "\n",
+        suite_card(report, reference_scores()),
+    )
+    for name, text in zip(_CARD, texts, strict=True):
         with atomic_write(folder / name) as temporary:
             temporary.write_text(text, encoding="utf-8")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from knotgym.datasets.cards.citation import TO_CITE
+from knotgym.datasets.cards.citation import TO_CITE, code_span, plain
 from knotgym.datasets.cards.state_card import table
 from knotgym.generate.episodes.suite_scores import score_tables
 
@@ -21,10 +21,11 @@ chirality) is the goal's:
 
     knotgym evaluate --policy LEARNER --task unknot,tie,convert --nx 2-4 --out FILE.json
 
-once as it is, and once with `--states random-walk`. Success rates are told with Wilson's 95 %
-interval. Files that lie in the folder `evaluations` beside this card show in its table of results
-when `knotgym suite --resume` is run again. Rows that used more than these sets (more episodes, or
-the simulator) say so."""
+once as it is, and once with `--states random-walk`. Episodes of an evaluation are never those of
+the sets, whatever the seed. Success rates have 95 % intervals from a bootstrap over start and goal
+states (`knotgym.runs.intervals.cluster_interval`). Files in the folder `evaluations` beside this
+card show in its table of results when `knotgym suite --resume` is run again. Rows that used more
+than these sets (more episodes, or the simulator) say so."""
 
 
 def suite_card(report: Mapping[str, Any], references: Mapping[str, Any]) -> str:
@@ -97,9 +98,9 @@ def suite_card(report: Mapping[str, Any], references: Mapping[str, Any]) -> str:
 def _rows(sets: Mapping[str, Any]) -> Iterator[tuple[object, ...]]:
     for name, one in sorted(sets.items()):
         yield (
-            f"`{name}`",
-            one["states"],
-            one["policy"],
+            code_span(name),
+            plain(one["states"]),
+            plain(one["policy"]),
             one["seed"],
             one["episodes"],
             one["steps"],

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from numbers import Real
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from knotgym.configuration import as_json, read_json
+from knotgym.control.policies import PolicyConfig
+from knotgym.datasets.cards.citation import plain
 from knotgym.datasets.cards.state_card import table
 from knotgym.errors import KnotgymError, one_line
-from knotgym.runs.intervals import wilson
-from knotgym.tasks import TaskConfig
+from knotgym.generate.episodes.evaluate import EvaluateConfig
+from knotgym.runs.intervals import cluster_interval
 
 TASKS, CROSSINGS = ("unknot", "tie", "convert"), (2, 3, 4)
 # per cent on the train split, learners after a million steps; arXiv 2505.18028
@@ -21,15 +24,19 @@ PUBLISHED = {
     "PPO": (65.7, 63.3, 37.0, 41.3, 3.3, 1.3, 47.7, 6.3, 4.7),
     "TD-MPC2": (71.3, 55.4, 50.3, 39.2, 4.6, 1.7, 40.8, 8.7, 3.8),
 }
-_KEY = ("policy", "states", "split", "task", "nx")
+# episodes are counted together where all of this is the same: a line of a table, and its cell
+LINE = ("policy", "settings", "policy_sha256", "code_sha256", "versions")
+CELL = ("states", "states_sha256", "split", "task", "nx")
+_APART = ("task", "nx", "split", "states")  # fields of a task that are columns of their own
+_OUTCOMES = ("start", "goal", "success", "steps")
+_PLAIN = {
+    "task": as_json(EvaluateConfig(policies=(PolicyConfig(),)).task),
+    "policy": as_json(PolicyConfig()),
+}
 
 
-# what else may differ between files whose episodes are counted together
-_OWN = ("episodes", "successes", "success_rate", "interval", "steps", "seeds", "training")
-_SUM = "weights_sha256"  # in what a file says of training
-_MEANS = ("planned_actions", "planning_seconds")
-# rules that a file doesn't name are of later versions, whose defaults are what there was before
-_PLAIN = as_json(TaskConfig(task="tie"))
+# what reading a file of another shape raises
+_MALFORMED = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
 
 class InvalidScores(KnotgymError, ValueError):
@@ -37,116 +44,178 @@ class InvalidScores(KnotgymError, ValueError):
 
 
 def read_scores(paths: Iterable[Path]) -> list[dict[str, Any]]:
-    """One row for each set-up of each evaluation, sorted: policy, states, split, task, nx,
-    episodes, successes, success_rate, interval, steps, planned_actions, planning_seconds, seeds,
-    rules, version; and `training`, what a file says of how a learner was trained. Files of one
-    set-up with different seeds are counted together.
+    """One row for each cell of each evaluation, sorted: `LINE` and `CELL`, episodes, successes,
+    success_rate, interval, steps, starts and goals (how many there were), planned_actions,
+    planning_seconds, seeds; and `training`, what a file says of how a learner was trained.
+
+    Files of one cell with different seeds are counted together. Where a policy, its settings, the
+    states or the code differ, rows are apart.
 
     Raises:
-        InvalidScores: a file can't be read, or two tell of the same episodes, or of one set-up with
-            different rules or weights.
+        InvalidScores: a file can't be read or has no digests, or two tell of the same episodes.
     """
-    found: dict[tuple[Any, ...], dict[str, Any]] = {}
+    found: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     for path in paths:
         try:
             rows = list(_rows(read_json(path)))
-        except (OSError, ArithmeticError, KeyError, ValueError, TypeError, AttributeError) as error:
+        except (OSError, *_MALFORMED) as error:
             raise InvalidScores(
                 f"{path} isn't a file of `knotgym evaluate --out`: {one_line(error)}"
             ) from error
         for row in rows:
-            key = tuple(row[name] for name in _KEY)
-            if key in found:
-                before = found[key]
-                if set(before["seeds"]) & set(row["seeds"]):
-                    raise InvalidScores(f"{path} tells once more of {', '.join(map(str, key))}")
-                weights = {before["training"].get(_SUM, ""), row["training"].get(_SUM, "")} - {""}
-                if _same(row) != _same(before) or len(weights) > 1:
-                    raise InvalidScores(
-                        f"{path} tells of {', '.join(map(str, key))} by other rules, another"
-                        " version or other weights than a file before it"
-                    )
-                row = _together(before, row)
-            found[key] = row
-    return [found[key] for key in sorted(found, key=str)]
+            same = found.setdefault(tuple(row[name] for name in (*LINE, *CELL)), [])
+            if any(row["seeds"] == one["seeds"] for one in same):
+                told = (row["policy"], *(row[name] for name in CELL if name != "states_sha256"))
+                raise InvalidScores(f"{path} tells once more of {', '.join(map(str, told))}")
+            same.append(row)
+    return [_together(found[key]) for key in sorted(found, key=str)]
 
 
 def score_tables(rows: Sequence[Mapping[str, Any]], heading: str = "##") -> list[str]:
-    """Lines of Markdown: for each set of states and split a table, learners by set-ups."""
+    """Lines of Markdown: for each set of states and split a table, policies by cells."""
     setups = [(task, nx) for task in TASKS for nx in CROSSINGS]
-    head = ("policy", *(f"{task} {nx}" for task, nx in setups), "trained for, s")
+    head = (
+        *("policy", "settings", "files", "code", *(f"{task} {nx}" for task, nx in setups)),
+        "trained for, s",
+    )
     lines: list[str] = []
-    for states, split in dict.fromkeys((row["states"], row["split"]) for row in rows):
-        own = [row for row in rows if (row["states"], row["split"]) == (states, split)]
+    for states, digest, split in dict.fromkeys(
+        (row["states"], row["states_sha256"], row["split"]) for row in rows
+    ):
+        own = [
+            row
+            for row in rows
+            if (row["states"], row["states_sha256"], row["split"]) == (states, digest, split)
+        ]
         body: list[Sequence[object]] = []
-        for policy in dict.fromkeys(row["policy"] for row in own):
-            cells = {(row["task"], row["nx"]): row for row in own if row["policy"] == policy}
+        for line in dict.fromkeys(tuple(row[name] for name in LINE) for row in own):
+            cells = {
+                (row["task"], row["nx"]): row
+                for row in own
+                if tuple(row[name] for name in LINE) == line
+            }
             told = [_cell(cells[setup]) if setup in cells else "" for setup in setups]
             trained = {row["training"].get("seconds") for row in cells.values()} - {None}
-            body.append((policy, *told, "; ".join(map(_seconds, sorted(trained)))))
-        body += [(f"*{policy}, published*", *told, "") for policy, told in PUBLISHED.items()]
-        lines += ["", f"{heading} States {states}, {split} split", "", *table(head, body)]
+            policy, settings, files, code, _ = line
+            body.append(
+                (*map(plain, (policy, settings, files[:8], code[:8])), *told)
+                + ("; ".join(map(_seconds, sorted(trained))),)
+            )
+        body += [
+            (f"*{policy}, published*", "", "", "", *told, "") for policy, told in PUBLISHED.items()
+        ]
+        lines += [
+            "",
+            f"{heading} States {plain(states)} ({plain(digest[:8])}), {plain(split)} split",
+            "",
+            *table(head, body),
+        ]
     return lines
 
 
-def _rows(told: Mapping[str, Any]) -> Iterable[dict[str, Any]]:
+def _rows(told: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    if "digests" not in told:
+        raise InvalidScores("it has no digests of policy, states and code; measure it again")
+    asked, given = told["settings"], told["digests"]
+    configs = {one["policy"]: one for one in asked["policies"]}
+    versions = dict(given["versions"])
+    code = versions.pop("code")
     for one in told["results"]:
+        policy = one["policy"]
+        task = {name: value for name, value in asked["task"].items() if name not in _APART}
+        plain = {**_PLAIN["policy"], "policy": policy}
+        settings = [*_unlike(_PLAIN["task"], task), *_unlike(plain, configs[policy])]
+        origins = sorted({one["start_states"], one["goal_states"]})
+        learned = told.get("learners", {}).get(policy, {})
+        training = dict(told.get("training", learned))
         row = {
-            "policy": one["policy"],
-            "states": told["settings"]["task"]["states"] or "readable",
+            "policy": policy,
+            "settings": "; ".join(settings),
+            "policy_sha256": _digest(given["policies"][policy]),
+            "code_sha256": code,
+            "versions": ", ".join(f"{name} {versions[name]}" for name in sorted(versions)),
+            "states": asked["task"]["states"] or "readable",
+            "states_sha256": _digest({origin: given["states"][origin] for origin in origins}),
             "split": one["split"],
             "task": one["task"],
             "nx": one["nx"],
-            "episodes": one["episodes"],
-            "successes": one["successes"],
-            "success_rate": one["success_rate"],
-            "interval": [one["low"], one["high"]],
-            "steps": one["steps"],
-            "planned_actions": one["planned_actions"],
-            "planning_seconds": one["planning_seconds"],
-            "seeds": [told["settings"]["seed"]],
-            "rules": {
-                name: rule
-                for name, rule in {**_PLAIN, **told["settings"]["task"]}.items()
-                if name not in ("task", "nx", "split", "states")
+            "seeds": [asked["seed"]],
+            "rules": task,
+            "training": training,
+            "outcomes": {
+                name: one["outcomes"][name] for name in ("start", "goal", "success", "steps")
             },
-            "version": told["version"],
+            **{name: _number(one[name]) for name in ("planned_actions", "planning_seconds")},
         }
-        _cell(row)  # numbers where numbers belong
-        for name, kind in {**dict.fromkeys(_KEY, str), "nx": int}.items():
+        for name in (*LINE, *CELL):
+            kind = int if name == "nx" else str
             if type(row[name]) is not kind or not str(row[name]).isprintable():
                 raise InvalidScores(f"{name} is {row[name]!r}")
-        learned = told.get("learners", {}).get(one["policy"], {})
-        training = dict(told.get("training", learned))
-        if not isinstance(training.get("seconds"), Real | None):
-            raise InvalidScores(f"seconds is {training['seconds']!r}")
-        _seconds(training.get("seconds") or 0)
-        yield {**row, "training": training}
+        _require_outcomes(row["outcomes"])
+        _number(training.get("seconds") or 0)
+        yield row
 
 
-def _same(row: Mapping[str, Any]) -> dict[str, Any]:
-    """What must be the same in rows that are counted together."""
-    return {name: value for name, value in row.items() if name not in (*_OWN, *_MEANS)}
+def _require_outcomes(outcomes: Mapping[str, Any]) -> None:
+    """Refuse columns that aren't those of one list of episodes."""
+    whole = all(
+        type(value) is int and 0 <= value < 2**31
+        for values in outcomes.values()
+        for value in values
+    )
+    lengths = {len(values) for values in outcomes.values()}
+    if not whole or len(lengths) > 1 or lengths == {0} or max(outcomes["success"]) > 1:
+        raise InvalidScores("outcomes aren't columns of one whole number an episode")
 
 
-def _together(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
-    """One row of the episodes of two."""
-    episodes, successes = (one[name] + other[name] for name in ("episodes", "successes"))
-    steps = sum((row["steps"] or 0) * row["successes"] for row in (one, other))
+def _together(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """One row of the episodes of several."""
+    rows = sorted(rows, key=lambda row: str(row["seeds"]))
+    columns = {
+        name: [value for row in rows for value in row["outcomes"][name]]
+        for name in rows[0]["outcomes"]
+    }
+    success, episodes = columns["success"], len(columns["success"])
+    reached = [steps for steps, done in zip(columns["steps"], success, strict=True) if done]
+    counted = [len(row["outcomes"]["success"]) for row in rows]
     return {
-        **one,
+        **{name: value for name, value in rows[0].items() if name != "outcomes"},
         "episodes": episodes,
-        "successes": successes,
-        "success_rate": successes / episodes,
-        "interval": list(wilson(successes, episodes)),
-        "steps": steps / successes if successes else None,
-        "training": one["training"] or other["training"],
-        "seeds": sorted([*one["seeds"], *other["seeds"]]),
+        "successes": sum(success),
+        "success_rate": sum(success) / episodes,
+        "interval": list(cluster_interval(success, columns["start"], columns["goal"])),
+        "steps": sum(reached) / len(reached) if reached else None,
+        "starts": len(set(columns["start"])),
+        "goals": len(set(columns["goal"])),
+        "seeds": sorted(seed for row in rows for seed in row["seeds"]),
         **{
-            name: sum(row[name] * row["episodes"] for row in (one, other)) / episodes
-            for name in _MEANS
+            name: sum(row[name] * n for row, n in zip(rows, counted, strict=True)) / episodes
+            for name in ("planned_actions", "planning_seconds")
         },
     }
+
+
+def _unlike(plain: Any, value: Any, where: str = "") -> Iterator[str]:
+    """What of a configuration isn't the default's, as "planner.budget=1000"."""
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            beside = plain.get(name) if isinstance(plain, dict) else None
+            yield from _unlike(beside, inner, f"{where}.{name}" if where else str(name))
+    elif plain != value:
+        yield f"{where}={json.dumps(value)}"
+
+
+def _digest(files: Mapping[str, str]) -> str:
+    """One digest of several; of a single file its own, of none ""."""
+    if len(files) < 2:
+        return "".join(files.values())
+    return hashlib.sha256(json.dumps(files, sort_keys=True).encode()).hexdigest()
+
+
+def _number(value: Any) -> Any:
+    if not isinstance(value, int | float) or not -1e300 < value < 1e300:
+        raise InvalidScores(f"{value!r} is no number")
+    return value
 
 
 def _cell(row: Mapping[str, Any]) -> str:

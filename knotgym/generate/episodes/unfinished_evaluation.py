@@ -12,15 +12,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from knotgym.atomic_files import atomic_write, sha256
-from knotgym.configuration import as_json
-from knotgym.control.learned_policies import is_learner, learner_card
-from knotgym.datasets.states import ships, states_file
-from knotgym.runs.engine import REQUEST, require_nothing_else_left, whole_request
+from knotgym.atomic_files import atomic_write
+from knotgym.runs.engine import REQUEST, require_startable
 from knotgym.runs.progress import Progress
-from knotgym.runs.run_options import InvalidRun
+from knotgym.runs.run_options import Existing, InvalidRun
 from knotgym.runs.sealed_json import read_sealed, write_sealed
-from knotgym.runs.shards import Shard
 from knotgym.runs.staging import staging
 
 _PLAYED = "played.json"
@@ -28,8 +24,10 @@ _PAUSE = 2.0  # seconds between two savings, at least
 
 
 class PlayedEpisode(NamedTuple):
-    """What is counted of one episode."""
+    """What is counted of one episode; `start` and `goal` are rows of the state file."""
 
+    start: int
+    goal: int
     success: bool
     steps: int
     total: float
@@ -68,24 +66,24 @@ class Unfinished:
 
 @contextmanager
 def kept_beside(
-    out: Path | None, asked: dict[str, Any], resume: bool, progress: Progress
+    out: Path | None, asked: dict[str, Any], existing: Existing, progress: Progress
 ) -> Iterator[Unfinished]:
     """What was played of an evaluation that will write `out`; gone when it is written,
     or when nothing was played.
 
     Raises:
         InvalidRun: what is there to resume is of another evaluation, or damaged.
-        Occupied: another process is at it.
+        Occupied: another process is at it, or an interrupted evaluation left work unasked for.
     """
     if out is None:
         yield Unfinished()
         return
-    require_nothing_else_left(out, asked, resume, (), progress)
-    with staging(out, resume) as folder:
+    require_startable(out, asked, existing, (), progress)
+    with staging(out, existing) as folder:
         try:
             unfinished = Unfinished(folder / _PLAYED)
         except (TypeError, ValueError) as error:
-            raise InvalidRun(f"{folder / _PLAYED} is damaged; start without --resume") from error
+            raise InvalidRun(f"{folder / _PLAYED} is damaged; --restart begins anew") from error
         with atomic_write(folder / REQUEST) as temporary:
             temporary.write_text(json.dumps(asked, indent=1, sort_keys=True), encoding="utf-8")
         try:
@@ -97,22 +95,3 @@ def kept_beside(
                 shutil.rmtree(folder)
             raise
     shutil.rmtree(folder)
-
-
-def request(config: Any) -> dict[str, Any]:
-    """All that decides what an `EvaluateConfig`'s episodes come to, as JSON has it."""
-    states = config.task.states
-    source = {
-        "states": None if ships(states) else sha256(states_file(states)),
-        "policies": {one.policy: _weights(one.policy) for one in config.policies},
-    }
-    return whole_request({"config": as_json(config), "source": source}, Shard())
-
-
-def _weights(policy: str) -> str | None:
-    """SHA-256 of a learner's weights, or of the file that a policy is read from."""
-    if is_learner(policy):
-        return str(learner_card(policy)["weights_sha256"])
-    place, _, word = policy.partition(":")
-    files = [Path(name) for name in (place, word) if name and Path(name).is_file()]
-    return sha256(files[0]) if files else None

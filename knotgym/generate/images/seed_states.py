@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.atomic_files import sha256
-from knotgym.datasets.near_duplicates import NEAR
+from knotgym.datasets.near_duplicates import families
 from knotgym.datasets.states import read_states, shipped
 from knotgym.errors import KnotgymError
 from knotgym.generate.states.archive import Archive
@@ -95,7 +95,7 @@ def seed_states(
         points=np.stack(points),
         nx=np.array([code.nx for code in codes], dtype=np.int64),
         kind=np.array([classes.index(canonical_form(code)) for code in codes], dtype=np.int64),
-        family=families(np.stack(points), NEAR),
+        family=families(np.stack(points)),
         knots=tuple(sorted({knot_type(code) for code in codes})),
         source={
             "kind": "archive" if archive else "states",
@@ -131,39 +131,3 @@ def _curated(path: Path, max_nx: int, simulation: Simulation) -> list[Array]:
         simulation.lay(qpos[None])
         found.append(simulation.states()[0])
     return found
-
-
-def families(points: Array, within: float) -> NDArray[np.int64]:
-    """Number configurations so that those near each other in any symmetric form share a number.
-
-    Args:
-        points: float64 (n, beads, 3), metres.
-        within: root mean square distance of the beads at the best turn, shift, reflection, switch,
-            reversal and renumbering, metres.
-    """
-    count, beads = points.shape[:2]
-    centred = points - points.mean(axis=1, keepdims=True)
-    flat, height = centred[..., 0] + 1j * centred[..., 1], centred[..., 2]
-    square = (centred**2).sum(axis=(1, 2))
-    # rms distance from the centre; differs by less than `within` between kin
-    size = np.sqrt(square / beads)
-    # correlations over all renumberings at once, by Fourier transforms
-    flat_wave, mirrored_wave = np.fft.fft(flat), np.fft.fft(flat.conj())
-    height_wave = np.fft.fft(height)
-    leader = np.arange(count)
-    for first in range(count):
-        others = first + 1 + np.flatnonzero(np.abs(size[first + 1 :] - size[first]) < within)
-        if not len(others):
-            continue
-        best = np.full(len(others), -np.inf)
-        for direction in (1, -1):
-            own_flat = np.fft.fft(flat[first, ::direction])
-            own_height = np.fft.fft(height[first, ::direction])
-            tall = np.fft.ifft(height_wave[others] * own_height.conj()).real
-            for wave in (flat_wave, mirrored_wave):
-                agreement = np.abs(np.fft.ifft(wave[others] * own_flat.conj())) + np.abs(tall)
-                best = np.maximum(best, agreement.max(axis=1))
-        apart = np.sqrt(np.maximum(0.0, square[first] + square[others] - 2 * best) / beads)
-        for other in others[apart < within]:
-            leader[leader == leader[other]] = leader[first]
-    return np.unique(leader, return_inverse=True)[1].astype(np.int64)

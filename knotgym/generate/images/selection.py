@@ -1,6 +1,7 @@
 """Selection: which frames become pictures, with which symmetry, in which split.
 
-Pictures are even over codes, and no two are near-duplicates.
+Pictures are even over codes. No two are near-duplicates as they lie, and no two of different splits
+at any symmetry of the rope.
 
 A frame may be reflected, switched, walked the other way and renumbered to start at any bead: for a
 picture all of these are exact. So a frame with n crossings can show up to 8n codes (without
@@ -18,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from knotgym.configuration import check_numbers
-from knotgym.datasets.near_duplicates import NEAR
+from knotgym.datasets.near_duplicates import NEAR, Spectra
 from knotgym.difficulty import grade_of
 from knotgym.label_limits import LabelLimits, at_base
 from knotgym.rope import Array
@@ -103,8 +104,8 @@ class Chooser:
         self._have = Counter[tuple[str, int]]()
         self._extreme = Counter[tuple[str, int]]()
         self._codes = Counter[tuple[str, GaussCode]]()
-        self._waves = np.empty((_BLOCK, 2 * beads), dtype=np.complex128)
-        self._squares = np.empty(_BLOCK)
+        waves = np.empty((_BLOCK, beads), dtype=np.complex128)
+        self._known = Spectra(waves, waves.copy(), np.empty(_BLOCK))  # as many rows as are chosen
 
     def lacking(self) -> dict[tuple[str, int], int]:
         """(split, nx) -> pictures still wanted, where there are any."""
@@ -134,7 +135,7 @@ class Chooser:
             return self._refuse("crossing at the base bead")
         if self._wrong(shown.code, split):  # rounding moved a crossing over a bead
             return self._refuse("code changed")
-        if not self._apart(moved):
+        if not self._apart(moved, split):
             return self._refuse("near-duplicate")
         self._have[key] += 1
         self._extreme[key] += is_extreme
@@ -184,26 +185,23 @@ class Chooser:
             base_shift=(-base if option.reverse else base) % beads,
         )
 
-    def _apart(self, points: Array) -> bool:
-        """Whether nothing chosen is a near-duplicate; remembers the points if so.
-
-        As `datasets.near_duplicates.distances`, everything chosen kept in one array.
-        """
-        n, beads = len(self.chosen), len(points)
-        centred = points - points.mean(axis=0)
-        flat, height = centred[:, 0] + 1j * centred[:, 1], centred[:, 2]
-        square = float((centred**2).sum())
-        if n:
-            larger = np.abs(np.sqrt(self._squares[:n]) - np.sqrt(square))
-            like = np.flatnonzero(larger < NEAR * np.sqrt(beads))
-            waves = self._waves[like]
-            agreement = np.abs(waves[:, :beads] @ flat.conj()) + waves[:, beads:].real @ height
-            if (square + self._squares[like] - 2 * agreement < NEAR**2 * beads).any():
-                return False
-        if n == len(self._squares):
-            self._waves = np.concatenate([self._waves, np.empty_like(self._waves)])
-            self._squares = np.concatenate([self._squares, np.empty_like(self._squares)])
-        self._waves[n, :beads], self._waves[n, beads:], self._squares[n] = flat, height, square
+    def _apart(self, points: Array, split: str) -> bool:
+        """Whether nothing chosen is a near-duplicate; remembers the points if so."""
+        n, own = len(self.chosen), Spectra.of(points[None])
+        # root mean square sizes of near-duplicates differ by less than NEAR
+        larger = np.abs(np.sqrt(self._known.square[:n]) - np.sqrt(own.square))
+        like = np.flatnonzero(larger < NEAR * np.sqrt(len(points)))
+        if (own.turned_distances(self._known.taken(like)) < NEAR).any():
+            return False
+        elsewhere = [row for row in like.tolist() if self.chosen[row].split != split]
+        others = self._known.taken(np.array(elsewhere, dtype=np.int64))
+        close = others.taken(np.flatnonzero(own.least_distances(others)[0] < NEAR))
+        if (own.taken(np.zeros(len(close.flat), np.int64)).pair_distances(close) < NEAR).any():
+            return False
+        if n == len(self._known.square):
+            self._known = Spectra(*(np.concatenate([a, np.empty_like(a)]) for a in self._known))
+        for known, new in zip(self._known, own, strict=True):
+            known[n] = new[0]
         return True
 
 

@@ -22,7 +22,7 @@ import numpy as np
 import knotgym
 from knotgym.atomic_files import atomic_write, sha256
 from knotgym.configuration import as_json
-from knotgym.datasets.near_duplicates import NEAR, distances
+from knotgym.datasets.near_duplicates import pairs_within
 from knotgym.datasets.splits import STATE_SPLITS
 from knotgym.datasets.state_schema import RANDOM_WALK
 from knotgym.datasets.states import States, write_states
@@ -39,7 +39,7 @@ from knotgym.generate.states.random_walk import (
 from knotgym.generate.states.state_recipe import SpoiltCheckpoint
 from knotgym.quality import UNITS, Quality
 from knotgym.rendering.picture import draw_many
-from knotgym.rope import Rope
+from knotgym.rope import Array, Rope
 from knotgym.runs.engine import CHECKPOINT, Batch, run
 from knotgym.runs.progress import Progress, Status
 from knotgym.runs.run_options import InvalidRun, NotEnough, RunOptions
@@ -200,12 +200,18 @@ class RandomWalkRecipe:
             kind = state.code.nx, self.config.split(state.rope)
             if have[kind] >= self.config.wanted(*kind):
                 continue
-            others = [one.points for one in self.accepted]
-            if others and (distances(state.points, np.stack(others)) < NEAR).any():
+            if self._is_near(state.points):
                 self.rejected[state.code.nx]["near-duplicate"] += 1
                 continue
             have[kind] += 1
             self.accepted.append(state)
+
+    def _is_near(self, points: Array) -> bool:
+        """Whether a symmetry brings a configuration near an accepted one, of whatever split: a
+        rope's split is settled before it walks.
+        """
+        accepted = [one.points for one in self.accepted]
+        return bool(accepted) and bool(pairs_within(points[None], np.stack(accepted)))
 
     def _have(self) -> Counter[tuple[int, str]]:
         return Counter((one.code.nx, self.config.split(one.rope)) for one in self.accepted)

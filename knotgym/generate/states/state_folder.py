@@ -21,7 +21,7 @@ from knotgym.datasets.episode_writer import EpisodeWriter
 from knotgym.datasets.gallery import write_gallery
 from knotgym.datasets.machine import machine
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
-from knotgym.datasets.splits import STATE_SPLITS, split
+from knotgym.datasets.splits import STATE_SPLITS, kept_together, split
 from knotgym.datasets.state_schema import DRAWING
 from knotgym.datasets.states import States, demonstrations_id, write_states
 from knotgym.generate.states.demonstrations import POLICY
@@ -52,7 +52,7 @@ def states_of(recipe: StateRecipe) -> States:
         splits += split(codes, config.split_by, config.train_share, rng).tolist()
     points = np.stack([one.points for one in made])
     crossings = np.array([one.code.nx for one in made], dtype=np.int64)
-    dealt = np.array(splits)
+    dealt = kept_together(np.array(splits), points, [one.code for one in made])
     longest = max(len(one.actions) for one in made)
     actions = [np.pad(one.actions, ((0, longest - len(one.actions)), (0, 0))) for one in made]
     steps = np.array([len(one.actions) for one in made], dtype=np.int64)
@@ -101,7 +101,8 @@ def demonstrations_of(
 ) -> dict[str, NDArray[Any]]:
     """The columns that say which demonstration belongs to each state.
 
-    Each nx and split has a dataset, its episodes in the order of the states.
+    Each nx and split has a dataset, its episodes in the order of the states; "" of a state that
+    has none.
 
     Args:
         nx: int64 (n,), of the states.

@@ -78,9 +78,7 @@ class SpoiltCheckpoint(KnotgymError, ValueError):
 
     def __init__(self, folder: Path, reason: object) -> None:
         said = " ".join(str(reason).split())
-        super().__init__(
-            f"{folder} can't be resumed, it is damaged ({said}); start without --resume"
-        )
+        super().__init__(f"{folder} can't be resumed, it is damaged ({said}); start with --restart")
 
 
 def generate(

@@ -1,0 +1,61 @@
+"""Clone an expert from the vertices of the rope: behaviour cloning in torch, half a minute.
+
+    python examples/learners/clone.py --data knotgym/unknot-nx2/expert-v0 --out cloned.pt
+
+The policy picks a bead by classification and its force by regression. `knotgym evaluate --policy
+cloned.pt` measures it.
+"""
+
+import argparse
+
+import torch
+from torch import nn
+
+from knotgym.loaders import arrays
+
+
+class Policy(nn.Module):
+    """Which bead to pull, and with which force, from the vertices of the rope and of the goal."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.body = nn.Sequential(nn.Linear(600, 512), nn.ReLU(), nn.Linear(512, 512), nn.ReLU())
+        self.bead, self.force = nn.Linear(512, 100), nn.Linear(512, 3)
+
+    def forward(self, state: torch.Tensor) -> torch.Tensor:
+        hidden = self.body(5 * state)  # vertices lie within 0.2 of the middle
+        bead = self.bead(hidden).argmax(1)
+        # an action's position is normalized by 2 m
+        position = state.reshape(-1, 200, 3)[torch.arange(len(state)), bead] / 2
+        return torch.cat([position, self.force(hidden).tanh()], 1)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument(
+        "--data", default="knotgym/unknot-nx2/expert-v0", help="Minari id or folder"
+    )
+    parser.add_argument("--epochs", type=int, default=60)
+    parser.add_argument("--out", default="cloned.pt", help="TorchScript file to write")
+    options = parser.parse_args()
+    data = arrays(options.data, observation="state")
+    states, actions = torch.tensor(data["observations"]), torch.tensor(data["actions"])
+    # the bead that the expert pulled is the one nearest to the action's position
+    offsets = states.reshape(-1, 200, 3)[:, :100] - 2 * actions[:, None, :3]
+    beads = (offsets**2).sum(2).argmin(1)
+    torch.manual_seed(0)
+    policy = Policy()
+    optimizer = torch.optim.AdamW(policy.parameters(), 3e-4)
+    for _ in range(options.epochs):
+        for rows in torch.randperm(len(states)).split(128):
+            hidden = policy.body(5 * states[rows])
+            loss = nn.functional.cross_entropy(policy.bead(hidden), beads[rows])
+            loss = loss + nn.functional.mse_loss(policy.force(hidden).tanh(), actions[rows, 3:])
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+    torch.jit.script(policy).save(options.out)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,156 @@
+"""Knot diagrams of the rope for people: large, smooth, with a gap where a strand goes under.
+
+Galleries, films and the window of `render_mode="human"` are drawn here. What an agent observes is
+drawn by `picture` and doesn't depend on this module. Same points, same bytes.
+
+The rope is painted as in `picture`, from the lowest piece to the highest. At each crossing two
+things are painted between the strands: a band of background along the over strand, wider than the
+rope, which cuts the gap, and the over strand itself once more, as the band covers it too.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from knotgym.rendering.camera import PictureConfig, bead_colours, checked_points, project, seen_from
+from knotgym.rendering.rasterizer import EDGE, SHIFT, average, polygons
+from knotgym.topology.crossings import Crossings, find_crossings
+
+Array = NDArray[np.float64]
+
+BACKGROUND = (7, 8, 12)  # RGB
+_PARTS = 4  # pieces of the smooth curve per bead
+_GAP = 1.8  # width of the band, in widths of the rope
+_REACH = 4  # beads on each side of a crossing that the band covers at most
+_MARGIN = 1.12  # what the picture shows, in extents of the rope
+_SMALLEST = 0.12  # metres that a side shows at least
+_RADIUS, _THINNEST = 0.005, 1 / 80  # of the rope, metres; and at least this share of a side
+_PULL, _ARROW = (255, 255, 255), 0.15  # RGB; share of a side that stands for the largest force
+
+
+def draw_diagram(
+    points: ArrayLike,
+    size: int = 192,
+    *,
+    side: float | None = None,
+    view: str = "top",
+    pull: tuple[int, Array] | None = None,
+) -> NDArray[np.uint8]:
+    """Draw a rope as a knot diagram, orthographic, in the middle of the picture.
+
+    Args:
+        points: float64 (beads, 3), metres, finite; at least 3 beads.
+        size: pixels of a side.
+        side: metres that a side shows; by default the rope fills the picture.
+        view: "top", the one that Gauss codes are read in, "left" or "front".
+        pull: a bead, and the force on it in units of the largest there is, (3,): an arrow.
+
+    Returns:
+        uint8 (size, size, 3), RGB.
+
+    Raises:
+        PictureError: points have another shape or are not finite, or the size is out of range.
+    """
+    rope = seen_from(view, checked_points(points, 2))
+    curve, crossings = _smooth(rope)
+    shown = side or side_of(rope)
+    config = PictureConfig(size=size, view=shown, rope_radius=max(_RADIUS, _THINNEST * shown))
+    centre = 0.5 * (rope.min(axis=0) + rope.max(axis=0))
+    picture = _paint(curve, crossings, project(curve, config, centre), config)
+    if pull is not None:
+        bead, force = pull
+        start = project(rope[bead][None], config, centre)[0]
+        push = seen_from(view, np.asarray(force)[None])[0]
+        _arrow(picture, start, start + _ARROW * size * np.array([push[0], -push[1]]))
+    return picture
+
+
+def side_of(points: ArrayLike) -> float:
+    """Metres of the smallest square picture that shows each of (..., beads, 3) whole, from above.
+
+    >>> side_of(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.5, 0.0]]))
+    1.12
+    """
+    extent = np.ptp(np.asarray(points)[..., :2], axis=-2).max()
+    return max(_SMALLEST, _MARGIN * float(extent))
+
+
+def _smooth(rope: Array) -> tuple[Array, Crossings]:
+    """A closed curve through the beads, _PARTS pieces each, and its crossings.
+
+    It is the Catmull-Rom spline, and where that has another Gauss code the polyline of the beads.
+    """
+    code = find_crossings(rope).code
+    before, after = np.roll(rope, 1, axis=0), np.roll(rope, -1, axis=0)
+    beyond = np.roll(rope, -2, axis=0)
+    t = (np.arange(_PARTS) / _PARTS)[:, None, None]
+    # through rope and after, with the tangents (after - before) / 2 and (beyond - rope) / 2
+    slope, bend = after - before, 2 * before - 5 * rope + 4 * after - beyond
+    spline = rope + 0.5 * t * (slope + t * (bend + t * (3 * (rope - after) + beyond - before)))
+    for curve in (spline, rope + t * (after - rope)):
+        laid = np.ascontiguousarray(curve.swapaxes(0, 1)).reshape(-1, 3)
+        crossings = find_crossings(laid)
+        if crossings.code == code:
+            break
+    return laid, crossings
+
+
+def _paint(
+    curve: Array, crossings: Crossings, pixels: Array, config: PictureConfig
+) -> NDArray[np.uint8]:
+    """Paint the curve, whose points appear at `pixels` (n, 2)."""
+    finer, count = config.supersampling, len(curve)
+    canvas = np.full((finer * config.size, finer * config.size, 3), BACKGROUND, dtype=np.uint8)
+    radius = finer * config.drawn_radius * config.pixels_per_metre
+
+    def outlines(radius: float) -> tuple[NDArray[np.int32], NDArray[np.intp], Array]:
+        wide = np.full(count, max(radius - EDGE, EDGE))
+        return polygons(finer * pixels - 0.5, curve[:, 2], wide, len(canvas))
+
+    (core, owner, height), (band, band_owner, _) = outlines(radius), outlines(_GAP * radius)
+    colours = np.repeat(bead_colours(count // _PARTS), _PARTS, axis=0)[owner].tolist()
+    strokes = list(zip(height.tolist(), core, colours, strict=True))
+    reaches = _reaches(curve, crossings, config.drawn_radius)
+    for over, under, reach in zip(
+        crossings.over_place, crossings.under_place, reaches, strict=True
+    ):
+        level = float(height[_near(owner, under, reach + 2, count)].max())
+        cut, again = _near(band_owner, over, reach, count), _near(owner, over, reach + 1, count)
+        strokes += [(level, band[k], BACKGROUND) for k in cut]
+        strokes += [(level, core[k], colours[k]) for k in again]
+    for _, outline, colour in sorted(strokes, key=lambda stroke: stroke[0]):  # a stable sort
+        cv2.fillConvexPoly(canvas, outline, colour, cv2.LINE_8, SHIFT)
+    return average(canvas, finer)
+
+
+def _reaches(curve: Array, crossings: Crossings, radius: float) -> Array:
+    """How far the band of each crossing goes on either side, in pieces of the curve."""
+    step = (np.roll(curve, -1, axis=0) - curve)[:, :2]
+    length = np.linalg.norm(step, axis=1)
+    over, under = (
+        place.astype(np.intp) % len(curve)
+        for place in (crossings.over_place, crossings.under_place)
+    )
+    # two strips of half-widths w (under) and W (band) at angle a meet on a parallelogram that
+    # reaches (w + W |cos a|) / |sin a| along the band
+    product = np.maximum(length[over] * length[under], 1e-12)
+    sine = (step[over, 0] * step[under, 1] - step[over, 1] * step[under, 0]) / product
+    cosine = (step[over] * step[under]).sum(axis=1) / product
+    along = radius * (1 + _GAP * np.abs(cosine)) / np.maximum(np.abs(sine), 1e-3)
+    return np.minimum(along / length.mean() + 0.5, _REACH * _PARTS)
+
+
+def _near(owner: NDArray[np.intp], place: float, reach: float, count: int) -> NDArray[np.intp]:
+    """Which pieces have their middle within `reach` of a place along the closed curve."""
+    apart = np.abs(owner + 0.5 - place)
+    return np.flatnonzero(np.minimum(apart, count - apart) <= reach)
+
+
+def _arrow(picture: NDArray[np.uint8], start: Array, end: Array) -> None:
+    """Draw an arrow, outlined so that it shows on the rope."""
+    near, far = ((round(float(x)), round(float(y))) for x, y in (start, end))
+    for colour, thick in ((BACKGROUND, 5), (_PULL, 2)):
+        cv2.circle(picture, near, thick + 2, colour, cv2.FILLED, cv2.LINE_AA)
+        cv2.arrowedLine(picture, near, far, colour, thick, cv2.LINE_AA, tipLength=0.3)

@@ -1,0 +1,87 @@
+"""Near-duplicates are found whatever symmetry of the rope hides them."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from knotgym.datasets.near_duplicates import (
+    NEAR,
+    Spectra,
+    distances,
+    families,
+    nearest,
+    pairs_within,
+)
+from knotgym.datasets.splits import kept_together
+from knotgym.datasets.states import read_states, shipped
+from knotgym.topology.gauss import GaussCode
+from knotgym.topology.symmetry import Symmetry
+
+STATES = read_states(shipped(), images=False).points[40:70]
+
+
+def moved(points: NDArray[np.float64], seed: int) -> NDArray[np.float64]:
+    """The same rope after a symmetry drawn at random, and moved."""
+    rng = np.random.default_rng(seed)
+    reflect, switch, reverse = (bool(one) for one in rng.random(3) < 0.5)
+    symmetry = Symmetry(
+        reflect=reflect,
+        switch=switch,
+        turn=float(rng.uniform(-np.pi, np.pi)),
+        reverse=reverse,
+        base_shift=int(rng.integers(100)),
+    )
+    return symmetry.configuration(points) + rng.normal(0, 0.1, 3)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_symmetry_is_no_distance(seed: int) -> None:
+    hidden = np.stack([moved(one, seed + k) for k, one in enumerate(STATES)])
+    apart, row = nearest(hidden, STATES)
+    assert apart.max() < 1e-7 and row.tolist() == list(range(len(STATES)))
+
+
+def test_the_distance_is_the_least_over_every_symmetry() -> None:
+    one, other = STATES[0], STATES[11]
+    every = [
+        Symmetry(reflect, switch, 0.0, reverse, shift).configuration(other)
+        for reflect in (False, True)
+        for switch in (False, True)
+        for reverse in (False, True)
+        for shift in range(100)
+    ]
+    assert nearest(one[None], other[None])[0][0] == pytest.approx(
+        distances(one, np.stack(every)).min()
+    )
+
+
+def test_no_distance_is_below_its_bound() -> None:
+    spectra = Spectra.of(STATES)
+    bounds = spectra.least_distances(spectra)
+    for k in range(len(STATES)):
+        exact = spectra.taken(np.full(len(STATES), k)).pair_distances(spectra)
+        assert (bounds[k] <= exact + 1e-6).all()
+
+
+def test_pairs_are_found_once_and_families_are_kept_in_one_split() -> None:
+    points = np.concatenate([STATES[:4], [moved(STATES[1], 3)], [moved(STATES[1], 4)]])
+    assert [(i, j) for i, j, _ in pairs_within(points)] == [(1, 4), (1, 5), (4, 5)]
+    assert families(points).tolist() == [0, 1, 2, 3, 1, 1]
+    assigned = np.array(["train", "test", "test", "train", "train", "test"])
+    codes = [GaussCode()] * 3 + [GaussCode.parse("1+,1-")] * 3
+    # the fifth follows the second; the third goes the other way if it has the same nx
+    assert kept_together(assigned, points, [GaussCode()] * 6).tolist() == [
+        *("train", "test", "train", "train"),
+        *("test", "test"),
+    ]
+    assert kept_together(assigned, points, codes).tolist() == [
+        *("train", "test", "test", "train"),
+        *("test", "test"),
+    ]
+
+
+def test_no_shipped_test_state_is_near_a_train_state() -> None:
+    for name in ("readable", "random-walk", "hard-unknots"):
+        states = read_states(shipped(name), images=False)
+        train, test = states.points[states.split == "train"], states.points[states.split == "test"]
+        assert pairs_within(test, train, NEAR) == []

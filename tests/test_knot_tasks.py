@@ -1,0 +1,120 @@
+"""Tasks join states of one knot type: what no pull can reach is refused, and what fits is named."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.rollouts import rollout
+from knotgym.datasets.episode_verification import episode_faults
+from knotgym.datasets.states import States, merge_states, read_states, shipped, write_states
+from knotgym.env import KnotEnv
+from knotgym.rope import Rope
+from knotgym.tasks import InvalidSetting
+from knotgym.topology.gauss import GaussCode
+
+from .small_job import knotgym
+
+
+@pytest.fixture
+def path(trefoils: States, tmp_path: Path) -> str:
+    write_states(tmp_path / "trefoils.h5", trefoils)
+    return str(tmp_path / "trefoils.h5")
+
+
+def made(task: str, path: str, **settings: Any) -> KnotEnv:
+    return KnotEnv(task, states=path, observation="symbolic", **settings)
+
+
+def test_a_tie_of_a_knot_starts_at_its_least_diagram(path: str, trefoils: States) -> None:
+    env = made("tie", path, nx=4)
+    for seed in range(4):
+        info = env.reset(seed=seed)[1]
+        assert (info["crossings"], GaussCode.parse(info["goal_gauss_code"]).nx) == (3, 4)
+        assert trefoils.nx[info["start"]] == 3 and info["start_states"] == "own"
+
+
+@pytest.mark.parametrize("split", ["train", "test"])
+def test_a_tie_to_the_least_diagram_starts_with_another_code(path: str, split: str) -> None:
+    env = made("tie", path, nx=3, split=split)
+    told = [env.reset(seed=seed)[1] for seed in range(12)]
+    assert all(info["gauss_code"] != info["goal_gauss_code"] for info in told)
+    assert len({info["goal_gauss_code"] for info in told}) == 2
+
+
+def test_a_tie_whose_only_goal_is_its_start_is_refused(path: str) -> None:
+    with pytest.raises(InvalidSetting, match="its only goal's code already"):
+        made("tie", path, nx=3, max_goals=1)
+
+
+def test_conversions_go_on_within_the_knot(path: str) -> None:
+    info = made("convert", path, nx=4).reset(seed=0)[1]
+    assert (info["crossings"], GaussCode.parse(info["goal_gauss_code"]).nx) == (3, 4)
+
+
+@pytest.mark.parametrize(("task", "nx"), [("unknot", 3), ("unknot", 4), ("convert", 3)])
+def test_what_no_pull_reaches_is_refused_with_the_tasks_that_fit(
+    path: str, task: str, nx: int
+) -> None:
+    with pytest.raises(InvalidSetting) as caught:
+        made(task, path, nx=nx)
+    assert "\n" not in str(caught.value)
+    assert "tie with nx = 3, 4; convert with nx = 4" in str(caught.value)
+
+
+def test_gymnasium_refuses_it_too(path: str) -> None:
+    with pytest.raises(InvalidSetting, match="no pull changes the knot type"):
+        gym.make("knotgym/Unknot-v0", nx=3, states=path)
+
+
+def test_evaluation_refuses_it_in_one_line(path: str, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ("--task", "unknot", "--nx", 3, "--policy", "random", "--episodes", 2)
+    assert knotgym("evaluate", *words, "--states", path) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "start as 3_1 and end as 0_1" in line and "tie with nx = 3, 4" in line
+
+
+def test_a_file_of_two_knots_is_refused(trefoils: States, tmp_path: Path) -> None:
+    loops = read_states(shipped())
+    loops = loops.taken(np.flatnonzero(loops.nx == 3))
+    bare = {name: loops.columns()[name] for name in trefoils.columns()}
+    both = merge_states([trefoils, loops.with_columns(bare)])
+    write_states(tmp_path / "both.h5", both)
+    with pytest.raises(InvalidSetting, match="keep one type, with knotgym dataset select"):
+        made("unknot", str(tmp_path / "both.h5"), nx=3)
+
+
+def test_verification_finds_an_episode_between_knots_and_one_that_starts_reached(
+    path: str, trefoils: States
+) -> None:
+    env = made("tie", path, nx=4, horizon=2)
+    policy = make_policy(PolicyConfig(policy="random"))
+    episode = rollout(env.config, policy, [0], 0)[0].episode
+    assert episode_faults(episode, env.config, Rope()) == []
+    loop = replace(episode, goal_points=Rope().loop(), goal_gauss_code="")
+    assert "starts as 3_1, and its goal is 0_1: no pull changes the knot type" in episode_faults(
+        loop, env.config, Rope()
+    )
+    reached = replace(
+        episode, goal_points=episode.points[0], goal_gauss_code=str(episode.gauss_code[0])
+    )
+    assert "starts in its goal's code" in episode_faults(reached, env.config, Rope())
+
+
+@pytest.mark.parametrize("task", ["unknot", "tie", "convert"])
+def test_tasks_draw_from_the_splits_by_code(task: str) -> None:
+    states = read_states(shipped(), images=False)
+    env = KnotEnv(task, nx=3, split="test-code", observation="symbolic")
+    side = "start" if task == "unknot" else "goal"
+    assert np.array_equal(env.episodes.rows(side), states.rows(3, "test-code"))
+
+
+def test_a_split_by_code_without_codes_to_hold_out_is_refused(path: str, trefoils: States) -> None:
+    with pytest.raises(InvalidSetting, match="give an nx of at least 2"):
+        KnotEnv("unknot", nx=1, split="train-code")
+    with pytest.raises(InvalidSetting, match="too few diagrams"):
+        made("tie", path, nx=3, split="test-code")

@@ -1,0 +1,101 @@
+"""A command that is typed in somebody else's folder runs no code that lies there."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from knotgym.datasets.foreign_file import try_files
+
+from .small_job import SECONDS
+
+PLANTED = (
+    *("knotgym", "h5py", "numpy", "mujoco", "numba", "cv2", "minari", "gymnasium", "typer", "rich"),
+    *("pickle", "json", "threading", "signal", "selectors", "runpy", "tempfile", "random"),
+    *("torch", "safetensors", "yaml", "openai", "distributed", "datasets", "pyarrow", "av"),
+    *("sitecustomize", "usercustomize", "mine_too"),
+)
+COMMANDS = {
+    "help": "--help",
+    "collect": "collect --policy random --task unknot --nx 1 --episodes 9 --horizon 2 --out out"
+    " --workers 2 --quiet",
+    "evaluate": "evaluate --policy random --task unknot --nx 1 --episodes 9 --horizon 2"
+    " --workers 2 --quiet",
+    "own policy": "evaluate --policy mine:act --task unknot --nx 1 --episodes 9 --horizon 2"
+    " --workers 2 --quiet",
+    "verify": "dataset verify states.h5",
+    "show": "dataset show states.h5",
+    "page": "dataset page states.h5 --out page.html",
+    "prompt": "prompt --mode open --show",
+}
+
+
+@pytest.fixture
+def planted(tmp_path: Path, states_path: str) -> Path:
+    """A folder with a state file, a policy, and modules that leave a mark when they are run."""
+    folder = tmp_path / "downloaded"
+    folder.mkdir()
+    mark = f"open({str(tmp_path / 'mark')!r}, 'a').write(__name__ + '\\n')\n"
+    for name in PLANTED:
+        (folder / f"{name}.py").write_text(mark)
+    for name in ("knotgym", "multiprocessing", "concurrent"):
+        (folder / name).mkdir()
+        (folder / name / "__init__.py").write_text(mark)
+    (folder / "states.h5").write_bytes(Path(states_path).read_bytes())
+    (folder / "beside.py").write_text("PULL = [0, 0, 0, 0, 0, 0]\n")
+    (folder / "mine.py").write_text(
+        "from beside import PULL\n\n\ndef act(observation):\n    return PULL\n"
+    )
+    # what an installer writes as the command; its folder, not the current one, is on the path
+    command = tmp_path / "bin" / "knotgym"
+    command.parent.mkdir()
+    command.write_text(
+        "import sys\nfrom knotgym.cli.main import main\n\n"
+        "if __name__ == '__main__':\n    sys.exit(main())\n"
+    )
+    return folder
+
+
+@pytest.mark.parametrize("typed", COMMANDS.values(), ids=[*COMMANDS])
+def test_no_command_imports_from_the_current_folder(typed: str, planted: Path) -> None:
+    environment = {name: text for name, text in os.environ.items() if name != "PYTHONSAFEPATH"}
+    ended = subprocess.run(
+        [sys.executable, planted.parent / "bin" / "knotgym", *typed.split()],
+        cwd=planted,
+        env={**environment, "HOME": str(planted.parent)},
+        capture_output=True,
+        text=True,
+        timeout=SECONDS,
+    )
+    # the test's state file lacks columns, which is what `verify` says by its status
+    assert ended.returncode == (1 if "verify" in typed else 0), ended.stderr
+    mark = planted.parent / "mark"
+    assert not mark.exists(), mark.read_text()
+
+
+def test_a_foreign_file_is_tried_without_what_lies_beside_it(
+    planted: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(planted)
+    try_files([planted / "states.h5"])
+    assert not (planted.parent / "mark").exists()
+
+
+def test_numba_s_cache_is_not_where_a_file_in_the_current_folder_says(tmp_path: Path) -> None:
+    (tmp_path / ".numba_config.yaml").write_text("cache_dir: planted\n")
+    script = (
+        "import sys, types\n"
+        "yaml = sys.modules['yaml'] = types.ModuleType('yaml')\n"  # it may not be installed
+        "yaml.safe_load = lambda *_, **__: {'cache_dir': 'planted'}\n"
+        "import knotgym, numba\n"
+        "print(repr(numba.config.CACHE_DIR))"
+    )
+    environment = {name: text for name, text in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    told = subprocess.run(
+        [sys.executable, "-P", "-c", script], cwd=tmp_path, env=environment, capture_output=True
+    )
+    assert told.stdout == b"''\n", told.stderr
