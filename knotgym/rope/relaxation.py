@@ -1,7 +1,7 @@
 """Relaxation without physics: strands part in the picture, bends ease, and the Gauss code stays.
 
-A thousandth of the cost of a hill climb in the simulator (`generate.states.hill_climb`), for
-pictures, which need a rope that could lie so and no actions that lead there. Each iteration pushes
+For pictures, which need a rope that could lie so and no actions that lead there; it takes a
+thousandth of the time that moving the rope in the simulator would. Each iteration pushes
 apart vertices whose strands come near in the picture, straightens bends, lifts the strands at
 crossings apart, and gives every bead its length again (position-based dynamics, Müller et al.,
 2007).
