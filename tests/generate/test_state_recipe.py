@@ -33,6 +33,7 @@ from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import knot_type, shows
 from knotgym.topology.symmetry import mirror_images
 
+from ..conftest import curled, trefoil
 from ..small_job import SMALL, knotgym
 
 WANTED = ("--no-demonstrations", "--nx", "0-1", "--every-code", 1, "--workers", 1, "--quiet")
@@ -184,6 +185,20 @@ def test_a_code_without_a_sequence_is_passed_over_for_the_next() -> None:
     recipe.searches[2, order[0]] = 1
     assert [index for _, index, _ in recipe._window(2, {})[1]] == order[1:6]
     assert recipe.report()["passed_over"]["2"] == [str(recipe.codes[2][order[0]])]
+
+
+def test_sequences_begin_at_the_curve_of_a_file_even_of_an_unknot(tmp_path: Path) -> None:
+    np.save(tmp_path / "curled.npy", curled(2))
+    recipe = StateRecipe(replace(SMALL, nx=(1,), knot=str(tmp_path / "curled.npy")))
+    recipe.begin()
+    assert recipe.knot == "0_1" and recipe.search.max_nx == 2
+    assert recipe.archive.settings["start"] == recipe.start.points.tolist()
+
+
+def test_an_archive_that_begins_elsewhere_is_refused(tmp_path: Path, rope: Rope) -> None:
+    new_archive(SearchConfig(), rope.from_curve(trefoil())).save(tmp_path / "archive.h5")
+    with pytest.raises(KnotgymError, match="begin at another curve"):
+        StateRecipe(SMALL, archive=tmp_path / "archive.h5").begin()
 
 
 def test_codes_whose_sequences_are_known_first_fill_the_count() -> None:

@@ -55,7 +55,8 @@ class GenerateConfig:
         wave: codes worked on between two checkpoints.
         planned: codes that one wave of the planner searches for.
         batch: drawings of a code in a wave.
-        stalled: play ends once a round adds fewer codes than this; the planner takes over.
+        stalled: play ends once a round adds fewer codes than this, and the planner takes over; 0 to
+            play on until all are known.
         search: how play searches for codes.
         planner: how the planner searches for the codes that play has not met.
         drawing: how codes are drawn.

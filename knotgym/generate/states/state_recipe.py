@@ -139,6 +139,8 @@ class StateRecipe:
         self.config, self.shard, self.given = config, shard or Shard(), archive
         self._start: Start | None = None
         self.knot = config.knot if _is_tabled(config.knot) else self.start.knot
+        if type_of(self.knot) == UNKNOT:
+            self.knot = UNKNOT
         self.least = diagram_of(self.knot).nx
         _require_possible(config, self.knot)
         self.codes = {nx: CodeOrder(config, self.knot, self.shard, nx) for nx in config.nx}
@@ -187,7 +189,8 @@ class StateRecipe:
     def begin(self) -> None:
         if not any(map(self.has_ways, self.config.nx)):
             return
-        fresh = new_archive(self.search, None if self.knot == UNKNOT else self.start.points)
+        is_loop = np.array_equal(self.start.points, Rope().loop())
+        fresh = new_archive(self.search, None if is_loop else self.start.points)
         self.archive = Archive.load(self.given) if self.given else fresh
         if _origin(self.archive) != _origin(fresh):
             raise InvalidGenerateConfig(
