@@ -167,7 +167,6 @@ def generate(
         knotgym generate --nx 2-4 --source random-walk
     """
     with Progress(quiet) as progress:
-        progress.stage("loading")
         from knotgym.datasets.minari_dataset import loading_lines
         from knotgym.generate.states.generate_config import GenerateConfig
         from knotgym.generate.states.random_walk import RandomWalkConfig

@@ -332,7 +332,7 @@ def test_a_run_says_a_line_before_it_imports_anything_heavy(
 ) -> None:
     monkeypatch.setattr("knotgym.generate.states.state_recipe.run", lambda *_: None)
     assert knotgym("generate", "--count", 1, "--out", tmp_path / "a") == 0
-    assert re.match(r"\s+0 s  loading\n", capfd.readouterr().out)
+    assert re.match(r"\s+0 s  starting\n", capfd.readouterr().out)
 
 
 @pytest.mark.parametrize(

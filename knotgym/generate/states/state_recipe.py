@@ -58,7 +58,7 @@ from knotgym.runs.progress import Progress, Status, tell_if_long
 from knotgym.runs.run_options import NotEnough, RunOptions
 from knotgym.runs.sealed_json import read_sealed, write_sealed
 from knotgym.runs.shards import Shard
-from knotgym.states.near_duplicates import NEAR, distances
+from knotgym.states.near_duplicates import pairs_within
 from knotgym.states.schema import DRAWING
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import UNKNOT, UnknownKnot, diagram_of, type_of
@@ -401,9 +401,9 @@ class StateRecipe:
         yield Batch(draw_states, units[: config.wave], absorb, "drawing")
 
     def _is_near(self, state: MadeState) -> bool:
-        """Whether a state is a near-duplicate of an accepted one."""
+        """Whether a symmetry brings a state near an accepted one with as many crossings."""
         others = [one.points for one in self._made(state.code.nx).values()]
-        return bool(others) and bool((distances(state.points, np.stack(others)) < NEAR).any())
+        return bool(others) and bool(pairs_within(state.points[None], np.stack(others)))
 
     def _made(self, nx: int) -> dict[Slot, MadeState]:
         """The accepted states with nx crossings, in the order of their slots."""
