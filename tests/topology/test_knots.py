@@ -9,8 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from knotgym.topology.crossings import label
-from knotgym.topology.diagrams import NotPlanar, chiralities, drawn, faces, is_planar, planar_codes
-from knotgym.topology.gauss import GaussCode, UnknownChirality
+from knotgym.topology.diagrams import (
+    NotPlanar,
+    chiralities,
+    faces,
+    is_planar,
+    planar_codes,
+    with_chirality,
+)
+from knotgym.topology.gauss import GaussCode, InvalidGaussCode
 from knotgym.topology.knots import UndecidedKnot, handedness, is_unknot, knot_type
 from knotgym.topology.polynomials import alexander_polynomial, jones_polynomial, mirrored_jones
 from knotgym.topology.reidemeister import simplify, without_bigons
@@ -45,7 +52,7 @@ def from_dowker(notation: tuple[int, ...]) -> GaussCode:
     visits = [0] * (2 * len(notation))
     for i, even in enumerate(notation):
         visits[2 * i], visits[even - 1] = i + 1, -i - 1
-    return drawn(GaussCode.relabelled(visits))
+    return with_chirality(GaussCode.relabelled(visits))
 
 
 def pretzel(*columns: int) -> GaussCode:
@@ -56,7 +63,7 @@ def pretzel(*columns: int) -> GaussCode:
         heights = [int(np.sign(twists)) * (-1) ** k * (int(start) + k) for k in range(abs(twists))]
         down.append(heights)
         up.append([-height for height in heights[::-1]])
-    return drawn(GaussCode.relabelled(down[0] + up[1] + down[2] + up[0] + down[1] + up[2]))
+    return with_chirality(GaussCode.relabelled(down[0] + up[1] + down[2] + up[0] + down[1] + up[2]))
 
 
 def tied(code: GaussCode, other: GaussCode) -> GaussCode:
@@ -290,7 +297,7 @@ def test_the_figure_eight_and_the_unknot_have_no_hand() -> None:
 
 
 def test_handedness_needs_letters() -> None:
-    with pytest.raises(UnknownChirality):
+    with pytest.raises(InvalidGaussCode):
         handedness(TREFOIL.plain)
 
 
