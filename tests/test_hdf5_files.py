@@ -164,13 +164,13 @@ def elsewhere(file: h5py.File) -> None:
         (lambda file: file.update({"numbers": h5py.SoftLink("/attic")}), "is a link"),
         (
             lambda file: file.create_dataset("numbers", (5,), "i8", external=[("raw", 0, 40)]),
-            "lies in other files",
+            "is in other files",
         ),
-        (elsewhere, "lies in other files"),
+        (elsewhere, "is in other files"),
         (lambda file: file.create_group("numbers"), "is a group"),
         (
             lambda file: file.create_dataset("numbers", (5,), "i8", compression="lzf"),
-            "is compressed in another way than gzip",
+            "is compressed, but not with gzip",
         ),
     ],
 )
