@@ -91,7 +91,9 @@ def drawn_curve(
         flat, visits = _flat(code, rng, config)
         curve = _lifted(flat, visits, code, rng, rope.config.length, config)
     else:
+        # the plain loop in either direction
         curve = rope.loop() * (1, rng.choice((-1, 1)), 1)
+    # row vectors are rotated, so this is the transposed rotation matrix
     turn = rng.uniform(0, 2 * np.pi)
     turned = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
     curve[:, :2] = curve[:, :2] @ turned
@@ -146,6 +148,7 @@ def _lifted(
     arc = np.concatenate([[0.0], np.cumsum(_steps(flat))])  # metres along the rope from visit 0
     ends = np.append(arc[visits], arc[-1])
     tops = np.sign(np.append(code.visits, code.visits[0])) * config.height / 2
+    # all edges have the same number of segments; `share` runs from 0 to 1 along each
     edge = np.repeat(np.arange(len(visits)), len(flat) // len(visits))
     share = (arc[:-1] - ends[edge]) / np.diff(ends)[edge]
     z = tops[edge] + np.diff(tops)[edge] * (1 - np.cos(np.pi * share)) / 2

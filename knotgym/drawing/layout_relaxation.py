@@ -96,25 +96,14 @@ def relax_layout(
     Returns:
         The positions and the walk after relaxation and splitting.
     """
+    strengths = (
+        *(config.tension, config.bending, config.crossing, config.push, config.reach),
+        *(config.power, config.most, config.step),
+    )
     at = at.copy()
     iterations = config.first
     while True:
-        _relax(
-            at,
-            walk,
-            left,
-            right,
-            shares,
-            iterations,
-            config.tension,
-            config.bending,
-            config.reach,
-            config.push,
-            config.crossing,
-            config.power,
-            config.most,
-            config.step,
-        )
+        _relax(at, walk, left, right, shares, iterations, strengths)
         if len(walk) >= config.segments:
             return at, walk
         at, walk = _split(at, walk)
@@ -136,20 +125,14 @@ def _relax(
     right: Integers,
     shares: Array,
     iterations: int,
-    tension: float,
-    bending: float,
-    reach: float,
-    push: float,
-    crossing: float,
-    power: float,
-    most: float,
-    step: float,
+    strengths: tuple[float, float, float, float, float, float, float, float],
 ) -> None:
-    """Run the iterations, changing `at`; arguments as in `relax_layout` and its configuration.
+    """Run the iterations, changing `at`; `strengths` are fields of the configuration.
 
     `force` (nodes, 2) sums the forces on each node. `stiff` (nodes,) sums their derivatives by the
     node's own position, without signs or cross terms.
     """
+    tension, bending, crossing, push, reach, power, most, step = strengths
     nodes, count, edges = len(at), len(walk), len(left)
     per_edge = count // edges  # segments
     nx = edges // 2

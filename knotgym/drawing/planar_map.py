@@ -71,6 +71,7 @@ def planar_map(code: GaussCode, outer: int) -> PlanarMap:
             np.stack([after, ring_after, ring], axis=1),
         ]
         nodes += len(ring)
+        # every other face is closed by a fan around a centre node
         if number == outer:
             rim = ring
         else:

@@ -87,6 +87,7 @@ def scan_many(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     for rope in range(points.shape[0]):
         finite, walked, table = scan(points[rope])
         nx = len(table)
+        # a rope needs nx signs and 2 nx visits, so the buffers grow together
         if used + nx > len(signs):
             capacity = 2 * (used + nx)
             visits, signs = _grown(visits, 2 * capacity), _grown(signs, capacity)
@@ -130,6 +131,7 @@ def _boxes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     beads = points.shape[0]
     edges = np.empty((4, beads))
     blocks = np.empty((4, (beads + _BLOCK - 1) // _BLOCK))
+    # empty boxes: any edge extends them
     blocks[0], blocks[1], blocks[2], blocks[3] = np.inf, -np.inf, np.inf, -np.inf
     for i in range(beads):
         end = i + 1 if i + 1 < beads else 0
@@ -174,7 +176,7 @@ def _hits(points: np.ndarray) -> np.ndarray:
                         continue
                     turn = _crosses(points, i, j)
                     if turn != 0:
-                        if count == len(hits):
+                        if count == len(hits):  # double the buffer
                             larger = np.empty((2 * count, 3), np.int64)
                             for h in range(count):
                                 for k in range(3):
@@ -213,7 +215,7 @@ def _locate(points: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarra
     beads = points.shape[0]
     fractions, heights = np.empty(2 * len(hits)), np.empty(2 * len(hits))
     for h in range(len(hits)):
-        for late in range(2):
+        for late in range(2):  # 0: the strand on edge i of the hit, 1: the one on edge j
             i, j = hits[h, late], hits[h, 1 - late]
             fraction = _fraction(points, i, (i + 1) % beads, j, (j + 1) % beads)
             fractions[2 * h + late] = fraction
@@ -232,6 +234,7 @@ def _fraction(points: np.ndarray, i: int, i_end: int, j: int, j_end: int) -> flo
     dx, dy = points[j_end, 0] - points[j, 0], points[j_end, 1] - points[j, 1]
     before = dx * (points[i, 1] - points[j, 1]) - dy * (points[i, 0] - points[j, 0])
     after = dx * (points[i_end, 1] - points[j, 1]) - dy * (points[i_end, 0] - points[j, 0])
+    # clip: rounding may put the zero just outside the edge
     if before != after:
         return float(min(max(before / (before - after), 0.0), 1.0))
     # The edges are collinear, or one has no length: take the middle of what they share, measured
@@ -255,11 +258,11 @@ def _walk(beads: int, hits: np.ndarray, fractions: np.ndarray) -> np.ndarray:
     # starts[e] : starts[e + 1] is the range of the walk that belongs to edge e
     starts = np.zeros(beads + 1, np.int64)
     for strand in range(len(fractions)):
-        starts[hits[strand // 2, strand % 2] + 1] += 1
+        starts[hits[strand // 2, strand % 2] + 1] += 1  # counts, shifted by one for the sums below
     for edge in range(beads):
         starts[edge + 1] += starts[edge]
     walk = np.empty(len(fractions), np.int64)
-    filled = starts[:beads].copy()
+    filled = starts[:beads].copy()  # the next free slot of each edge
     for strand in range(len(fractions)):
         edge = hits[strand // 2, strand % 2]
         other = hits[strand // 2, 1 - strand % 2]

@@ -99,6 +99,7 @@ def parts(code: GaussCode) -> tuple[int, ...]:
     interlaced = _interlacement(code.visits)
     part = [-1] * code.nx
     number = 0
+    # depth-first search of the interlacement graph from each label that has no component yet
     for label in range(code.nx):
         if part[label] < 0:
             todo = [label]
@@ -119,9 +120,8 @@ def summands(code: GaussCode) -> list[GaussCode]:
     ['1+,2-,3+,1-,2+,3-', '1+,1-']
     """
     part = parts(code)
-    letters = None if code.chirality is None else dict(enumerate(code.chirality, 1))
     return [
-        GaussCode.relabelled([visit for visit in code.visits if part[abs(visit) - 1] == k], letters)
+        code.of_visits(tuple([visit for visit in code.visits if part[abs(visit) - 1] == k]))
         for k in range(max(part, default=-1) + 1)
     ]
 
@@ -165,6 +165,7 @@ def planar_codes(nx: int) -> Iterator[GaussCode]:
     Args:
         nx: number of crossings, at least 0.
     """
+    # Planarity depends only on the order of the labels: test each word once, then choose heights.
     for word in _words([0] * (2 * nx), 1):
         if is_planar(GaussCode(_with_heights(word, [1] * nx))):
             for heights in product((1, -1), repeat=nx):
@@ -298,6 +299,7 @@ def _some_turns(code: GaussCode) -> list[int] | None:
                 known = todo.pop()
                 for other in _labels(interlaced[known]):
                     if turns[other] == 0:
+                        # common: how many crossings interlace both
                         common = (interlaced[known] & interlaced[other]).bit_count()
                         alike = (common + positions[known][0] + positions[other][0]) % 2 == 1
                         turns[other] = turns[known] if alike else -turns[known]

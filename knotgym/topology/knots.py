@@ -137,26 +137,6 @@ def shows(code: GaussCode, knot: str) -> bool:
     return code.chirality is None or jones_polynomial(code) == jones_polynomial(diagram_of(knot))
 
 
-def handedness(code: GaussCode) -> int:
-    """Return the handedness of a knot as far as the range of powers in its Jones polynomial shows.
-
-    Returns:
-        +1 if the range is centred on a positive power, as for the right-handed trefoil; -1 if on a
-        negative one; 0 if on zero, as for the figure-eight knot, which is its own mirror image.
-
-    Raises:
-        InvalidGaussCode: the code has no chirality.
-        NotPlanar: no closed curve shows the code.
-
-    >>> handedness(GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c"))
-    1
-    """
-    _ = code.signs  # raises without chirality
-    jones = jones_polynomial(without_bigons(with_chirality(code)))
-    lean = jones[0][0] + jones[-1][0]
-    return (lean > 0) - (lean < 0)
-
-
 @lru_cache(maxsize=32)
 def codes_of(knot: str, nx: int) -> tuple[GaussCode, ...]:
     """Return all codes of a knot type with nx crossings, without chirality, in order of visits."""

@@ -58,19 +58,11 @@ def without_bigons(code: GaussCode) -> GaussCode:
     0
     """
     visits = _without_kinks(code.visits)
-    signs = code.signs
-    while True:
-        pair = _bigon(visits, signs)
-        if pair is None:
-            break
+    while pair := _bigon(visits, code.signs):
         visits = _without_kinks(
             [visit for visit in visits if visit not in pair and -visit not in pair]
         )
-    if len(visits) == len(code.visits):
-        return code
-    return GaussCode.relabelled(
-        visits, {label: POSITIVE if sign > 0 else NEGATIVE for label, sign in enumerate(signs, 1)}
-    )
+    return code if len(visits) == len(code.visits) else code.of_visits(tuple(visits))
 
 
 def is_alternating(code: GaussCode) -> bool:
@@ -95,6 +87,7 @@ def connected_sum(codes: list[GaussCode]) -> GaussCode:
 
 def _without_kinks(visits: list[int] | tuple[int, ...]) -> list[int]:
     """Remove pairs of consecutive visits to one crossing until none are left, also cyclically."""
+    # Like matching brackets: removing a kink can make its neighbours a kink.
     kept: list[int] = []
     for visit in visits:
         if kept and kept[-1] == -visit:
@@ -108,6 +101,8 @@ def _without_kinks(visits: list[int] | tuple[int, ...]) -> list[int]:
 
 def _bigon(visits: list[int], signs: tuple[int, ...]) -> tuple[int, int] | None:
     """Find two crossings of opposite sign that are consecutive on the upper and lower strand."""
+    # The under-visits may come in either order: the strands of a bigon run in the same or in opposite
+    # directions. Neighbours are cyclic: the base point may lie on either strand.
     count = len(visits)
     lower = {-visit: k for k, visit in enumerate(visits) if visit < 0}
     for k in range(count):
@@ -134,6 +129,8 @@ def _fewest_crossings(code: GaussCode, effort: int) -> GaussCode:
     # a reduced alternating diagram is minimal (Kauffman, Murasugi, Thistlethwaite, 1987)
     if is_alternating(code):
         return code
+    # Each diagram reached is reduced at once; `level` holds those with as many crossings, up to the
+    # base point, whose lifts have not been tried.
     seen = {_canonical(code)}
     level = deque([code])
     for _ in range(effort):
@@ -165,6 +162,7 @@ def _lifts(code: GaussCode, gain: int) -> Iterator[GaussCode]:
 
     Lifts from below are lifts from above of the mirror image.
     """
+    # removing crossings, only the longest stretch from each start is tried: it removes the most
     for view, back in ((code, False), (code.mirrored(), True)):
         for start in range(len(view.visits)):
             for length, labels in _liftable_stretches(view.visits, start, whole=gain > 0):
@@ -180,6 +178,8 @@ def _liftable_stretches(
     Returns:
         For each stretch its length in visits, and the crossings on it.
     """
+    # The stretch grows visit by visit. Passing over a strand is always allowed; passing under is
+    # allowed if the strand above belongs to the stretch, because it is lifted first.
     met: set[int] = set()
     found: list[tuple[int, frozenset[int]]] = []
     for length in range(1, len(visits) + 1):
@@ -200,11 +200,8 @@ def _relaid(code: GaussCode, end: int, labels: frozenset[int], limit: int) -> It
     The rest is rebased so that the gap is in its last edge.
     """
     end %= len(code.visits)
-    letters = dict(enumerate(code.chirality or "", 1))
-    rest = GaussCode.relabelled(
-        [visit for visit in code.visits[end:] + code.visits[:end] if abs(visit) not in labels],
-        letters,
-    )
+    rebased = code.visits[end:] + code.visits[:end]
+    rest = code.of_visits(tuple([visit for visit in rebased if abs(visit) not in labels]))
     if not rest.visits:
         yield rest
         return
@@ -231,6 +228,7 @@ def _shortest_paths(onwards: list[int], limit: int) -> Iterator[list[int]]:
                 queue.append(there)
     if distance[source] > limit:
         return
+    # depth-first along decreasing distances; every path found this way is a shortest one
     paths: list[tuple[int, list[int]]] = [(source, [])]
     yielded = 0
     while paths and yielded < _MAX_PATHS:
@@ -291,6 +289,7 @@ def _with_overstrand(rest: GaussCode, path: list[int]) -> GaussCode:
     for label, dart in enumerate(path, rest.nx + 1):
         under[dart // 2] = -label
         letters[label] = POSITIVE if dart % 2 == 0 else NEGATIVE
+    # edge k starts at visit k, so the new under-visit follows it; the new strand comes last
     visits: list[int] = []
     for edge, visit in enumerate(rest.visits):
         visits.append(visit)
