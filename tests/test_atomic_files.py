@@ -1,4 +1,4 @@
-"""Files appear whole or not at all."""
+"""Files appear complete or not at all."""
 
 import os
 import signal
@@ -12,7 +12,7 @@ from knotgym.common.atomic_files import atomic_write, sha256
 
 
 class Interrupted(Exception):
-    """Stands for whatever stops a writer."""
+    """Any error that stops a writer."""
 
 
 def test_a_file_appears_with_what_was_written(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""HDF5 files are opened checked, and what is wrong with one is the reader's error, one line."""
+"""HDF5 files are checked when read; faults are one-line errors of the reader's class."""
 
 import os
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from knotgym.common.hdf5_files import Column, hdf5_format, opened_hdf5, read_att
 
 
 class Refused(KnotgymError, ValueError):
-    """Of these tests."""
+    """The reader's error in these tests."""
 
 
 def read(path: Path, use: Callable[[h5py.File], Any] = dict) -> Any:

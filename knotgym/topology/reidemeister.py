@@ -101,8 +101,8 @@ def _without_kinks(visits: list[int] | tuple[int, ...]) -> list[int]:
 
 def _bigon(visits: list[int], signs: tuple[int, ...]) -> tuple[int, int] | None:
     """Find two crossings of opposite sign that are consecutive on the upper and lower strand."""
-    # The under-visits may come in either order: the strands of a bigon run in the same or in opposite
-    # directions. Neighbours are cyclic: the base point may lie on either strand.
+    # The under-visits may come in either order: the strands of a bigon run in the same direction or
+    # in opposite ones. Neighbours are cyclic: the base point may lie on either strand.
     count = len(visits)
     lower = {-visit: k for k, visit in enumerate(visits) if visit < 0}
     for k in range(count):
@@ -162,7 +162,7 @@ def _lifts(code: GaussCode, gain: int) -> Iterator[GaussCode]:
 
     Lifts from below are lifts from above of the mirror image.
     """
-    # removing crossings, only the longest stretch from each start is tried: it removes the most
+    # to remove crossings, only the longest stretch from each start is tried
     for view, back in ((code, False), (code.mirrored(), True)):
         for start in range(len(view.visits)):
             for length, labels in _liftable_stretches(view.visits, start, whole=gain > 0):

@@ -55,7 +55,7 @@ def turned(points: np.ndarray, angle: float) -> np.ndarray:
 
 
 def grid_curves(largest: int) -> st.SearchStrategy[np.ndarray]:
-    """Closed curves through whole numbers, full of exact ties."""
+    """Closed curves on an integer grid, with many exact ties."""
     return st.integers(3, 12).flatmap(
         lambda beads: arrays(np.float64, (beads, 3), elements=st.integers(0, largest).map(float))
     )
@@ -199,7 +199,7 @@ def test_a_strand_that_only_touches_a_bead_crosses_evenly() -> None:
 
 
 def runs_along_itself(points: np.ndarray) -> bool:
-    """Whether two edges share more than a point, or one has no length: exact for whole numbers."""
+    """Whether two edges overlap in more than a point, or one has no length; exact for integers."""
     start, end = points[:, :2], np.roll(points[:, :2], -1, axis=0)
     along = end - start
     for i in range(len(points)):
@@ -226,7 +226,7 @@ def runs_along_itself(points: np.ndarray) -> bool:
 )
 def test_exact_ties_still_give_planar_codes(points: np.ndarray) -> None:
     crossings = find_crossings(points)
-    # else three strands may meet in a point
+    # otherwise three strands may meet in a point
     assume(visit_spacing(crossings, len(points)) > 1e-9)
     assert is_planar(crossings.code)
 

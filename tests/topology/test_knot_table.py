@@ -1,4 +1,4 @@
-"""The knots to ten crossings, checked against KnotInfo's own polynomials."""
+"""The table of knots, checked against KnotInfo's polynomials."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Symmetries take ropes to ropes and codes to codes, both in step."""
+"""Symmetries act consistently on ropes and on their codes."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -44,7 +44,7 @@ rows = st.integers(0, 39)
 
 @pytest.fixture(scope="module")
 def configurations(rope: Rope, tangled: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Ropes in mid-motion: float64 (40, beads, 3)."""
+    """Moving ropes, float64 (40, beads, 3)."""
     return rope.points(tangled)
 
 
