@@ -56,7 +56,7 @@ class DrawingConfig:
     outer: float = 3.0
     height: float = 0.014
     base: float = 0.03
-    easing: LayoutRelaxationConfig = LayoutRelaxationConfig()
+    easing: LayoutRelaxationConfig = LayoutRelaxationConfig()  # state files store this name
 
     def __post_init__(self) -> None:
         check_numbers(self, positive=("height",), non_negative=("uneven", "outer", "base"))

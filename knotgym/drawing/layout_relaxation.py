@@ -192,8 +192,8 @@ def _relax(
             for node in (a, b):
                 force[node, 0] += 0.5 * press * y
                 force[node, 1] -= 0.5 * press * x
-            # Tension: energy (sum of segment lengths^2) / mean length of the edge's segments. It
-            # also spreads the nodes evenly along the edge.
+            # Tension: the energy of an edge is tension * virial * (sum of its segment lengths^2) /
+            # mean length, with the mean held fixed. It also spaces the nodes evenly.
             pull = 2 * tension * virial / mean_length[edge]
             force[a, 0] += pull * x
             force[a, 1] += pull * y

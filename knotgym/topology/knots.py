@@ -65,8 +65,8 @@ class UndecidedKnot(KnotgymError):
 
     def __init__(self, code: GaussCode) -> None:
         super().__init__(
-            f"cannot say whether a diagram of {code.nx} crossings is the unknot: its Alexander and"
-            f" Jones polynomials are 1, which proves it up to {JONES_DECIDES} crossings:"
+            f"can't decide whether a diagram of {code.nx} crossings is the unknot: its Alexander"
+            f" and Jones polynomials are 1, which is a proof up to {JONES_DECIDES} crossings only:"
             f" {code.chiral}"
         )
 

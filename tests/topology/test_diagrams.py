@@ -1,4 +1,4 @@
-"""Planarity against the published lists, and the shape of the faces."""
+"""Planarity, checked against published lists; faces and summands."""
 
 import json
 from itertools import product

@@ -1,4 +1,4 @@
-"""Gauss codes as values: text in, text out, and the laws of walking."""
+"""Gauss codes: parsing, printing, and the laws of mirroring, reversing and rebasing."""
 
 import pickle
 from dataclasses import FrozenInstanceError
@@ -14,7 +14,7 @@ from knotgym.topology.gauss import GaussCode, InvalidGaussCode
 
 @st.composite
 def codes(draw: st.DrawFn, max_nx: int = 7) -> GaussCode:
-    """Abstract codes, planar or not, with chirality or without."""
+    """Abstract codes, planar or not, with or without chirality."""
     nx = draw(st.integers(0, max_nx))
     visits = draw(st.permutations([label * side for label in range(1, nx + 1) for side in (1, -1)]))
     letters = draw(st.none() | st.text("ac", min_size=nx, max_size=nx))

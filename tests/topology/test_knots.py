@@ -1,4 +1,4 @@
-"""Knot types: known knots, the published lists, and moves that must not matter."""
+"""Knot types of known knots and published lists, which Reidemeister moves don't change."""
 
 import json
 from pathlib import Path
@@ -48,7 +48,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def from_dowker(notation: tuple[int, ...]) -> GaussCode:
-    """An alternating diagram, drawn."""
+    """Make an alternating diagram with chirality from Dowker-Thistlethwaite notation."""
     visits = [0] * (2 * len(notation))
     for i, even in enumerate(notation):
         visits[2 * i], visits[even - 1] = i + 1, -i - 1
@@ -56,7 +56,7 @@ def from_dowker(notation: tuple[int, ...]) -> GaussCode:
 
 
 def pretzel(*columns: int) -> GaussCode:
-    """The pretzel knot of three odd columns: a strand runs down each, one up each."""
+    """Make a pretzel knot of three odd columns; in each, one strand runs down and one up."""
     starts = np.concatenate([[1], 1 + np.cumsum(np.abs(columns))])
     down, up = [], []
     for start, twists in zip(starts, columns, strict=False):
@@ -67,7 +67,7 @@ def pretzel(*columns: int) -> GaussCode:
 
 
 def tied(code: GaussCode, other: GaussCode) -> GaussCode:
-    """The connected sum."""
+    """Return the connected sum of two diagrams."""
     visits = code.visits + tuple(
         visit + code.nx if visit > 0 else visit - code.nx for visit in other.visits
     )
@@ -75,7 +75,7 @@ def tied(code: GaussCode, other: GaussCode) -> GaussCode:
 
 
 def kinked(code: GaussCode, rng: np.random.Generator) -> GaussCode:
-    """Reidemeister's first move: a kink somewhere."""
+    """Add a kink at random (Reidemeister's first move)."""
     new, at = code.nx + 1, int(rng.integers(len(code.visits) + 1))
     loop = (new, -new) if rng.integers(2) else (-new, new)
     letters = {**dict(enumerate(code.chirality or "", 1)), new: str(rng.choice(["a", "c"]))}
@@ -83,9 +83,7 @@ def kinked(code: GaussCode, rng: np.random.Generator) -> GaussCode:
 
 
 def poked(code: GaussCode, rng: np.random.Generator) -> GaussCode:
-    """Reidemeister's second move: across a face, a finger of one edge is laid over or under another
-    edge.
-    """
+    """Push a finger of a random edge over or under another edge of a face (second move)."""
     wide = [face for face in faces(code) if len({dart // 2 for dart in face}) > 1]
     face = wide[int(rng.integers(len(wide)))]
     while True:

@@ -1,4 +1,4 @@
-"""pyknotid as an independent labeller: agreement with ours, and its traps."""
+"""pyknotid as an independent labeller: it agrees with ours, and its problems are avoided."""
 
 import numpy as np
 import pytest
