@@ -79,7 +79,7 @@ def chiralities(code: GaussCode) -> tuple[str, ...]:
         return ()
     part = parts(code)
     patterns = []
-    for flips in product((1, -1), repeat=max(part, default=-1) + 1):
+    for flips in product((1, -1), repeat=max(part, default=-1) + 1):  # one per part
         signs = _signs(code.visits, [turn * flips[part[label]] for label, turn in enumerate(turns)])
         patterns.append(_letters(signs))
     return tuple(sorted(patterns))
@@ -181,6 +181,7 @@ def _words(word: list[int], label: int) -> Iterator[list[int]]:
     if 0 not in word:
         yield word.copy()
         return
+    # the first free slot takes the next label, so labels are in order of first visit
     first = word.index(0)
     word[first] = label
     for second in range(first + 1, len(word), 2):
@@ -250,7 +251,7 @@ def _is_sphere(permutation: list[int]) -> bool:
         if permutation[start] >= 0:
             number += 1
             dart = start
-            while permutation[dart] >= 0:
+            while permutation[dart] >= 0:  # follow the cycle, marking its darts with -1
                 permutation[dart], dart = -1, permutation[dart]
     # n crossings, 2 n edges, 4 n darts: n - 2 n + faces = 2
     return number == len(permutation) // 4 + 2

@@ -133,9 +133,9 @@ class GaussCode:
             InvalidGaussCode: the chirality is unknown.
         """
         letters = self._letters()
-        labels = [f"{visit}+" if visit > 0 else f"{-visit}-" for visit in self.visits]
-        turns = [letters[abs(visit) - 1] for visit in self.visits]
-        return ",".join([label + turn for label, turn in zip(labels, turns, strict=True)])
+        return ",".join(
+            [f"{abs(v)}{'+' if v > 0 else '-'}{letters[abs(v) - 1]}" for v in self.visits]
+        )
 
     @property
     def nx(self) -> int:

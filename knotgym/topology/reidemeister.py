@@ -124,7 +124,7 @@ def _fewest_crossings(code: GaussCode, effort: int) -> GaussCode:
     keep their number, until a diagram allows removal again.
     """
     code = _without_liftable(code)
-    if len(summands(code)) > 1:
+    if len(summands(code)) > 1:  # a lift may split the diagram
         return connected_sum([_fewest_crossings(summand, effort) for summand in summands(code)])
     # a reduced alternating diagram is minimal (Kauffman, Murasugi, Thistlethwaite, 1987)
     if is_alternating(code):
