@@ -83,7 +83,7 @@ def cause(points: np.ndarray) -> str:
         return "no crossing found by us"
     places = np.concatenate([crossings.over_place, crossings.under_place])
     margins = {
-        "visits this close along the rope, beads": visit_spacing(crossings, len(points)).visits,
+        "visits this close along the rope, beads": visit_spacing(crossings, len(points)),
         "crossing this close to a bead, beads": float(np.abs(places - np.round(places)).min()),
         "strands this close in height, m": float((crossings.over_z - crossings.under_z).min()),
     }

@@ -1,4 +1,4 @@
-"""Files appear whole or not at all."""
+"""Files appear complete or not at all."""
 
 import os
 import signal
@@ -12,7 +12,7 @@ from knotgym.common.atomic_files import atomic_write, sha256
 
 
 class Interrupted(Exception):
-    """Stands for whatever stops a writer."""
+    """Any error that stops a writer."""
 
 
 def test_a_file_appears_with_what_was_written(tmp_path: Path) -> None:
@@ -112,5 +112,5 @@ def test_sha256_is_of_the_bytes(tmp_path: Path) -> None:
 def test_what_is_no_file_has_no_checksum(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", tmp_path, Path("/dev/zero")):
-        with pytest.raises(OSError, match="is no regular file"):
+        with pytest.raises(OSError, match="isn't a regular file"):
             sha256(path)

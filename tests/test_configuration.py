@@ -1,4 +1,4 @@
-"""Configurations refuse nonsense, and come back from the JSON of a manifest as they were."""
+"""Configurations reject invalid values and survive a round trip through JSON."""
 
 import json
 from dataclasses import asdict, fields, replace

@@ -1,4 +1,4 @@
-"""HDF5 files are opened checked, and what is wrong with one is the reader's error, one line."""
+"""HDF5 files are checked when read; faults are one-line errors of the reader's class."""
 
 import os
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from knotgym.common.hdf5_files import Column, hdf5_format, opened_hdf5, read_att
 
 
 class Refused(KnotgymError, ValueError):
-    """Of these tests."""
+    """The reader's error in these tests."""
 
 
 def read(path: Path, use: Callable[[h5py.File], Any] = dict) -> Any:
@@ -164,13 +164,13 @@ def elsewhere(file: h5py.File) -> None:
         (lambda file: file.update({"numbers": h5py.SoftLink("/attic")}), "is a link"),
         (
             lambda file: file.create_dataset("numbers", (5,), "i8", external=[("raw", 0, 40)]),
-            "lies in other files",
+            "is in other files",
         ),
-        (elsewhere, "lies in other files"),
+        (elsewhere, "is in other files"),
         (lambda file: file.create_group("numbers"), "is a group"),
         (
             lambda file: file.create_dataset("numbers", (5,), "i8", compression="lzf"),
-            "is compressed in another way than gzip",
+            "is compressed, but not with gzip",
         ),
     ],
 )

@@ -24,7 +24,7 @@ from knotgym.envs.tasks import TaskConfig
 from knotgym.rendering.picture import PictureConfig
 from knotgym.rope.model import Rope
 from knotgym.topology.crossings import label
-from knotgym.topology.diagrams import drawn
+from knotgym.topology.diagrams import with_chirality
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.reference_labeller import pyknotid_code
 
@@ -195,7 +195,7 @@ def test_every_error_pickles_with_its_message(error: type[KnotgymError]) -> None
         lambda: label(np.full((100, 3), np.nan)),
         lambda: GaussCode.parse("1+,1+"),
         lambda: GaussCode((1, -1)).writhe,
-        lambda: drawn(GaussCode.parse("1+,2-,1-,2+")),
+        lambda: with_chirality(GaussCode.parse("1+,2-,1-,2+")),
         lambda: pyknotid_code(np.zeros((2, 3))),
         lambda: PictureConfig(size=-1),
         lambda: Rope().from_curve(np.zeros((3, 3))),

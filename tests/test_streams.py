@@ -52,7 +52,7 @@ def test_a_derived_seed_is_held_exactly_by_json_and_float64() -> None:
 
 @pytest.fixture
 def used(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, ...]]:
-    """The entropy of every generator that is made from now on in this process."""
+    """Record the entropy of every generator made from now on in this process."""
     seen: list[tuple[int, ...]] = []
     make: Callable[..., np.random.SeedSequence] = np.random.SeedSequence
 
@@ -64,7 +64,7 @@ def used(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, ...]]:
     return seen
 
 
-@pytest.mark.slow  # that keys are different is proved above
+@pytest.mark.slow  # the tests above show that different keys give different streams
 def test_no_two_keys_of_a_run_are_equal_but_those_that_are_asked_for_again(
     used: list[tuple[int, ...]], tmp_path: Path
 ) -> None:

@@ -1,1 +1,1 @@
-"""What every room stands on: errors, random streams, configurations, files."""
+"""Shared foundations: errors, random streams, configurations, and file access."""

@@ -1,8 +1,8 @@
-"""Files and folders that appear whole or not at all, and that replace nothing unasked.
+"""Atomic writing of files and folders, without replacing anything unless asked to.
 
-An output is checked by `require_output` before the work and moved to its name by `move_into_place`
-after it. Both look at the name itself (lstat): a link is something that exists, whatever it points
-to, and it is the link that is replaced, never its target.
+`require_output` checks an output path before the work, and `move_into_place` gives the finished
+output its name. Both look at the path itself (lstat): a symbolic link counts as existing, whatever
+it points to, and it is the link that gets replaced, never its target.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ from knotgym.common.errors import KnotgymError
 
 
 class Unwritable(KnotgymError, OSError):
-    """Nothing can be written at a path."""
+    """The path can't be written."""
 
 
 class Occupied(KnotgymError, ValueError):
-    """Something is in the way of what a command would write."""
+    """Something that may not be replaced is in the way of an output."""
 
 
 def require_output(path: str | os.PathLike[str], *, folder: bool, overwrite: bool = False) -> None:
-    """Refuse, before hours of work, an output that can't be written or would replace something.
+    """Check, before hours of work, that an output can be written and replaces nothing unasked.
 
     Args:
-        path: of the output.
-        folder: whether it will be a folder, else a file. Neither ever replaces the other.
-        overwrite: whether the user asked to replace what exists there.
+        path: path of the output.
+        folder: whether the output is a folder or a file. Neither ever replaces the other.
+        overwrite: whether the user asked to replace an existing output.
 
     Raises:
-        Occupied: something exists at `path`, and `overwrite` wasn't asked for or is of no use.
-        Unwritable: nothing can be written there.
+        Occupied: something exists at `path` that may not be replaced.
+        Unwritable: the path can't be written.
     """
     _require_free(Path(path), folder, overwrite)
     require_writable(path)
@@ -53,28 +53,28 @@ def _require_free(target: Path, folder: bool, overwrite: bool) -> None:
         return
     if not overwrite:
         raise Occupied(f"{target} exists already; --overwrite replaces it, or choose another --out")
-    if target.exists() and target.is_dir() != folder:  # a link stands for what it points to
-        there, asked = ("file", "folder") if folder else ("folder", "file")
+    if target.exists() and target.is_dir() != folder:  # follows a link
+        found, wanted = ("file", "folder") if folder else ("folder", "file")
         raise Occupied(
-            f"{target} is a {there}, and a {asked} is to be written, which never replaces a"
-            f" {there}; choose another --out"
+            f"{target} is a {found}, and the output is a {wanted}, which never replaces a {found};"
+            " choose another --out"
         )
     if folder and Path.cwd().is_relative_to(target.resolve()):
-        raise Occupied(f"{target} holds the current folder; choose another --out")
+        raise Occupied(f"{target} contains the current folder; choose another --out")
 
 
 def require_writable(path: str | os.PathLike[str]) -> None:
-    """Try, before hours of work, whether `path` could be written at the end; leaves no trace.
+    """Check, before hours of work, that `path` can be written, by a trial that leaves no trace.
 
     Raises:
-        Unwritable: it couldn't.
+        Unwritable: the path can't be written.
     """
     target, folder = Path(path), None
     try:
         folder = next(parent for parent in target.absolute().parents if parent.exists())
         missing = set(target.absolute().relative_to(folder).parts) - {".."}
         with tempfile.TemporaryDirectory(prefix=".part-", dir=folder) as staged:
-            for name in missing:  # one that is too long shows here
+            for name in missing:  # fails for a name that is too long
                 (Path(staged) / name).mkdir(exist_ok=True)
     except OSError as error:
         where = f", {folder}" if folder else ""
@@ -83,13 +83,13 @@ def require_writable(path: str | os.PathLike[str]) -> None:
 
 @contextmanager
 def atomic_write(path: str | os.PathLike[str], *, overwrite: bool = True) -> Iterator[Path]:
-    """Yield a temporary path beside `path`; what is written there takes its name at the end.
+    """Yield a temporary path beside `path`; what is written there is renamed to `path` at the end.
 
-    With an error it vanishes. Works for a file and for a folder (make it at the yielded path). A
-    kill in between leaves only a `.part-` name.
+    Write a file there or make a folder. On an error it is removed; if the process is killed, only a
+    folder named `.part-*` is left.
 
     Raises:
-        Occupied: as `move_into_place`.
+        Occupied: as for `move_into_place`.
     """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -104,32 +104,32 @@ def atomic_write(path: str | os.PathLike[str], *, overwrite: bool = True) -> Ite
 
 
 def move_into_place(part: Path, target: Path, *, overwrite: bool) -> None:
-    """Give a finished file or folder its name, on the same disk.
+    """Rename a finished file or folder to `target`, on the same file system.
 
-    Without `overwrite` nothing is replaced, not even what another process puts there in the
-    meantime. With it, what was there goes only once the new one has its name.
+    Without `overwrite` nothing is replaced, not even what another process has put there in the
+    meantime. With it, the old output is removed only once the new one is in place.
 
     Raises:
-        Occupied: something exists at `target` that isn't to be replaced by this.
+        Occupied: something exists at `target` that may not be replaced.
     """
-    is_folder = stat.S_ISDIR(part.lstat().st_mode)  # raises where nothing was written
+    is_folder = stat.S_ISDIR(part.lstat().st_mode)  # raises if nothing was written
     _require_free(target, is_folder, overwrite)
     try:
         if not is_folder:
-            # renaming a file fails where a folder is
+            # fails if `target` is a folder
             (os.replace if overwrite else _rename_new)(part, target)
         elif os.path.lexists(target):
             _exchange(part, target)
         else:
-            part.rename(target)  # fails where a file, a link or a folder with something in it is
+            part.rename(target)  # fails if `target` is a file, a link or a folder with content
     except OSError as error:
         if error.errno not in (errno.EEXIST, errno.ENOTEMPTY, errno.EISDIR, errno.ENOTDIR):
             raise
-        raise Occupied(f"{target} was made by another process meanwhile, and stays") from error
+        raise Occupied(f"{target} was made by another process in the meantime; kept it") from error
 
 
 def _exchange(part: Path, target: Path) -> None:
-    """Put a folder where another one, or a link, is; the old one stays if that fails."""
+    """Replace a folder or a link by a folder; restore the old one if that fails."""
     aside = Path(tempfile.mkdtemp(prefix=f".part-{target.name[:32]}-", dir=target.parent))
     old = target.rename(aside / "replaced")
     try:
@@ -142,20 +142,21 @@ def _exchange(part: Path, target: Path) -> None:
 
 
 def _rename_new(part: Path, target: Path) -> None:
-    """Rename a file to a name that is free: unlike rename, a hard link never replaces anything."""
+    """Rename a file to a free name; unlike a rename, making a hard link never replaces anything."""
     try:
         os.link(part, target)
     except OSError as error:
         if error.errno not in (errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS):
             raise
-        os.close(os.open(target, os.O_CREAT | os.O_EXCL))  # a disk without hard links
+        # a file system without hard links: reserve the name, then replace the empty file
+        os.close(os.open(target, os.O_CREAT | os.O_EXCL))
         part.replace(target)
     else:
         part.unlink()
 
 
 def remove(path: Path) -> None:
-    """Remove a file, a folder with all in it, or a link; never what a link points to."""
+    """Remove a file, a folder with its contents, or a link, but never the target of a link."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
@@ -163,22 +164,26 @@ def remove(path: Path) -> None:
 
 
 def require_own(path: Path, error: type[KnotgymError] = Occupied) -> None:
-    """Refuse a file or folder of ours that another may have planted: a link, or another user's.
+    """Check that a path, if it exists, isn't a link and belongs to the current user.
 
-    What doesn't exist is all right. A folder's contents aren't looked at, see `require_own_tree`.
+    Otherwise somebody else may have planted it in a shared folder. The contents of a folder aren't
+    checked; see `require_own_tree`.
+
+    Raises:
+        KnotgymError: of the class `error`, if the check fails.
     """
     try:
         found = os.lstat(path)
     except (FileNotFoundError, NotADirectoryError):
         return
     if stat.S_ISLNK(found.st_mode):
-        raise error(f"{path} is a link, and is never followed; remove it")
+        raise error(f"{path} is a link, and is never followed here; remove it")
     if found.st_uid != os.geteuid():
         raise error(f"{path} belongs to another user; remove it")
 
 
 def require_own_tree(folder: Path) -> None:
-    """As `require_own`, of a folder and all in it."""
+    """Apply `require_own` to a folder and everything in it."""
     require_own(folder)
     for inside, folders, files in os.walk(folder):
         for name in (*folders, *files):
@@ -186,14 +191,14 @@ def require_own_tree(folder: Path) -> None:
 
 
 class LinkedFile(KnotgymError, ValueError):
-    """A link where a dataset's own file should be."""
+    """A file of a dataset is a link, or is reached by one."""
 
 
 def require_no_links(root: Path, files: Iterable[Path]) -> None:
-    """Refuse files of a folder that are reached by links in it.
+    """Check that files of a folder aren't reached by links inside it.
 
-    In a folder from elsewhere such a link could have a private file of the user's copied to where
-    it is published. The folder itself may be a link: the user named it.
+    In a downloaded folder, such a link could make a private file of the user part of what is copied
+    and published. The folder itself may be a link, because the user named it.
 
     Raises:
         LinkedFile: a file, or a folder between it and `root`, is a link.
@@ -204,31 +209,34 @@ def require_no_links(root: Path, files: Iterable[Path]) -> None:
                 break
             if step.is_symlink():
                 raise LinkedFile(
-                    f"{step} is a link, and only a dataset's own files are copied; put the file"
-                    " itself there"
+                    f"{step} is a link, and only a dataset's own files are copied; replace it by"
+                    " the file itself"
                 )
 
 
 def copy_file(source: Path, target: Path) -> None:
-    """Copy a regular file's bytes; never what a link points to.
+    """Copy the bytes of a regular file without following links.
 
     Raises:
-        OSError: `source` is a link or no regular file.
+        OSError: `source` is a link or not a regular file.
     """
     with open(os.open(source, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            raise OSError(errno.EINVAL, "no regular file", str(source))
+            raise OSError(errno.EINVAL, "not a regular file", str(source))
         with open(target, "wb") as copy:
             shutil.copyfileobj(file, copy)
 
 
 @contextmanager
 def new_hdf5(path: str | os.PathLike[str], **options: Any) -> Iterator[h5py.File]:
-    """Yield a new HDF5 file; `options` as of h5py.File.
+    """Yield a new HDF5 file; `options` are passed to h5py.File.
 
-    HDF5 can't fail to write: on a full disk it neither closes the file nor stays in one piece. So
-    it never hears of that; what there is no room for goes nowhere, and the trouble is raised here
-    once the file is closed.
+    The HDF5 library can't handle a failed write: on a full disk it can't close the file, and may
+    crash. So failures are hidden from it: data that doesn't fit is dropped, and the error is raised
+    here once the file is closed.
+
+    Raises:
+        OSError: something could not be written.
     """
     with open(path, "w+b", buffering=0) as target:
         sink = _Sink(target)
@@ -236,26 +244,26 @@ def new_hdf5(path: str | os.PathLike[str], **options: Any) -> Iterator[h5py.File
             with h5py.File(sink, "w", **options) as file:
                 yield file
         finally:
-            trouble = sink.trouble
-            if trouble is not None:
-                raise OSError(trouble.errno, trouble.strerror, str(path)) from trouble
+            failure = sink.failure
+            if failure is not None:
+                raise OSError(failure.errno, failure.strerror, str(path)) from failure
 
 
 class _Sink:
-    """A file as h5py wants it, whose writing never fails; the first trouble is kept."""
+    """A file object for h5py whose writes never fail; `failure` is the first error."""
 
     def __init__(self, file: io.FileIO) -> None:
         self._file, self._at = file, 0
-        self.trouble: OSError | None = None
+        self.failure: OSError | None = None
 
     def write(self, data: Any) -> int:
         view = memoryview(data)
         try:
             done = 0
-            while self.trouble is None and done < len(view):
+            while self.failure is None and done < len(view):
                 done += os.pwrite(self._file.fileno(), view[done:], self._at + done)
         except OSError as error:
-            self.trouble = error
+            self.failure = error
         self._at += len(view)
         return len(view)
 
@@ -267,7 +275,7 @@ class _Sink:
     def readinto(self, buffer: Any) -> int:
         view = memoryview(buffer)
         present = os.pread(self._file.fileno(), len(view), self._at)
-        view[:] = present.ljust(len(view), b"\0")  # what went nowhere reads as nothing
+        view[:] = present.ljust(len(view), b"\0")  # dropped data reads as zeros
         self._at += len(view)
         return len(view)
 
@@ -279,28 +287,28 @@ class _Sink:
         return self._at
 
     def truncate(self, size: int) -> int:
-        if self.trouble is None:
+        if self.failure is None:
             os.ftruncate(self._file.fileno(), size)
         return size
 
     def flush(self) -> None:
-        """Nothing is held back."""
+        """Do nothing: writes aren't buffered."""
 
 
 def sha256(path: str | os.PathLike[str]) -> str:
-    """Hexadecimal SHA-256 of a file's bytes.
+    """Return the hexadecimal SHA-256 of a file's bytes.
 
     Raises:
-        OSError: there is none, or it is no regular file: a pipe or a device may never end.
+        OSError: the file doesn't exist, or isn't a regular file: a pipe or device may never end.
     """
     if not Path(path).is_file() and Path(path).exists():
-        raise OSError(f"{path} is no regular file")
+        raise OSError(f"{path} isn't a regular file")
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _sync(path: Path) -> None:
-    """Make sure that the bytes are on the disk before the name points at them."""
+    """Flush a file, or all files of a folder, to disk, so that the rename can't come first."""
     for file in [path, *path.rglob("*")] if path.is_dir() else [path]:
         if file.is_file():
             with open(file, "rb+") as handle:

@@ -1,6 +1,7 @@
-"""Configurations as JSON: written into what they made, read back, compared, changed field by field.
+"""Configurations: validation, conversion from and to JSON, updates of single fields, comparison.
 
-A configuration is a frozen dataclass of numbers, strings, tuples and further configurations.
+A configuration is a frozen dataclass of numbers, strings, tuples and further configurations. It is
+stored as JSON in every file that was made with it.
 """
 
 from __future__ import annotations
@@ -20,15 +21,15 @@ from knotgym.common.errors import KnotgymError, one_line
 Config = TypeVar("Config")
 
 
-MOST_JSON = 256 << 20  # bytes; of a file that is read as JSON
+MOST_JSON = 256 << 20  # largest JSON file that is read, bytes
 
 
 class UnreadableJson(KnotgymError, ValueError):
-    """What should be a JSON file isn't one."""
+    """The file isn't a valid JSON file, or is too large."""
 
 
 class InvalidConfig(KnotgymError, ValueError):
-    """A field that a configuration does not have, or a value of the wrong type."""
+    """An unknown field of a configuration, or a value of the wrong type or out of range."""
 
 
 def check_numbers(
@@ -42,24 +43,27 @@ def check_numbers(
     ranges: Sequence[str] = (),
     error: type[KnotgymError] = InvalidConfig,
 ) -> None:
-    """Refuse a configuration whose numbers make no sense; NaN and infinity never do.
+    """Check the numbers of a configuration; NaN and infinity are never valid.
 
     Args:
-        config: a dataclass, whose fields the other arguments name.
-        counts: whole numbers of at least 1.
-        whole: whole numbers of at least 0.
-        positive: above 0.
-        non_negative: at least 0.
-        shares: in [0, 1].
-        ranges: pairs (least, most) of numbers of at least 0.
-        error: what is raised.
+        config: a dataclass.
+        counts: names of the fields that must be whole numbers of at least 1.
+        whole: names of those that must be whole numbers of at least 0.
+        positive: names of those that must be above 0.
+        non_negative: names of those that must be at least 0.
+        shares: names of those that must be in [0, 1].
+        ranges: names of those that must be pairs (least, most) of numbers of at least 0.
+        error: the error class to raise.
+
+    Raises:
+        KnotgymError: of the class `error`, if a number is not valid.
     """
     least_whole = {**dict.fromkeys(counts, 1), **dict.fromkeys(whole, 0)}
     for name, least in least_whole.items():
         value = getattr(config, name)
         if not isinstance(value, Integral) or value < least:
             raise error(f"{name} must be a whole number of at least {least}, got {value!r}")
-    for names, fits, right in (
+    for names, fits, expected in (
         (positive, lambda value: 0 < value < math.inf, "above 0 and finite"),
         (non_negative, lambda value: 0 <= value < math.inf, "at least 0 and finite"),
         (shares, lambda value: 0 <= value <= 1, "in [0, 1]"),
@@ -68,46 +72,50 @@ def check_numbers(
         for name in names:
             value = getattr(config, name)
             if not fits(value):
-                raise error(f"{name} must be {right}, got {value!r}")
+                raise error(f"{name} must be {expected}, got {value!r}")
 
 
 def read_json(path: str | os.PathLike[str], most: int = MOST_JSON) -> Any:
-    """What a JSON file says; nothing that isn't a file of some size is opened.
+    """Read a JSON file.
+
+    Args:
+        path: a regular file; anything else isn't opened.
+        most: largest size that is read, bytes.
 
     Raises:
-        OSError: it can't be read.
-        UnreadableJson: it is no file, too large, no text, no JSON, or too deeply nested.
+        OSError: the file can't be read.
+        UnreadableJson: it isn't a regular file, too large, not JSON, or too deeply nested.
     """
     given = Path(path)
     if given.exists() and not given.is_file():
-        raise UnreadableJson(f"{given} is no regular file")
+        raise UnreadableJson(f"{given} isn't a regular file")
     with open(given, "rb") as file:
         text = file.read(most + 1)
     if len(text) > most:
-        raise UnreadableJson(f"{given} has more than {most} bytes, no JSON of ours is so large")
+        raise UnreadableJson(f"{given} has more than {most} bytes, too many for a JSON file")
     try:
         return json.loads(text.decode("utf-8"))
     except (ValueError, RecursionError) as error:
-        raise UnreadableJson(f"{given} is no JSON: {one_line(error)}") from error
+        raise UnreadableJson(f"{given} isn't valid JSON: {one_line(error)}") from error
 
 
 def as_json(config: Any) -> dict[str, Any]:
-    """A configuration as JSON has it: nested dicts, lists for tuples."""
+    """Convert a configuration to JSON: nested dicts, with lists for tuples."""
     found: dict[str, Any] = json.loads(json.dumps(asdict(config)))
     return found
 
 
 def updated(config: Config, changes: Mapping[str, Any], where: str = "") -> Config:
-    """A configuration with the fields that `changes` names replaced, nested ones field by field.
+    """Return a copy of a configuration with some fields replaced, in nested ones field by field.
 
     Args:
-        config: left as it was.
-        changes: JSON, as of `as_json`; what it does not name stays.
-        where: what to call the configuration in an error.
+        config: a configuration; not modified.
+        changes: new values, in the form that `as_json` returns; other fields keep theirs.
+        where: name of the configuration in error messages.
 
     Raises:
-        InvalidConfig: an unknown field, or a value of another type than the field's.
-        KnotgymError: the configuration refuses the value.
+        InvalidConfig: an unknown field, or a value of the wrong type.
+        KnotgymError: the configuration rejects the value.
 
     >>> from knotgym.envs.tasks import TaskConfig
     >>> updated(TaskConfig(task="tie"), {"nx": 3}).nx
@@ -135,11 +143,11 @@ def updated(config: Config, changes: Mapping[str, Any], where: str = "") -> Conf
 
 
 def from_json(kind: type[Config], values: Mapping[str, Any]) -> Config:
-    """A configuration of class `kind` made from what `as_json` made of one.
+    """Make a configuration of class `kind` from the JSON that `as_json` returned.
 
     Raises:
-        InvalidConfig: an unknown field, or a value of another type than the field's.
-        KnotgymError: the configuration refuses a value.
+        InvalidConfig: an unknown field, or a value of the wrong type.
+        KnotgymError: the configuration rejects a value.
     """
     hints = get_type_hints(kind)
     if unknown := [name for name in values if name not in hints]:
@@ -155,7 +163,7 @@ def from_json(kind: type[Config], values: Mapping[str, Any]) -> Config:
 
 
 def differences(there: Any, asked: Any, where: str = "") -> Iterator[str]:
-    """Where two JSON values differ, a sentence each.
+    """Yield a sentence for each place where two JSON values differ.
 
     >>> list(differences({"seed": 1, "rope": {"beads": 100}}, {"seed": 2, "rope": {"beads": 100}}))
     ['seed is 1 there and 2 here']
@@ -169,7 +177,7 @@ def differences(there: Any, asked: Any, where: str = "") -> Iterator[str]:
 
 
 def _typed(value: Any, hint: Any, where: str) -> Any:
-    """A JSON value as the type that a field has; a list becomes a tuple."""
+    """Convert a JSON value to the type of a field; a list becomes a tuple."""
     options = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
     for option in options:
         origin = get_origin(option) or option

@@ -1,27 +1,27 @@
-"""The base class of all errors this package raises on purpose, and those that rooms share."""
+"""The base class of the package's errors, and the errors that several packages share."""
 
 from typing import Any
 
 
 class KnotgymError(Exception):
-    """Something the caller can mend.
+    """An error that the caller can fix.
 
-    The message is one line: what was wrong, what was given, what would be right.
+    The message is one line: what was wrong, what was given, and what was expected.
     """
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the finished message: an __init__ that makes it isn't asked again."""
+        """Pickle the finished message, so that unpickling doesn't call the subclass's __init__."""
         return type(self).__new__, (type(self), *self.args), self.__dict__
 
 
 class MissingFile(KnotgymError, FileNotFoundError):
-    """There is no such file or dataset."""
+    """The file or dataset doesn't exist."""
 
 
 def install_command(extra: str) -> str:
-    """Return the command that installs an extra, to be run in a checkout.
+    """Return the command that installs an optional extra from a checkout.
 
-    The name on the package index belongs to the published system, so no command names it.
+    It doesn't install from the package index, where the name belongs to the published KnotGym.
 
     >>> install_command("learn")
     "pip install '.[learn]'"
@@ -35,7 +35,7 @@ class MissingExtra(KnotgymError, ImportError):
     Args:
         needed: the missing module or package.
         how: the command that installs it.
-        user: what needs it.
+        user: the feature that needs it.
     """
 
     def __init__(self, needed: str, how: str, user: str = "this") -> None:
@@ -43,15 +43,15 @@ class MissingExtra(KnotgymError, ImportError):
 
 
 def one_line(error: BaseException) -> str:
-    """What an error says, its line breaks taken out, other control characters spelled out."""
+    """Return an error's message on one line, with other control characters escaped."""
     return printable(" ".join(str(error).split()))
 
 
 def printable(text: str) -> str:
-    r"""The same, with all that a terminal would obey spelled out.
+    r"""Escape control characters, so that text can't send commands to a terminal.
 
-    >>> printable("a" + chr(27) + "[2J")
-    'a\x1b[2J'
+    >>> print(printable("a" + chr(27) + "[2J"))
+    a\x1b[2J
     """
     if text.isprintable():
         return text

@@ -1,9 +1,9 @@
-"""Opening HDF5 files of ours, and what is taken from them: every name, type, size and link checked.
+"""Safe reading of HDF5 files: formats, names, types, shapes, sizes and links are checked.
 
-Every file we write names its `format` and `format_version` in its attributes. A reader says which
-versions it knows; a foreign, torn or newer file is refused with the reader's own error. HDF5 would
-follow a link to any other file, and make any array that a file declares; here nothing is followed,
-and nothing is read before its type and its size are known to be right.
+Every file that this package writes has the attributes `format` and `format_version`. A reader says
+which versions it supports, and which error to raise for a foreign, corrupted or newer file. The
+HDF5 library would follow links to any other file and allocate any array that a file declares. Here
+links aren't followed, and data is read only after its type and size have been checked.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from knotgym.common.errors import KnotgymError, MissingFile, one_line
 
-# whatever h5py, and what reads its arrays, says to foreign bytes
+# errors that h5py and array operations raise on corrupted or foreign files
 _FOREIGN = (
     OSError,
     KeyError,
@@ -34,32 +34,32 @@ _FOREIGN = (
     MemoryError,
     OverflowError,
 )
-# bytes of a column for each that the file stores of it: gzip makes at most 1032 of one
+# largest ratio of a column's size to the bytes stored for it; gzip expands at most 1032-fold
 MOST_EXPANDED = 1100
-_SMALL = 1 << 20  # bytes that any column may have
+_SMALL = 1 << 20  # columns up to this many bytes are accepted whatever the ratio
 _FILTERS = frozenset({h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32})
 _TEXTS_AT_ONCE, _LONGEST_TEXT = 256, 1 << 20
-_CLASSES = {"f": "f", "i": "iu", "u": "iu", "b": "b"}
+_CLASSES = {"f": "f", "i": "iu", "u": "iu", "b": "b"}  # kinds of dtype accepted for a column's kind
 
 
 class UnexpectedContent(KnotgymError, ValueError):
-    """Something in a file that its schema doesn't allow; readers make their own error of it."""
+    """A file's content doesn't match its schema; readers turn this into their own error."""
 
 
 @dataclass(frozen=True)
 class Column:
-    """One column or attribute of a file.
+    """Schema of one column or attribute of a file.
 
     Attributes:
-        name: in the file; "source/steps" stands in the group `source`.
-        kind: "float64", "int64", "uint8", "bool" and so on; "text", UTF-8; "any" of these. A
-            narrower type of the same class will do. "integer" is one of any width.
-        shape: of one row. A word is a size that is the same in all of a file; None any size. None
-            instead of a shape is any shape.
-        unit: "" where there is none.
-        doc: what it holds.
-        finite: no infinity, no NaN.
-        least: the smallest number there may be.
+        name: path in the file; "source/steps" is in the group `source`.
+        kind: "float64", "int64", "uint8", "bool" and so on; a narrower type of the same class is
+            accepted. "text" is UTF-8, "integer" an integer of any width, "any" any of these.
+        shape: shape of one row. A word stands for a size that is the same everywhere in the file,
+            None for any size. None instead of a tuple accepts any shape.
+        unit: unit of the values; "" if they have none.
+        doc: description.
+        finite: whether to reject infinity and NaN.
+        least: the smallest allowed number; None for no limit.
     """
 
     name: str
@@ -71,34 +71,40 @@ class Column:
     least: float | None = None
 
     def has_kind(self, values: NDArray[Any]) -> bool:
-        """Whether values are of this type, or of a narrower one of its class."""
+        """Return whether an array has this type, or a narrower one of the same class."""
         if self.kind in ("text", "any"):
             return values.dtype.kind in ("U" if self.kind == "text" else "Ufiub")
         return self._holds(values.dtype)
 
     def has_shape(self, values: NDArray[Any], rows: int, sizes: MutableMapping[str, int]) -> bool:
-        """Whether values, of so many rows, are of this shape; `sizes` says what words stand for."""
+        """Return whether an array of so many rows has this shape; `sizes` resolves its words."""
         return _fits(values.shape, self.full_shape(rows, sizes))
 
     def full_shape(self, rows: int, sizes: MutableMapping[str, int]) -> tuple[int | None, ...]:
-        """The shape of the whole column, None where any size will do."""
+        """Return the shape of the whole column, with None where any size is accepted."""
         return (rows, *(sizes[n] if isinstance(n, str) else n for n in self.shape or ()))
 
     def require_type(self, found: h5py.h5t.TypeID, dtype: Any) -> None:
-        """Refuse what is stored as another type.
+        """Check the type of stored data.
+
+        Args:
+            found: type in the file.
+            dtype: the NumPy type that h5py maps it to.
 
         Raises:
-            UnexpectedContent: naming both.
+            UnexpectedContent: it doesn't match `kind`.
         """
         text = h5py.check_string_dtype(dtype) is not None or dtype.kind == "S"
-        if isinstance(found, h5py.h5t.TypeEnumID) and dtype.kind != "b":
-            right = False
+        if isinstance(found, h5py.h5t.TypeEnumID) and dtype.kind != "b":  # h5py stores bool as enum
+            matches = False
         elif self.kind in ("text", "any") and text:
-            right = True
+            matches = True
         else:
-            right = dtype.kind in "fiub" if self.kind == "any" else self._holds(dtype)
-        if not right:
-            raise UnexpectedContent(f"{self.name} is {_told(found, dtype)}, should be {self.kind}")
+            matches = dtype.kind in "fiub" if self.kind == "any" else self._holds(dtype)
+        if not matches:
+            raise UnexpectedContent(
+                f"{self.name} is {_type_name(found, dtype)}, should be {self.kind}"
+            )
 
     def _holds(self, dtype: Any) -> bool:
         if self.kind in ("text", "integer"):
@@ -107,10 +113,10 @@ class Column:
         return dtype.kind in _CLASSES[wanted.kind] and np.can_cast(dtype, wanted)
 
     def require_values(self, values: NDArray[Any]) -> None:
-        """Refuse numbers out of range and text that no terminal should see.
+        """Check that numbers are in range and text has no control characters.
 
         Raises:
-            UnexpectedContent: naming the first such.
+            UnexpectedContent: with the first value that isn't allowed.
         """
         if values.dtype.kind == "U":
             if not "".join(values.ravel().tolist()).isprintable():
@@ -134,16 +140,17 @@ def opened_hdf5(
     versions: Sequence[int],
     error: type[KnotgymError],
 ) -> Iterator[h5py.File]:
-    """Open a file for reading, checked; what goes wrong while it is read is the caller's error too.
+    """Open a file for reading, check its format, and turn errors from the block into `error`.
 
     Args:
-        path: of the file.
-        what: it should be, as "state file".
-        format, versions: that can be read.
-        error: raised for a file that isn't whole, or of another format or version.
+        path: path of the file.
+        what: kind of file, such as "state file", for error messages.
+        format: required `format` attribute.
+        versions: supported format versions.
+        error: error class for a corrupted file, or one of another format or version.
 
     Raises:
-        MissingFile: there is none.
+        MissingFile: the file doesn't exist.
     """
     require_regular(path, what, error)
     with foreign_bytes_as(error, f"{path} isn't a whole {what}"), h5py.File(path, "r") as file:
@@ -152,10 +159,11 @@ def opened_hdf5(
 
 
 def require_regular(path: str | os.PathLike[str], what: str, error: type[KnotgymError]) -> None:
-    """Refuse what isn't a file on a disk: opening a pipe or a device may never end.
+    """Check that a path is a regular file, because reading a pipe or a device may never end.
 
     Raises:
-        MissingFile: there is nothing, or a folder.
+        MissingFile: the path doesn't exist, or is a folder.
+        KnotgymError: of the class `error`, if it is anything else.
     """
     given = Path(path)
     if given.exists() and not given.is_file() and not given.is_dir():
@@ -166,19 +174,23 @@ def require_regular(path: str | os.PathLike[str], what: str, error: type[Knotgym
 
 @contextmanager
 def foreign_bytes_as(error: type[KnotgymError], complaint: str) -> Iterator[None]:
-    """Turn what reading foreign or torn bytes raises into `error`, one line after `complaint`."""
+    """Turn errors from reading corrupted or foreign data into `error`, prefixed by `complaint`."""
     try:
         yield
     except error:
         raise
-    except _FOREIGN as trouble:
-        raise error(f"{complaint}: {one_line(trouble)}") from trouble
+    except _FOREIGN as cause:
+        raise error(f"{complaint}: {one_line(cause)}") from cause
 
 
 def check_format(
     file: h5py.File, *, format: str, versions: Sequence[int], error: type[KnotgymError]
 ) -> int:
-    """The version of an open file; raises `error` unless it is one of `versions` of the format."""
+    """Return the format version of an open file.
+
+    Raises:
+        KnotgymError: of the class `error`, if the file has another format or version.
+    """
     name, version = (
         read_attribute(file, Column(name, "any", ())) if name in file.attrs else "none"
         for name in ("format", "format_version")
@@ -194,7 +206,7 @@ def check_format(
 
 
 def hdf5_format(path: str | os.PathLike[str]) -> str | None:
-    """The format an HDF5 file says it has; None if it says nothing or isn't one."""
+    """Return the `format` attribute of an HDF5 file; None if it has none or isn't an HDF5 file."""
     if not Path(path).is_file():
         return None
     try:
@@ -205,25 +217,25 @@ def hdf5_format(path: str | os.PathLike[str]) -> str | None:
 
 
 def member(group: h5py.Group, name: str) -> Any:
-    """A group or dataset inside this very file.
+    """Return a group or dataset of a group, without following links.
 
     Args:
-        group: it is in.
-        name: "a/b" for a dataset or group in the group `a`.
+        group: an open group.
+        name: path in the group, such as "a/b" for `b` in the group `a`.
 
     Raises:
-        UnexpectedContent: a link on the way to it leads elsewhere, or it is neither.
-        KeyError: there is none.
+        UnexpectedContent: the path contains a link, or ends at neither a group nor a dataset.
+        KeyError: it doesn't exist.
     """
     found = group
     for part in name.split("/"):
         if not isinstance(found, h5py.Group):
-            raise UnexpectedContent(f"{name} should be in a group, {part} is in none")
+            raise UnexpectedContent(f"{name} should be in a group, but what holds {part} is none")
         encoded = part.encode()
         if not found.id.links.exists(encoded):
             raise KeyError(f"{name} is missing")
         if found.id.links.get_info(encoded).type != h5py.h5l.TYPE_HARD:
-            raise UnexpectedContent(f"{name} is a link to another place, should be stored here")
+            raise UnexpectedContent(f"{name} is a link, should be stored in the file itself")
         found = found[part]
     if not isinstance(found, h5py.Group | h5py.Dataset):
         raise UnexpectedContent(f"{name} should be an array or a group")
@@ -231,7 +243,7 @@ def member(group: h5py.Group, name: str) -> Any:
 
 
 def members(group: h5py.Group, name: str) -> list[str]:
-    """The names in a group of a group."""
+    """Return the names in the group `name` of a group."""
     found = member(group, name)
     if not isinstance(found, h5py.Group):
         raise UnexpectedContent(f"{name} should be a group")
@@ -241,16 +253,17 @@ def members(group: h5py.Group, name: str) -> list[str]:
 def stored_column(
     group: h5py.Group, column: Column, sizes: MutableMapping[str, int], name: str = ""
 ) -> h5py.Dataset:
-    """The dataset of a column, whose type and size are right; none of it is read.
+    """Return the dataset of a column after checking its type, shape and size, without reading it.
 
     Args:
-        group: it is in.
-        column: what it should be; `shape` is here that of the whole column.
-        sizes: what words in shapes stand for; a new word is what is found.
-        name: in the group, where it isn't the column's.
+        group: an open group.
+        column: the schema; its `shape` is that of the whole column, including rows.
+        sizes: values of the words in shapes; new words are added.
+        name: name of the dataset in the group, if different from the column's.
 
     Raises:
-        UnexpectedContent, KeyError: it isn't.
+        UnexpectedContent: the dataset doesn't match the schema.
+        KeyError: it doesn't exist.
     """
     data = member(group, name or column.name)
     if not isinstance(data, h5py.Dataset):
@@ -264,7 +277,7 @@ def stored_column(
 def read_column(
     group: h5py.Group, column: Column, sizes: MutableMapping[str, int], name: str = ""
 ) -> NDArray[Any]:
-    """A column's values, checked; arguments and errors as of `stored_column`."""
+    """Read and check the values of a column; arguments and errors as for `stored_column`."""
     data = stored_column(group, column, sizes, name)
     if data.dtype.kind == "S":
         values = np.char.decode(np.asarray(data[()]), "utf-8")
@@ -282,11 +295,11 @@ def read_column(
 def read_attribute(
     item: h5py.Group | h5py.Dataset, column: Column, sizes: MutableMapping[str, int] | None = None
 ) -> Any:
-    """An attribute, checked: a str or NumPy scalar, or where `shape` says so an array.
+    """Read and check an attribute: a str, a NumPy scalar, or an array, depending on the shape.
 
     Raises:
-        UnexpectedContent: of another type or shape, or out of range.
-        KeyError: there is none.
+        UnexpectedContent: the attribute doesn't match the schema.
+        KeyError: it doesn't exist.
     """
     if column.name not in item.attrs:
         raise KeyError(f"the attribute {column.name} is missing")
@@ -301,17 +314,18 @@ def read_attribute(
 
 
 def require_stored_here(data: h5py.Dataset, name: str) -> None:
-    """Refuse an array that lies in other files, or that is far larger than what is stored of it.
+    """Check that a dataset is stored in this file, and isn't far larger than its stored bytes.
 
     Raises:
-        UnexpectedContent: it is.
+        UnexpectedContent: it is in other files, has a filter other than those of _FILTERS, or is
+            more than MOST_EXPANDED times as large as its stored bytes.
     """
     made = data.id.get_create_plist()
     layout = made.get_layout()
     if layout == h5py.h5d.VIRTUAL or made.get_external_count():
-        raise UnexpectedContent(f"{name} lies in other files, should be stored here")
+        raise UnexpectedContent(f"{name} is in other files, should be stored in the file itself")
     if any(made.get_filter(k)[0] not in _FILTERS for k in range(made.get_nfilters())):
-        raise UnexpectedContent(f"{name} is compressed in another way than gzip")
+        raise UnexpectedContent(f"{name} is compressed, but not with gzip")
     each = data.id.get_type().get_size()
     size = each * prod(data.shape or (0,))
     chunk = each * prod(made.get_chunk()) if layout == h5py.h5d.CHUNKED else 0
@@ -320,17 +334,20 @@ def require_stored_here(data: h5py.Dataset, name: str) -> None:
     stored = min(data.id.get_storage_size(), os.path.getsize(data.file.filename))
     if max(size, chunk) > _SMALL + MOST_EXPANDED * stored:
         raise UnexpectedContent(
-            f"{name} declares {data.shape}, {size} bytes, and stores {stored}; the most that is"
-            f" read is {MOST_EXPANDED} for each byte stored"
+            f"{name} declares {data.shape}, {size} bytes, and stores {stored}; at most"
+            f" {MOST_EXPANDED} bytes per stored byte are read"
         )
 
 
 def _texts(data: h5py.Dataset, name: str) -> NDArray[np.str_]:
-    """Strings of any length, some at a time: each row may name the longest string of the file."""
+    """Read strings of variable length in batches, checking lengths before memory is used up.
+
+    Each row may refer to the same longest string of the file, so a small file can hold a lot.
+    """
     if data.ndim == 0:
         return np.array(data[()].decode(), dtype=np.str_)
     if data.ndim != 1:
-        raise UnexpectedContent(f"{name} is of shape {data.shape}, should be one text a row")
+        raise UnexpectedContent(f"{name} is of shape {data.shape}, should be one text per row")
     found: list[str] = []
     for start in range(0, len(data), _TEXTS_AT_ONCE):
         texts = [text.decode() for text in data[start : start + _TEXTS_AT_ONCE].tolist()]
@@ -343,33 +360,35 @@ def _texts(data: h5py.Dataset, name: str) -> NDArray[np.str_]:
 def _require_shape(
     column: Column, shape: tuple[int, ...] | None, sizes: MutableMapping[str, int]
 ) -> None:
-    """Refuse another shape; words that `sizes` doesn't know yet are what is found."""
+    """Check a shape; words that are not in `sizes` yet get the size that is found."""
     wanted = (None,) * len(shape or ()) if column.shape is None else column.shape
-    right = tuple(sizes.get(n) if isinstance(n, str) else n for n in wanted)
-    if shape is None or not _fits(shape, right):
-        should_be = ", ".join("any" if size is None else str(size) for size in right)
+    expected = tuple(sizes.get(n) if isinstance(n, str) else n for n in wanted)
+    if shape is None or not _fits(shape, expected):
+        should_be = ", ".join("any" if size is None else str(size) for size in expected)
         raise UnexpectedContent(f"{column.name} is of shape {shape}, should be ({should_be})")
     for word, size in zip(wanted, shape, strict=True):
         if isinstance(word, str):
             sizes[word] = size
 
 
-def _fits(shape: tuple[int, ...], right: tuple[int | None, ...]) -> bool:
-    return len(shape) == len(right) and all(
-        size in (None, found) for size, found in zip(right, shape, strict=True)
+def _fits(shape: tuple[int, ...], expected: tuple[int | None, ...]) -> bool:
+    return len(shape) == len(expected) and all(
+        size in (None, found) for size, found in zip(expected, shape, strict=True)
     )
 
 
 def _dtype(found: h5py.h5d.DatasetID | h5py.h5a.AttrID, column: Column) -> Any:
     try:
         return found.dtype
-    except (TypeError, ValueError) as error:  # NumPy has none for it
-        told = _told(found.get_type(), None)
-        raise UnexpectedContent(f"{column.name} is {told}, should be {column.kind}") from error
+    except (TypeError, ValueError) as error:  # NumPy has no such type
+        found_type = _type_name(found.get_type(), None)
+        raise UnexpectedContent(
+            f"{column.name} is {found_type}, should be {column.kind}"
+        ) from error
 
 
-def _told(found: h5py.h5t.TypeID, dtype: Any) -> str:
-    """A stored type in a word or two."""
+def _type_name(found: h5py.h5t.TypeID, dtype: Any) -> str:
+    """Describe a stored type in a word or two, for error messages."""
     special = {
         h5py.h5t.TypeEnumID: "an enumeration",
         h5py.h5t.TypeCompoundID: "a compound" if dtype is None or dtype.kind != "c" else str(dtype),

@@ -1,8 +1,7 @@
-"""Public names that are imported when they are first asked for (PEP 562), so that a package costs
-nothing until it is used.
+"""Lazy imports of a package's public names (PEP 562), which keep `import knotgym` fast.
 
-A package lists its names twice by hand, once for type checkers and once for this; a test compares
-the two lists with `__all__`.
+A package lists its names twice by hand: once for type checkers and once for `lazy_exports`. A test
+compares both lists with `__all__`.
 """
 
 from __future__ import annotations
@@ -16,11 +15,11 @@ from typing import Any
 def lazy_exports(
     package: str, exports: Mapping[str, str]
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """Make a package's `__getattr__` and `__dir__`.
+    """Make the `__getattr__` and `__dir__` of a package.
 
     Args:
-        package: its `__name__`.
-        exports: public name -> "module" that has it, or "module:name" if it has another name there.
+        package: the `__name__` of the package.
+        exports: maps a public name to its module, or to "module:name" if it is called `name` there.
     """
 
     def __getattr__(name: str) -> Any:

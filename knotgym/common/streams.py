@@ -1,8 +1,8 @@
-"""Random streams: every draw of a run comes from a generator that is keyed by what it is for.
+"""Random streams: each purpose in a run has its own generators, seeded by a key.
 
-A key is (stream, seed, three counters), always of the same width, because NumPy pads shorter
-entropy with zeros: `SeedSequence([7, 2])` and `SeedSequence([7, 2, 0])` are the same stream, and
-so are two purposes whose hand-made keys happen to spell the same numbers.
+A key is (stream, seed, three counters). Its width is fixed because NumPy pads shorter entropy with
+zeros: `SeedSequence([7, 2])` and `SeedSequence([7, 2, 0])` give the same numbers. The stream is
+part of the key so that two purposes never share numbers by accident.
 
 >>> np.random.default_rng([7, 2]).random() == np.random.default_rng([7, 2, 0]).random()
 True
@@ -19,40 +19,43 @@ from numpy.typing import NDArray
 
 from knotgym.common.errors import KnotgymError
 
-COUNTERS = 3  # in a key; those not named are 0
-_WORD, _MOST = 2**32, 2**63 - 1  # what an int64 column holds
+COUNTERS = 3  # per key; missing counters are 0
+_WORD, _MOST = 2**32, 2**63 - 1  # _MOST: seeds are stored in int64 columns
 
 
 class InvalidSeed(KnotgymError, ValueError):
-    """A seed or counter that no stream can be keyed by."""
+    """A seed or counter is out of range, or there are too many counters."""
 
 
 @unique
 class Stream(IntEnum):
-    """What draws are for, and what the counters are. Numbers are never used again for another."""
+    """The purposes of random draws; comments name the counters of each.
 
-    SHARD = 1  # number of the shard: the seed of its search
+    The number of a purpose is never reused for another one, because datasets store keys.
+    """
+
+    SHARD = 1  # shard number: the seed of its search
     SPLIT = 2  # nx: train or test
-    CODE_ORDER = 4  # nx: in which order codes are wanted
+    CODE_ORDER = 4  # nx: order in which codes are processed
     CANDIDATE = 6  # nx, code, copy: its demonstration, and the state that it may end in
-    TARGETED_SEARCH = 7  # nx, code, number of the planner's search
-    SEARCH_ROPE = 8  # round, rope of the batch
+    TARGETED_SEARCH = 7  # nx, code, search number of the planner
+    SEARCH_ROPE = 8  # round, index of the rope in the batch
     SEARCH_PARENTS = 9  # round
     SEARCH_REPLAYS = 10  # round, wave of the planner after it
-    EPISODE = 13  # number of the episode: the seed of its environment, in datasets
-    POLICY = 14  # number of the episode, attempt: draws of the policy, in datasets
-    IMAGE_WALK = 15  # number of the walk
-    IMAGE_WAVE = 16  # wave: where its walks set out from
-    IMAGE_CHOICE = 17  # number of the frame
-    IMAGE_CODES = 18  # nx: codes that only split test-code shows
-    IMAGE_FAMILIES = 19  # nx: splits of the states that walks set out from
+    EPISODE = 13  # episode number: the seed of its environment, in datasets
+    POLICY = 14  # episode number, rollout of the episode: the policy's draws, in datasets
+    IMAGE_WALK = 15  # walk number
+    IMAGE_WAVE = 16  # wave: start states of its walks
+    IMAGE_CHOICE = 17  # frame number
+    IMAGE_CODES = 18  # nx: the codes held out for split test-code
+    IMAGE_FAMILIES = 19  # nx: splits of the start states of walks
     IMAGE_ORDER = 20  # split: order of the rows
     IMAGE_NOISE = 21  # row: its noise survival
     IMAGE_APPEARANCE = 22  # row
-    IMAGE_GRAIN = 23  # the noise of one picture, whose seed is stored
-    EXPERT_LABEL = 24  # number of the episode, step: the plan that labels it
-    EVALUATION_EPISODE = 25  # number of the episode: the seed of its environment, scored
-    EVALUATION_POLICY = 26  # number of the episode: draws of the policy, scored
+    IMAGE_GRAIN = 23  # pixel noise of one picture, whose seed is stored
+    EXPERT_LABEL = 24  # episode number, step: the plan that gives the expert action
+    EVALUATION_EPISODE = 25  # episode number: the seed of its environment, in evaluations
+    EVALUATION_POLICY = 26  # episode number: the policy's draws, in evaluations
     INTERVAL = 27  # bootstraps of confidence intervals
     RANDOM_WALK = 30  # rope: all its actions, see `actions.drawn_actions`
     RANDOM_WALK_NOISE = 31  # rope, step: noise survival of the state saved there
@@ -60,15 +63,15 @@ class Stream(IntEnum):
     DRAWING_CODES = 41  # nx: which codes are drawn, where there are too many to list
     START = 42  # the drawing of a knot that action sequences begin at
     LEARN_PICTURES = 50  # step of training the reader
-    LEARN_ROPE = 51  # fitting the model of the rope
-    LEARN_PLACES = 52  # which places ropes begin at are kept
+    LEARN_ROPE = 51  # fitting the rope model
+    LEARN_PLACES = 52  # the start positions of ropes that are kept
 
 
 def key(stream: Stream, seed: int, *counters: int) -> tuple[int, ...]:
-    """The key of a stream: (stream, seed, counter, counter, counter), each below 2**63.
+    """Return the key (stream, seed, counter, counter, counter), each number in [0, 2**63).
 
     Raises:
-        InvalidSeed: a number is negative or too large, or there are too many counters.
+        InvalidSeed: a number is out of range, or there are too many counters.
     """
     if len(counters) > COUNTERS:
         raise InvalidSeed(f"a stream has at most {COUNTERS} counters, got {counters}")
@@ -79,22 +82,22 @@ def key(stream: Stream, seed: int, *counters: int) -> tuple[int, ...]:
 
 
 def words(key: tuple[int, ...]) -> NDArray[np.uint32]:
-    """A key as NumPy's entropy: two words a number, so that no two keys are the same words."""
+    """Return a key as entropy for NumPy: two 32-bit words per number, so keys stay distinct."""
     return np.array([(n % _WORD, n // _WORD) for n in key], dtype=np.uint32).ravel()
 
 
 def generator(stream: Stream, seed: int, *counters: int) -> np.random.Generator:
-    """The generator of a stream, at its beginning."""
+    """Return a new generator of a stream."""
     return generator_of(key(stream, seed, *counters))
 
 
 def generator_of(key: tuple[int, ...]) -> np.random.Generator:
-    """The generator of a key, at its beginning."""
+    """Return a new generator of a key."""
     return np.random.default_rng(_sequence(key))
 
 
 def derived_seed(stream: Stream, seed: int, *counters: int) -> int:
-    """A seed, below 2**52, for what takes one number; JSON and float64 hold it exactly."""
+    """Return a seed in [0, 2**52), which JSON and float64 hold exactly, for use outside streams."""
     return int(_sequence(key(stream, seed, *counters)).generate_state(1, np.uint64)[0] >> 12)
 
 

@@ -1,1 +1,1 @@
-"""Ropes drawn from Gauss codes: a code's planar map, packed with circles, eased, and lifted."""
+"""Draw ropes from Gauss codes: planar map, circle packing, layout relaxation, lifting."""

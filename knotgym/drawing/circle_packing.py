@@ -1,8 +1,9 @@
-"""Circle packing: a circle for every node of a triangulated disc, tangent where nodes are joined.
+"""Circle packing: one circle per node of a triangulated disc, tangent where nodes are joined.
 
-The radii are found by the iteration of C. Collins and K. Stephenson, "A circle packing algorithm"
-(Computational Geometry 25, 2003): a circle grows or shrinks until its neighbours just surround it.
-Lines between the middles of tangent circles then draw the triangulation without crossing.
+The radii are computed by the uniform-neighbour iteration of C. Collins and K. Stephenson, "A circle
+packing algorithm" (Computational Geometry 25, 2003): each circle grows or shrinks until the circles
+around it just close up. Straight lines between the centres of tangent circles then draw the
+triangulation without crossings.
 """
 
 from __future__ import annotations
@@ -14,17 +15,17 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
-_SWEEPS = 4000
-_CLOSED = 1e-7  # radians by which neighbours may miss a full turn
+_MAX_SWEEPS = 4000
+_TOLERANCE = 1e-7  # allowed deviation of an angle sum from 2 pi, radians
 
 
-def packed(triangles: Integers, rim: Integers, nodes: int) -> Array:
-    """The middles of the circles, float64 (nodes, 2); those on the rim are all of one size.
+def pack_circles(triangles: Integers, rim: Integers, nodes: int) -> Array:
+    """Return the centres of the circles, float64 (nodes, 2); circles on the rim have radius 1.
 
     Args:
-        triangles: int64 (t, 3), anticlockwise, of a disc.
-        rim: its border nodes.
-        nodes: how many there are.
+        triangles: int64 (t, 3), nodes of each triangle of the disc, counterclockwise.
+        rim: int64, the nodes on the border of the disc.
+        nodes: number of nodes.
     """
     first, petals = _flowers(triangles, nodes)
     inner = np.ones(nodes, dtype=np.bool_)
@@ -33,16 +34,21 @@ def packed(triangles: Integers, rim: Integers, nodes: int) -> Array:
 
 
 def _flowers(triangles: Integers, nodes: int) -> tuple[Integers, Integers]:
-    """Each node's neighbours in anticlockwise order: those of node v are petals[first[v] :
-    first[v + 1]].
+    """List the neighbours ("petals") of each node counterclockwise.
+
+    Returns:
+        first: int64 (nodes + 1,); the neighbours of node v are petals[first[v] : first[v + 1]].
+        petals: int64.
     """
+    # per node: neighbour -> the next neighbour counterclockwise
     onwards: list[dict[int, int]] = [{} for _ in range(nodes)]
     for a, b, c in triangles.tolist():
         onwards[a][b], onwards[b][c], onwards[c][a] = c, a, b
     petals: list[int] = []
     first = np.zeros(nodes + 1, dtype=np.int64)
     for node, after in enumerate(onwards):
-        # a rim node's fan has a beginning, any other's is a cycle
+        # The neighbours of a rim node form a chain, which starts at the one that follows none;
+        # those of an inner node form a cycle.
         start = next(iter(after.keys() - after.values()), next(iter(after)))
         petal = start
         while True:
@@ -56,9 +62,10 @@ def _flowers(triangles: Integers, nodes: int) -> tuple[Integers, Integers]:
 
 @numba.njit(cache=True, nogil=True)
 def _radii(first: Integers, petals: Integers, inner: NDArray[np.bool_]) -> Array:
+    """Compute the radii, float64 (nodes,), for which the angles at each inner node sum to 2 pi."""
     nodes = len(inner)
     radii = np.ones(nodes)
-    for _ in range(_SWEEPS):
+    for _ in range(_MAX_SWEEPS):
         worst = 0.0
         for node in range(nodes):
             if not inner[node]:
@@ -67,13 +74,16 @@ def _radii(first: Integers, petals: Integers, inner: NDArray[np.bool_]) -> Array
             before = radii[petals[first[node + 1] - 1]]
             for k in range(first[node], first[node + 1]):
                 after = radii[petals[k]]
+                # The angle at radius r between tangent circles of radii a and b:
+                # sin^2(angle / 2) = a / (r + a) * b / (r + b), by the law of cosines.
                 turn += 2 * np.arcsin(np.sqrt(before / (own + before) * after / (own + after)))
                 before = after
             worst = max(worst, abs(turn - 2 * np.pi))
-            # neighbours all of one size would make this turn, and leave that radius to fill one
+            # Uniform-neighbour model: `count` equal circles with the same angle sum would have the
+            # radius beta / (1 - beta) * own. Inside them, this new radius makes the sum 2 pi.
             beta, delta = np.sin(turn / (2 * count)), np.sin(np.pi / count)
             radii[node] = beta / (1 - beta) * own * (1 - delta) / delta
-        if worst < _CLOSED:
+        if worst < _TOLERANCE:
             break
     return radii
 
@@ -82,14 +92,19 @@ def _radii(first: Integers, petals: Integers, inner: NDArray[np.bool_]) -> Array
 def _laid_out(
     radii: Array, first: Integers, petals: Integers, inner: NDArray[np.bool_], start: int
 ) -> Array:
-    """The middles, laid out from an inner node: around each that lies, its neighbours."""
+    """Place the centres breadth-first from the inner node `start`, float64 (nodes, 2).
+
+    Around each inner node that has been placed, its neighbours follow at known distances and
+    angles, counterclockwise from one that has been placed before.
+    """
     nodes = len(radii)
     at = np.zeros((nodes, 2))
-    lies = np.zeros(nodes, dtype=np.bool_)
+    placed = np.zeros(nodes, dtype=np.bool_)
     queue = np.empty(nodes, dtype=np.int64)
-    lies[start], queue[0], done, known = True, start, 0, 1
+    placed[start], queue[0], done, known = True, start, 0, 1
+    # The start is the origin and its first neighbour lies on the x axis.
     at[petals[first[start]], 0] = radii[start] + radii[petals[first[start]]]
-    lies[petals[first[start]]] = True
+    placed[petals[first[start]]] = True
     queue[known] = petals[first[start]]
     known += 1
     while done < known:
@@ -99,7 +114,7 @@ def _laid_out(
             continue
         begin, count = first[node], first[node + 1] - first[node]
         known_petal = 0
-        while not lies[petals[begin + known_petal]]:
+        while not placed[petals[begin + known_petal]]:
             known_petal += 1
         own, before = radii[node], petals[begin + known_petal]
         angle = np.arctan2(at[before, 1] - at[node, 1], at[before, 0] - at[node, 0])
@@ -107,8 +122,8 @@ def _laid_out(
             petal = petals[begin + (known_petal + k) % count]
             one, two = radii[before], radii[petal]
             angle += 2 * np.arcsin(np.sqrt(one / (own + one) * two / (own + two)))
-            if not lies[petal]:
-                lies[petal] = True
+            if not placed[petal]:
+                placed[petal] = True
                 at[petal, 0] = at[node, 0] + (own + two) * np.cos(angle)
                 at[petal, 1] = at[node, 1] + (own + two) * np.sin(angle)
                 queue[known] = petal

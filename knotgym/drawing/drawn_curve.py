@@ -1,9 +1,9 @@
-"""A rope drawn from a Gauss code, without physics and without search.
+"""Draw a rope from a Gauss code, without simulation and without search.
 
-The code's planar map is packed with circles (`circle_packing`), which draws it; the drawing is
-eased until it reads well (`easing`); strands are lifted where they cross, and the curve is cut into
-beads. The outer face, how roomy each face is, the base bead's place and the turn are drawn at
-random: one code has many drawings.
+A circle packing of the code's planar map gives a straight-line drawing (`circle_packing`), which is
+relaxed until it is easy to read (`layout_relaxation`). Then the strands are lifted or lowered where
+they cross, and the curve is cut into beads. The outer face, the relative sizes of the faces, the
+position of the base bead and the rotation are random, so one code has many drawings.
 """
 
 from __future__ import annotations
@@ -14,49 +14,49 @@ import numpy as np
 
 from knotgym.common.configuration import check_numbers
 from knotgym.common.errors import KnotgymError
-from knotgym.drawing.circle_packing import packed
-from knotgym.drawing.easing import EasingConfig, Integers, eased
+from knotgym.drawing.circle_packing import pack_circles
+from knotgym.drawing.layout_relaxation import Integers, LayoutRelaxationConfig, relax_layout
 from knotgym.drawing.planar_map import planar_map
 from knotgym.rope.model import Array, InvalidCurve, Rope
 from knotgym.topology.crossings import label
-from knotgym.topology.diagrams import drawn, faces
+from knotgym.topology.diagrams import faces, with_chirality
 from knotgym.topology.gauss import GaussCode
 
-MOST_CROSSINGS = 16  # 100 beads have 3 for each edge then
+MOST_CROSSINGS = 16  # that leaves 3 of 100 beads for each edge
 
 
 class UndrawnCode(KnotgymError, RuntimeError):
-    """This drawing of a code isn't one that a rope can lie in; another one may be."""
+    """The rope can't take the shape of this drawing; another drawing of the code may work."""
 
 
 class TooManyCrossings(KnotgymError, ValueError):
-    """A code with more crossings than the rope has room for."""
+    """The code has more crossings than the rope has room for."""
 
     def __init__(self, nx: int) -> None:
         super().__init__(
-            f"a rope of this length is drawn with {MOST_CROSSINGS} crossings at most, got a code"
-            f" with {nx}"
+            f"the rope is long enough for {MOST_CROSSINGS} crossings at most, got a code with {nx}"
         )
 
 
 @dataclass(frozen=True, kw_only=True)
 class DrawingConfig:
-    """How a code is drawn.
+    """Settings of a drawing.
 
     Attributes:
-        uneven: standard deviation of the logarithm of a face's share.
-        outer: power of a face's number of edges that its chance to lie outside goes with.
-        height: metres between the strands at a crossing.
-        base: metres along the rope from the base bead to a crossing, at least, where there is
-            room.
-        easing: of the flat drawing.
+        uneven: standard deviation of the logarithm of a face's share of the area.
+        outer: exponent; a face is the outer one with probability proportional to this power of its
+            number of edges.
+        height: vertical distance of the strands at a crossing, metres.
+        base: smallest distance along the rope from the base bead to a crossing, metres; less where
+            the edge is too short.
+        easing: settings of the layout relaxation.
     """
 
     uneven: float = 0.25
     outer: float = 3.0
     height: float = 0.014
     base: float = 0.03
-    easing: EasingConfig = EasingConfig()
+    easing: LayoutRelaxationConfig = LayoutRelaxationConfig()  # state files store this name
 
     def __post_init__(self) -> None:
         check_numbers(self, positive=("height",), non_negative=("uneven", "outer", "base"))
@@ -71,27 +71,29 @@ def drawn_curve(
     """Draw a code once.
 
     Args:
-        code: planar; one without chirality gets the first there is.
-        rng: every draw comes from it.
-        rope: the usual one if None.
-        config: how.
+        code: a planar code; without chirality it gets one from `diagrams.with_chirality`.
+        rng: source of all randomness.
+        rope: the rope to draw; `Rope()` if None.
+        config: settings; `DrawingConfig()` if None.
 
     Returns:
         float64 (beads, 3), metres, a configuration of the rope that shows the code.
 
     Raises:
         NotPlanar: no closed curve shows the code.
-        TooManyCrossings: it has more crossings than the rope has room for.
-        UndrawnCode: this drawing came out too tight; the next may not.
+        TooManyCrossings: the code has more than MOST_CROSSINGS crossings.
+        UndrawnCode: this drawing is too tight for the rope or shows another code; try again.
     """
-    rope, config, code = rope or Rope(), config or DrawingConfig(), drawn(code)
+    rope, config, code = rope or Rope(), config or DrawingConfig(), with_chirality(code)
     if code.nx > MOST_CROSSINGS:
         raise TooManyCrossings(code.nx)
     if code.nx:
         flat, visits = _flat(code, rng, config)
         curve = _lifted(flat, visits, code, rng, rope.config.length, config)
     else:
+        # the plain loop in either direction
         curve = rope.loop() * (1, rng.choice((-1, 1)), 1)
+    # row vectors are rotated, so this is the transposed rotation matrix
     turn = rng.uniform(0, 2 * np.pi)
     turned = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
     curve[:, :2] = curve[:, :2] @ turned
@@ -107,15 +109,21 @@ def drawn_curve(
 def _flat(
     code: GaussCode, rng: np.random.Generator, config: DrawingConfig
 ) -> tuple[Array, Integers]:
-    """The flat curve, float64 (n, 2), of length 1, and where on it the visits are, int64."""
+    """Draw the code in the plane.
+
+    Returns:
+        flat: float64 (n, 2), a closed polyline of length 1.
+        visits: int64 (2 nx,), its vertices that are the visits.
+    """
     sizes = np.array([len(walk) for walk in faces(code)], dtype=np.float64)
     chances = sizes**config.outer
     outer = int(rng.choice(len(sizes), p=chances / chances.sum()))
     shares = np.exp(config.uneven * rng.normal(size=len(sizes)))
     shares[outer] = 0.0
     of = planar_map(code, outer)
-    at = packed(of.triangles, of.rim, of.nodes)[: of.walk.max() + 1]
-    at, walk = eased(at, of.walk, of.left, of.right, shares, config.easing)
+    # the nodes on the rope come first; those inside the faces have done their work
+    at = pack_circles(of.triangles, of.rim, of.nodes)[: of.walk.max() + 1]
+    at, walk = relax_layout(at, of.walk, of.left, of.right, shares, config.easing)
     visits = np.arange(2 * code.nx) * (len(walk) // (2 * code.nx))
     flat = at[walk]
     return flat / _steps(flat).sum(), visits
@@ -129,27 +137,32 @@ def _lifted(
     length: float,
     config: DrawingConfig,
 ) -> Array:
-    """The curve in space, float64 (n + 1, 3), metres, from the base bead on.
+    """Lift the flat curve, and choose the base point on the edge that leads to visit 0.
 
-    Between two visits its height goes from that of one to that of the other along a cosine.
+    Between two visits the height follows half a cosine wave from one visit's height to the other's.
+
+    Returns:
+        float64 (n + 1, 3), metres, starting at the base point.
     """
     flat = flat * length
-    place = np.concatenate([[0.0], np.cumsum(_steps(flat))])
-    ends = np.append(place[visits], place[-1])
+    arc = np.concatenate([[0.0], np.cumsum(_steps(flat))])  # metres along the rope from visit 0
+    ends = np.append(arc[visits], arc[-1])
     tops = np.sign(np.append(code.visits, code.visits[0])) * config.height / 2
+    # all edges have the same number of segments; `share` runs from 0 to 1 along each
     edge = np.repeat(np.arange(len(visits)), len(flat) // len(visits))
-    share = (place[:-1] - ends[edge]) / np.diff(ends)[edge]
+    share = (arc[:-1] - ends[edge]) / np.diff(ends)[edge]
     z = tops[edge] + np.diff(tops)[edge] * (1 - np.cos(np.pi * share)) / 2
     curve = np.column_stack([flat, z])
+    # 0.45: on a short edge, the base point stays in the middle tenth
     room = min(0.45 * (ends[-1] - ends[-2]), config.base)
     base = rng.uniform(ends[-2] + room, ends[-1] - room)
-    before = int(np.searchsorted(place, base)) - 1
-    onwards = (base - place[before]) / (place[before + 1] - place[before])
+    before = int(np.searchsorted(arc, base)) - 1
+    onwards = (base - arc[before]) / (arc[before + 1] - arc[before])
     after = curve[(before + 1) % len(curve)]
     start = curve[before] + onwards * (after - curve[before])
     return np.concatenate([start[None], np.roll(curve, -(before + 1), axis=0)])
 
 
 def _steps(flat: Array) -> Array:
-    """Lengths of a closed polyline's segments."""
+    """Return the segment lengths of a closed polyline."""
     return np.asarray(np.linalg.norm(np.roll(flat, -1, axis=0) - flat, axis=1))

@@ -1,9 +1,9 @@
-"""The planar map of a Gauss code, triangulated so that circles can be packed on it.
+"""The planar map of a Gauss code, triangulated for circle packing.
 
-Crossings are nodes, and so are CUTS places on every edge (the strand between two visits). Inside
-every face lies a ring of nodes, one for each node on the walk round the face, and a middle one. A
-kink's eye, a two-sided face, or a face that comes by one crossing twice are then no trouble: no two
-nodes are joined twice, none to itself.
+The nodes are the crossings and CUTS points on every edge (the strand between two visits). Inside
+every face there is a ring of nodes, one for each node on the walk around the face, and a centre
+node. The ring keeps the triangulation simple, without loops or double edges, also for faces with
+one or two sides and for faces that meet a crossing twice.
 """
 
 from __future__ import annotations
@@ -16,39 +16,38 @@ from numpy.typing import NDArray
 from knotgym.topology.diagrams import faces
 from knotgym.topology.gauss import GaussCode
 
-CUTS = 3  # nodes inside an edge; two would do for a triangulation
+CUTS = 3  # nodes inside an edge; two are enough for a simple triangulation
 
 Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
 class PlanarMap:
-    """A code's map on the sphere, and its triangulation.
+    """The triangulated planar map of a code; crossing k is node k - 1.
 
     Attributes:
-        walk: nodes along the rope from visit 0, int64 (2 nx (CUTS + 1),); crossings come twice.
-        left, right: face on either side of each edge, int64 (2 nx,).
-        sizes: edges round each face, int64 (nx + 2,).
-        triangles: int64 (t, 3), anticlockwise; those with the middle of the outer face left out.
-        rim: the outer face's ring, clockwise as seen from inside, int64.
-        nodes: how many there are.
+        walk: int64 (2 nx (CUTS + 1),), nodes along the rope from visit 0; each crossing occurs
+            twice.
+        left, right: int64 (2 nx,), the faces on either side of each edge.
+        triangles: int64 (t, 3), nodes counterclockwise; the outer face has no centre node.
+        rim: int64, the ring of the outer face, clockwise as seen from inside.
+        nodes: number of nodes.
     """
 
     walk: Integers
     left: Integers
     right: Integers
-    sizes: Integers
     triangles: Integers
     rim: Integers
     nodes: int
 
 
 def planar_map(code: GaussCode, outer: int) -> PlanarMap:
-    """The map of a code with chirality and a crossing at least.
+    """Triangulate the planar map of a code.
 
     Args:
-        code: that can be drawn.
-        outer: which of `faces(code)` lies outside.
+        code: a planar code with chirality and at least one crossing.
+        outer: index in `faces(code)` of the outer face.
     """
     edges, nx = 2 * code.nx, code.nx
     step = CUTS + 1
@@ -57,18 +56,22 @@ def planar_map(code: GaussCode, outer: int) -> PlanarMap:
     for cut in range(CUTS):
         walk[cut + 1 :: step] = nx + CUTS * np.arange(edges) + cut
     walks = faces(code)
-    side = np.empty(2 * edges, dtype=np.int64)
+    side = np.empty(2 * edges, dtype=np.int64)  # the face on the left of each dart
     nodes, triangles, rim = nx + CUTS * edges, [], np.empty(0, dtype=np.int64)
     for number, darts in enumerate(walks):
         side[darts] = number
         border = np.concatenate([_nodes_of(dart, walk, step) for dart in darts])
         ring = nodes + np.arange(len(border))
         after, ring_after = np.roll(border, -1), np.roll(ring, -1)
+        # a strip of two triangles per border node between the border and the ring
+        #   ring   ring_after        the face is on the left of the border,
+        #   border after             so both rows run counterclockwise around it
         triangles += [
             np.stack([border, after, ring], axis=1),
             np.stack([after, ring_after, ring], axis=1),
         ]
         nodes += len(ring)
+        # every other face is closed by a fan around a centre node
         if number == outer:
             rim = ring
         else:
@@ -78,7 +81,6 @@ def planar_map(code: GaussCode, outer: int) -> PlanarMap:
         walk,
         side[0::2],
         side[1::2],
-        np.array([len(darts) for darts in walks]),
         np.concatenate(triangles),
         rim,
         nodes,
@@ -86,7 +88,7 @@ def planar_map(code: GaussCode, outer: int) -> PlanarMap:
 
 
 def _nodes_of(dart: int, walk: Integers, step: int) -> Integers:
-    """The nodes along a dart, its end left out."""
+    """Return the nodes along a dart, without the one at its end."""
     edge, back = divmod(dart, 2)
     along = np.take(walk, np.arange(edge * step, (edge + 1) * step + 1), mode="wrap")
     return along[:0:-1] if back else along[:-1]

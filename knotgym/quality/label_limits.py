@@ -35,7 +35,7 @@ LABEL_LIMITS = LabelLimits()
 
 def visits_too_close(crossings: Crossings, beads: int, limits: LabelLimits = LABEL_LIMITS) -> bool:
     """Whether two visits lie so close that either could be the first."""
-    return visit_spacing(crossings, beads).visits < limits.visits
+    return visit_spacing(crossings, beads) < limits.visits
 
 
 def at_base(crossings: Crossings, beads: int, limits: LabelLimits = LABEL_LIMITS) -> bool:

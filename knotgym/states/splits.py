@@ -6,6 +6,7 @@ splits of a state file by code are, `States.rows` says.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -61,26 +62,27 @@ def split(
 def kept_together(
     assigned: NDArray[np.str_], points: NDArray[np.float64], codes: Sequence[GaussCode]
 ) -> NDArray[np.str_]:
-    """The same splits, but near-duplicates are all of the split of the first of them.
+    """Give near-duplicates one split, and keep the sizes of splits where that is possible.
 
-    For each state that is moved so, one that has no near-duplicate goes the other way, of the same
-    code or else of the same nx, where there is one: splits keep their sizes.
+    Families of near-duplicates are dealt out first, the largest first, each to the split with the
+    most room for it. Of the other states those move that their own split has no room for.
 
     Args:
-        assigned: str (n,).
+        assigned: str (n,), the split of each state.
         points: float64 (n, beads, 3), metres.
-        codes: of the states.
+        codes: of the states; sizes are kept for each number of crossings.
     """
     dealt, family = assigned.copy(), families(points)
-    alone = np.bincount(family)[family] == 1
-    first = np.unique(family, return_index=True)[1][family]
-    for row in np.flatnonzero(dealt != dealt[first]).tolist():
-        others = np.flatnonzero(alone & (dealt == dealt[first[row]])).tolist()
-        same = [other for other in others if codes[other].matches(codes[row])]
-        same += [other for other in others if codes[other].nx == codes[row].nx]
-        for other in same[:1]:
-            dealt[other] = dealt[row]
-        dealt[row] = dealt[first[row]]
+    nx = [code.nx for code in codes]
+    room = Counter(zip(nx, assigned.tolist(), strict=True))
+    members = [np.flatnonzero(family == one).tolist() for one in np.unique(family)]
+    for rows in sorted(members, key=len, reverse=True):  # stable: equal sizes stay in order
+        own = str(assigned[rows[0]])
+        names = sorted(set(assigned.tolist()), key=lambda name: name != own)  # own wins a tie
+        enough = len(assigned) if len(rows) > 1 else 1
+        fitting = {name: sum(min(room[nx[row], name], enough) for row in rows) for name in names}
+        dealt[rows] = max(names, key=lambda name: fitting[name])
+        room.subtract((nx[row], str(dealt[row])) for row in rows)
     return dealt
 
 

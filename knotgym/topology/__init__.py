@@ -1,4 +1,4 @@
 """Knot theory of the rope's projection: crossings, Gauss codes, diagrams, knots, symmetries.
 
-It needs no simulator.
+Nothing here needs the simulator.
 """

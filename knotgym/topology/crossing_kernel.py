@@ -1,13 +1,16 @@
-"""The compiled search for the crossings of a closed polyline, behind `topology.crossings`.
+"""Compiled search for the crossings of a closed polyline; `topology.crossings` is its interface.
 
-edges           by blocks of neighbours, whose bounding boxes rule out most pairs
-  -> hits       (edge i, edge j > i, side of i to which j leads), decided by four signs of
-                knotgym.topology.orientation
-  -> strands    two a hit: strand 2 h runs on edge i, strand 2 h + 1 on edge j
-  -> walk       the strands in order of place
+The search runs in four steps:
 
-Arrays are copied number by number, here and in the other kernels: with a slice assignment numba
-compiles the wording of its error too, seconds of a first start.
+1. `_hits`: pairs of edges (i, j), i < j, whose projections cross. Bounding boxes of blocks of
+   neighbouring edges rule out most pairs; four exact orientation tests decide the rest.
+2. `_locate`: each hit h has two strands, strand 2 h on edge i and strand 2 h + 1 on edge j. Find
+   where along its edge (fraction in [0, 1]) and at which height each strand passes the crossing.
+3. `_walk`: sort the strands by their position along the rope.
+4. `scan`: follow the walk, number the crossings in order of first visit, and compare heights.
+
+Arrays are copied element by element, here and in the other kernels: for a slice assignment numba
+also compiles its error message, which adds seconds to the first run.
 """
 
 import logging
@@ -18,10 +21,11 @@ from numba import njit
 
 from knotgym.topology.orientation import side
 
+# columns of the crossing table
 OVER_PLACE, UNDER_PLACE, OVER_Z, UNDER_Z, SIGN, X, Y = range(7)
 
 _log = logging.getLogger("knotgym")
-_BLOCK = 8  # edges that share one bounding box
+_BLOCK = 8  # edges per bounding box; a rope of 100 beads has 13 blocks, so 91 block pairs to test
 
 
 @njit(cache=True, nogil=True)
@@ -32,8 +36,9 @@ def scan(points: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:
         points: float64 (beads, 3), contiguous.
 
     Returns:
-        whether all points are finite (nothing is searched otherwise); the visits, int64 (2 n,),
-        signed labels; the crossings in order of labels, float64 (n, 7), columns OVER_PLACE to Y.
+        finite: whether all coordinates are finite; if not, nothing is searched.
+        visits: int64 (2 n,), signed crossing labels in the order of the walk.
+        table: float64 (n, 7), one row per crossing in order of labels, columns OVER_PLACE to Y.
     """
     if not _all_finite(points):
         return False, np.empty(0, np.int64), np.empty((0, 7))
@@ -42,35 +47,39 @@ def scan(points: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:
     walk = _walk(points.shape[0], hits, fractions)
     visits = np.empty(len(walk), np.int64)
     table = np.empty((len(hits), 7))
-    firsts = np.zeros(len(hits), np.int64)  # the signed label of a hit's first visit
+    first_visits = np.zeros(len(hits), np.int64)  # per hit the signed label; 0: not yet visited
     nx = 0
     for k in range(len(walk)):
         h = walk[k] // 2
-        if firsts[h] == 0:  # first visit: equal heights put this strand over
+        if first_visits[h] == 0:
             nx += 1
+            # `strand ^ 1` is the other strand of the same hit. At equal heights the strand that is
+            # visited first counts as the upper one, so the code is always well defined.
             over = walk[k] if heights[walk[k]] >= heights[walk[k] ^ 1] else walk[k] ^ 1
             row = table[nx - 1]
             row[OVER_PLACE] = hits[h, over % 2] + fractions[over]
             row[UNDER_PLACE] = hits[h, 1 - over % 2] + fractions[over ^ 1]
             row[OVER_Z], row[UNDER_Z] = heights[over], heights[over ^ 1]
+            # hits[h, 2] is the sign of d_i x d_j; the crossing sign is that of d_over x d_under
             row[SIGN] = hits[h, 2] if over % 2 == 0 else -hits[h, 2]
             start, end = hits[h, 0], (hits[h, 0] + 1) % points.shape[0]
             row[X] = points[start, 0] + fractions[2 * h] * (points[end, 0] - points[start, 0])
             row[Y] = points[start, 1] + fractions[2 * h] * (points[end, 1] - points[start, 1])
             visits[k] = nx if over == walk[k] else -nx
-            firsts[h] = visits[k]
+            first_visits[h] = visits[k]
         else:
-            visits[k] = -firsts[h]
+            visits[k] = -first_visits[h]
     return True, visits, table
 
 
 @njit(cache=True, nogil=True)
 def scan_many(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Run scan() over ropes, float64 (ropes, beads, 3).
+    """Find the crossings of many ropes, float64 (ropes, beads, 3).
 
     Returns:
-        all visits and, per crossing, all signs (int64, int64), one rope after the other; the number
-        of crossings per rope, int64 (ropes,), -1 where a point is not finite.
+        visits: int64, the visits of all ropes, one rope after the other.
+        signs: int64, the crossing signs of all ropes, one rope after the other.
+        counts: int64 (ropes,), crossings per rope; -1 for a rope with a non-finite coordinate.
     """
     counts = np.empty(points.shape[0], np.int64)
     visits, signs = np.empty(256, np.int64), np.empty(128, np.int64)
@@ -78,9 +87,10 @@ def scan_many(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     for rope in range(points.shape[0]):
         finite, walked, table = scan(points[rope])
         nx = len(table)
+        # a rope needs nx signs and 2 nx visits, so the buffers grow together
         if used + nx > len(signs):
-            room = 2 * (used + nx)
-            visits, signs = _grown(visits, 2 * room), _grown(signs, room)
+            capacity = 2 * (used + nx)
+            visits, signs = _grown(visits, 2 * capacity), _grown(signs, capacity)
         for k in range(2 * nx):
             visits[2 * used + k] = walked[k]
         for row in range(nx):
@@ -91,8 +101,8 @@ def scan_many(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 @njit(cache=True, nogil=True)
-def _grown(array: np.ndarray, room: int) -> np.ndarray:
-    larger = np.empty(room, np.int64)
+def _grown(array: np.ndarray, capacity: int) -> np.ndarray:
+    larger = np.empty(capacity, np.int64)
     for k in range(len(array)):
         larger[k] = array[k]
     return larger
@@ -112,10 +122,16 @@ def _all_finite(points: np.ndarray) -> bool:
 
 @njit(cache=True, nogil=True)
 def _boxes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Bounding boxes (x from, to, y from, to) of the edges, float64 (4, beads), and the blocks."""
+    """Compute bounding boxes in the plane, rows (x min, x max, y min, y max).
+
+    Returns:
+        edges: float64 (4, beads), one box per edge.
+        blocks: float64 (4, blocks), one box per _BLOCK neighbouring edges.
+    """
     beads = points.shape[0]
     edges = np.empty((4, beads))
     blocks = np.empty((4, (beads + _BLOCK - 1) // _BLOCK))
+    # empty boxes: any edge extends them
     blocks[0], blocks[1], blocks[2], blocks[3] = np.inf, -np.inf, np.inf, -np.inf
     for i in range(beads):
         end = i + 1 if i + 1 < beads else 0
@@ -129,7 +145,7 @@ def _boxes(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 @njit(cache=True, nogil=True)
-def _apart(boxes: np.ndarray, one: int, other: int) -> bool:
+def _disjoint(boxes: np.ndarray, one: int, other: int) -> bool:
     # No early exit: four comparisons cost less than a mispredicted branch.
     apart_in_x = (boxes[0, one] > boxes[1, other]) | (boxes[0, other] > boxes[1, one])
     apart_in_y = (boxes[2, one] > boxes[3, other]) | (boxes[2, other] > boxes[3, one])
@@ -138,23 +154,29 @@ def _apart(boxes: np.ndarray, one: int, other: int) -> bool:
 
 @njit(cache=True, nogil=True)
 def _hits(points: np.ndarray) -> np.ndarray:
-    """Every pair of edges i < j that cross, int64 (n, 3): i, j, and the sign of (d_i x d_j)_z."""
+    """Find every pair of edges i < j that cross.
+
+    Returns:
+        int64 (n, 3): i, j, and the sign of the z-component of d_i x d_j, d being edge directions.
+    """
     beads = points.shape[0]
     edges, blocks = _boxes(points)
     hits = np.empty((16, 3), np.int64)
     count = 0
     for a in range(blocks.shape[1]):
         for b in range(a, blocks.shape[1]):
-            if _apart(blocks, a, b):
+            if _disjoint(blocks, a, b):
                 continue
             for i in range(_BLOCK * a, min(_BLOCK * (a + 1), beads)):
-                last = beads - 1 if i == 0 else beads  # edge 0 and the closing edge share bead 0
+                # Edges that share a bead never cross: j starts at i + 2, and edge 0 skips the
+                # closing edge beads - 1, which ends at bead 0.
+                last = beads - 1 if i == 0 else beads
                 for j in range(max(i + 2, _BLOCK * b), min(_BLOCK * (b + 1), last)):
-                    if _apart(edges, i, j):
+                    if _disjoint(edges, i, j):
                         continue
                     turn = _crosses(points, i, j)
                     if turn != 0:
-                        if count == len(hits):
+                        if count == len(hits):  # double the buffer
                             larger = np.empty((2 * count, 3), np.int64)
                             for h in range(count):
                                 for k in range(3):
@@ -167,7 +189,11 @@ def _hits(points: np.ndarray) -> np.ndarray:
 
 @njit(cache=True, nogil=True)
 def _crosses(points: np.ndarray, i: int, j: int) -> int:
-    """0 when edges i and j do not cross, else the side of edge i to which edge j leads."""
+    """Return 0 if edges i and j don't cross, else the side of edge i on which edge j ends.
+
+    Two segments cross if each separates the end points of the other. `side` is never 0, so there
+    is no touching case.
+    """
     beads = points.shape[0]
     i_end, j_end = (i + 1) % beads, (j + 1) % beads
     turn: int = side(points, i, i_end, j_end)
@@ -180,11 +206,16 @@ def _crosses(points: np.ndarray, i: int, j: int) -> int:
 
 @njit(cache=True, nogil=True)
 def _locate(points: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How far along its edge every strand is hit, float64 (2 n,) in [0, 1], and how high."""
+    """Find where each strand passes its crossing.
+
+    Returns:
+        fractions: float64 (2 n,), in [0, 1] along the strand's edge.
+        heights: float64 (2 n,), z there, metres.
+    """
     beads = points.shape[0]
     fractions, heights = np.empty(2 * len(hits)), np.empty(2 * len(hits))
     for h in range(len(hits)):
-        for late in range(2):
+        for late in range(2):  # 0: the strand on edge i of the hit, 1: the one on edge j
             i, j = hits[h, late], hits[h, 1 - late]
             fraction = _fraction(points, i, (i + 1) % beads, j, (j + 1) % beads)
             fractions[2 * h + late] = fraction
@@ -195,13 +226,19 @@ def _locate(points: np.ndarray, hits: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 @njit(cache=True, nogil=True)
 def _fraction(points: np.ndarray, i: int, i_end: int, j: int, j_end: int) -> float:
-    """How far along the edge from bead i to bead i_end it meets that from bead j to bead j_end."""
+    """Return how far along the edge from i to i_end it meets the edge from j to j_end, in [0, 1].
+
+    With d the direction of edge j, the signed distance from its line is proportional to
+    d x (p - p_j). It is linear along edge i, so its zero follows from its two end values.
+    """
     dx, dy = points[j_end, 0] - points[j, 0], points[j_end, 1] - points[j, 1]
     before = dx * (points[i, 1] - points[j, 1]) - dy * (points[i, 0] - points[j, 0])
     after = dx * (points[i_end, 1] - points[j, 1]) - dy * (points[i_end, 0] - points[j, 0])
+    # clip: rounding may put the zero just outside the edge
     if before != after:
         return float(min(max(before / (before - after), 0.0), 1.0))
-    # The edges lie on one line (or one has no length): they meet in the middle of what they share.
+    # The edges are collinear, or one has no length: take the middle of what they share, measured
+    # on the axis along which edge i is longer.
     axis = 0 if abs(points[i_end, 0] - points[i, 0]) >= abs(points[i_end, 1] - points[i, 1]) else 1
     start, end = points[i, axis], points[i_end, axis]
     if start == end:
@@ -213,41 +250,43 @@ def _fraction(points: np.ndarray, i: int, i_end: int, j: int, j_end: int) -> flo
 
 @njit(cache=True, nogil=True)
 def _walk(beads: int, hits: np.ndarray, fractions: np.ndarray) -> np.ndarray:
-    """The strands in order of place.
+    """Sort the strands by position along the rope, int64 (2 n,).
 
-    They are dealt out by edge, then each edge is sorted by fraction, ties by the other edge.
+    A counting sort by edge, with an insertion sort by fraction within each edge: few edges have
+    more than one strand. Ties are broken by the number of the other edge.
     """
+    # starts[e] : starts[e + 1] is the range of the walk that belongs to edge e
     starts = np.zeros(beads + 1, np.int64)
     for strand in range(len(fractions)):
-        starts[hits[strand // 2, strand % 2] + 1] += 1
+        starts[hits[strand // 2, strand % 2] + 1] += 1  # counts, shifted by one for the sums below
     for edge in range(beads):
         starts[edge + 1] += starts[edge]
     walk = np.empty(len(fractions), np.int64)
-    filled = starts[:beads].copy()
+    filled = starts[:beads].copy()  # the next free slot of each edge
     for strand in range(len(fractions)):
         edge = hits[strand // 2, strand % 2]
         other = hits[strand // 2, 1 - strand % 2]
-        place = filled[edge]
+        slot = filled[edge]
         filled[edge] += 1
-        while place > starts[edge]:
-            rival = walk[place - 1]
+        while slot > starts[edge]:
+            rival = walk[slot - 1]
             if fractions[rival] < fractions[strand]:
                 break
             if fractions[rival] == fractions[strand] and hits[rival // 2, 1 - rival % 2] < other:
                 break
-            walk[place] = rival
-            place -= 1
-        walk[place] = strand
+            walk[slot] = rival
+            slot -= 1
+        walk[slot] = strand
     return walk
 
 
 def is_compiled() -> bool:
-    """Return whether an earlier process has left machine code of `scan` in numba's cache."""
+    """Return whether numba's cache holds machine code of `scan` from an earlier process."""
     return any(Path(scan.stats.cache_path).glob("crossing_kernel.scan-*.nbi"))
 
 
 def warn_of_compilation() -> None:
-    """Log once, on standard error by default, that compiling is what the first run waits for."""
+    """Log, once per process, that the first run has to wait for compilation."""
     if not _warned and not is_compiled():
         _log.warning("compiling, in the first run only; `knotgym compile` does it beforehand")
     _warned.append(True)

@@ -1,18 +1,19 @@
-"""Which Gauss codes a curve in the plane can show, decided for the code at hand.
+"""Planar diagrams of Gauss codes: planarity, chirality, faces, summands, and lists of codes.
 
-A code with chirality fixes a surface: crossings are vertices, the strands between visits edges, and
-turning left at every crossing walks around the faces. The code can be drawn in the plane just when
-that surface is a sphere, that is when the faces number n + 2 (Euler).
+A code with chirality is a combinatorial map on a surface: crossings are vertices, the strands
+between visits are edges, and walking on with a left turn at every crossing traces the faces. The
+code is planar if and only if that surface is a sphere, that is, if it has n + 2 faces (Euler).
 
-Without chirality, the handedness follows from the interlacement of the crossings (H. de Fraysseix
-and P. Ossona de Mendez, "On a characterization of Gauss codes", 1999): two crossings interlace when
-their visits alternate; in a planar code interlaced crossings turn alike or not according to the
-parities of their places and of the number of crossings that interlace both. Each connected part of
-the interlacement may then be turned over as a whole, so a planar code has 2 ** parts handedness
-patterns. The faces are counted in the end, so a mistaken pattern could not pass.
+Without chirality, the handedness of the crossings follows from their interlacement (H. de Fraysseix
+and P. Ossona de Mendez, "On a characterization of Gauss codes", 1999). Two crossings interlace if
+their visits alternate. In a planar code, whether two interlaced crossings turn the same way depends
+on the parity of their positions in the code and of the number of crossings that interlace both.
+Each connected component of the interlacement graph may be flipped as a whole, so a planar code has
+2 ** components handedness patterns. The faces are counted at the end, so a wrong pattern can't
+pass.
 
-Edge k runs from visit k to visit k + 1 (cyclic); dart 2 k walks it forwards, dart 2 k + 1
-backwards.
+Edge k runs from visit k to visit k + 1 (cyclic). Dart 2 k is edge k walked forwards, dart 2 k + 1
+is edge k walked backwards.
 """
 
 from __future__ import annotations
@@ -25,38 +26,38 @@ from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode
 
 
 class NotPlanar(KnotgymError, ValueError):
-    """No curve in the plane shows this code."""
+    """The code is not that of any closed curve in the plane."""
 
     def __init__(self, code: GaussCode) -> None:
         text = str(code) if code.chirality is None else code.chiral
         super().__init__(
-            f"no closed curve shows the code {text!r}; right would be one that is_planar() accepts"
+            f"no closed curve shows the code {text!r}; expected one that is_planar() accepts"
         )
 
 
 def is_planar(code: GaussCode) -> bool:
-    """Say whether a closed curve seen from above can show the code, and its chirality if any.
+    """Return whether a closed curve seen from above can have this code, with its chirality if any.
 
     >>> is_planar(GaussCode.parse("1+,2-,3+,1-,2+,3-")), is_planar(GaussCode.parse("1+,2-,1-,2+"))
     (True, False)
     """
     if code.chirality is None:
         return _some_turns(code) is not None
-    return _has_sphere(following(code))
+    return _is_sphere(face_permutation(code))
 
 
-def drawn(code: GaussCode) -> GaussCode:
-    """Return the code with a chirality that can be drawn: its own, or the first there is.
+def with_chirality(code: GaussCode) -> GaussCode:
+    """Return the code with a planar chirality: its own, or the alphabetically first one.
 
     Raises:
-        NotPlanar: there is none, or its own cannot be drawn.
+        NotPlanar: the code has no planar chirality, or its own is not planar.
     """
     if code.chirality is not None:
-        if _has_sphere(following(code)):
+        if _is_sphere(face_permutation(code)):
             return code
     elif (turns := _some_turns(code)) is not None:
         part, signs = parts(code), _signs(code.visits, turns)
-        # the first letter of each part is as early in the alphabet as it can be
+        # flip each part so that its first letter is "a"
         flips = {number: -signs[part.index(number)] for number in set(part)}
         return GaussCode(
             code.visits, _letters([sign * flips[part[k]] for k, sign in enumerate(signs)])
@@ -65,12 +66,10 @@ def drawn(code: GaussCode) -> GaussCode:
 
 
 def chiralities(code: GaussCode) -> tuple[str, ...]:
-    """List the handedness patterns with which the visits can be drawn, in alphabetical order.
+    """List the planar handedness patterns of the visits, in alphabetical order.
 
-    There are none when the code is not planar.
-
-    The code's own chirality is not looked at. There are 2 ** parts patterns: at most 2 ** n, for n
-    separate kinks.
+    The code's own chirality is ignored. A code that is not planar has no patterns; any other has
+    2 ** parts, at most 2 ** n (n separate kinks).
 
     >>> chiralities(GaussCode.parse("1+,2-,3+,1-,2+,3-"))
     ('aaa', 'ccc')
@@ -80,18 +79,19 @@ def chiralities(code: GaussCode) -> tuple[str, ...]:
         return ()
     part = parts(code)
     patterns = []
-    for flips in product((1, -1), repeat=max(part, default=-1) + 1):
+    for flips in product((1, -1), repeat=max(part, default=-1) + 1):  # one per part
         signs = _signs(code.visits, [turn * flips[part[label]] for label, turn in enumerate(turns)])
         patterns.append(_letters(signs))
     return tuple(sorted(patterns))
 
 
 def parts(code: GaussCode) -> tuple[int, ...]:
-    """Number the connected parts of the interlacement, from 0 in order of first visit.
+    """Number the connected components of the interlacement graph, from 0 in order of first visit.
 
-    Returns one number a label.
+    Each component, taken alone, is the code of one summand of the diagram as a connected sum.
 
-    Each part, alone, is the code of one factor of the diagram as a connected sum.
+    Returns:
+        One component number per label.
 
     >>> parts(GaussCode.parse("1+,2-,3+,1-,2+,3-,4+,4-"))
     (0, 0, 0, 1)
@@ -99,6 +99,7 @@ def parts(code: GaussCode) -> tuple[int, ...]:
     interlaced = _interlacement(code.visits)
     part = [-1] * code.nx
     number = 0
+    # depth-first search of the interlacement graph from each label that has no component yet
     for label in range(code.nx):
         if part[label] < 0:
             todo = [label]
@@ -113,37 +114,36 @@ def parts(code: GaussCode) -> tuple[int, ...]:
 
 
 def summands(code: GaussCode) -> list[GaussCode]:
-    """Cut the diagram into its parts(): the knot is their connected sum.
+    """Cut the diagram into its `parts`; the knot is the connected sum of theirs.
 
     >>> [str(summand) for summand in summands(GaussCode.parse("1+,2-,3+,1-,2+,3-,4+,4-"))]
     ['1+,2-,3+,1-,2+,3-', '1+,1-']
     """
     part = parts(code)
-    letters = None if code.chirality is None else dict(enumerate(code.chirality, 1))
     return [
-        GaussCode.relabelled([visit for visit in code.visits if part[abs(visit) - 1] == k], letters)
+        code.of_visits(tuple([visit for visit in code.visits if part[abs(visit) - 1] == k]))
         for k in range(max(part, default=-1) + 1)
     ]
 
 
-def following(code: GaussCode) -> list[int]:
-    """Give, per dart, the next one that has the same face on its left.
+def face_permutation(code: GaussCode) -> list[int]:
+    """Return, for each dart, the next dart with the same face on its left.
 
     Raises:
-        UnknownChirality: the code has no chirality.
+        InvalidGaussCode: the code has no chirality.
     """
-    return _following(code.visits, _signs(code.visits, code.signs))
+    return _face_permutation(code.visits, _signs(code.visits, code.signs))
 
 
 def faces(code: GaussCode) -> list[list[int]]:
-    """List the faces of a code with chirality: the darts that have each on their left, as walked.
+    """List the faces of a code with chirality, each as the cycle of darts that have it on the left.
 
-    The flat loop has no darts and lists no faces.
+    The plain loop has no darts, so its list is empty.
 
     Raises:
-        UnknownChirality: the code has no chirality.
+        InvalidGaussCode: the code has no chirality.
     """
-    onwards = following(code)
+    onwards = face_permutation(code)
     seen = [False] * len(onwards)
     walks = []
     for dart in range(len(onwards)):
@@ -160,11 +160,12 @@ def faces(code: GaussCode) -> list[list[int]]:
 def planar_codes(nx: int) -> Iterator[GaussCode]:
     """Yield every planar code with nx crossings, without chirality, once each.
 
-    There are 1, 2, 8, 48, 384, 3616, 37888, ... of them.
+    Their numbers are 1, 2, 8, 48, 384, 3616, 37888, ...
 
     Args:
         nx: number of crossings, at least 0.
     """
+    # Planarity depends only on the order of the labels: test each word once, then choose heights.
     for word in _words([0] * (2 * nx), 1):
         if is_planar(GaussCode(_with_heights(word, [1] * nx))):
             for heights in product((1, -1), repeat=nx):
@@ -172,13 +173,15 @@ def planar_codes(nx: int) -> Iterator[GaussCode]:
 
 
 def _words(word: list[int], label: int) -> Iterator[list[int]]:
-    """Fill the zeros with pairs of labels, an even number of visits between the two of a pair.
+    """Yield every way to fill the zeros with pairs of labels, from `label` on.
 
-    A curve crosses a loop an even number of times.
+    The two visits of a crossing have an even number of visits between them: the stretch between
+    them is a loop, and the rest of the curve crosses a loop an even number of times.
     """
     if 0 not in word:
         yield word.copy()
         return
+    # the first free slot takes the next label, so labels are in order of first visit
     first = word.index(0)
     word[first] = label
     for second in range(first + 1, len(word), 2):
@@ -190,7 +193,7 @@ def _words(word: list[int], label: int) -> Iterator[list[int]]:
 
 
 def _with_heights(word: list[int], heights: list[int]) -> tuple[int, ...]:
-    """Sign the labels: heights says, per label, whether the first visit is over."""
+    """Turn labels into visits; heights[label - 1] is +1 if the label's first visit is over."""
     seen: set[int] = set()
     visits = []
     for label in word:
@@ -199,12 +202,13 @@ def _with_heights(word: list[int], heights: list[int]) -> tuple[int, ...]:
     return tuple(visits)
 
 
-# A turn is, per label, the side to which the second passage of a crossing leads, seen along the
-# first: +1 left.
+# A crossing turns left (+1) if its second passage leads to the left of its first, else right (-1).
+# Its sign compares the over strand with the under strand instead, so the two numbers differ where
+# the first visit is under.
 
 
 def _signs(visits: tuple[int, ...], turns: list[int] | tuple[int, ...]) -> list[int]:
-    """Turns to crossing signs, or signs to turns: they differ where the first visit is under."""
+    """Convert turns to crossing signs, or signs to turns; the conversion is its own inverse."""
     first: dict[int, int] = {}
     for visit in visits:
         first.setdefault(abs(visit), visit)
@@ -215,58 +219,64 @@ def _letters(signs: list[int]) -> str:
     return "".join([POSITIVE if sign > 0 else NEGATIVE for sign in signs])
 
 
-def _places(visits: tuple[int, ...]) -> list[list[int]]:
-    """The two places of every label in the walk."""
-    places: list[list[int]] = [[] for _ in range(len(visits) // 2)]
+def _code_positions(visits: tuple[int, ...]) -> list[list[int]]:
+    """Return, for each label, the indices of its two visits."""
+    positions: list[list[int]] = [[] for _ in range(len(visits) // 2)]
     for k, visit in enumerate(visits):
-        places[abs(visit) - 1].append(k)
-    return places
+        positions[abs(visit) - 1].append(k)
+    return positions
 
 
-def _following(visits: tuple[int, ...], turns: list[int]) -> list[int]:
-    """Per dart the next one with the same face on its left."""
+def _face_permutation(visits: tuple[int, ...], turns: list[int]) -> list[int]:
     count = len(visits)
     onwards = [0] * (2 * count)
-    for (first, second), turn in zip(_places(visits), turns, strict=True):
+    for (first, second), turn in zip(_code_positions(visits), turns, strict=True):
+        # `left`: the passage `there` leads to the left as seen along the passage `here`
         for here, there, left in ((first, second, turn > 0), (second, first, turn < 0)):
+            # the two darts that leave the crossing along the other strand
             outwards, back = 2 * there, 2 * ((there - 1) % count) + 1
+            # turn left both from the dart that arrives forwards at `here` and from the one that
+            # arrives there backwards, for which left and right are swapped
             onwards[2 * ((here - 1) % count)] = outwards if left else back
             onwards[2 * here + 1] = back if left else outwards
     return onwards
 
 
-def _has_sphere(darts: list[int]) -> bool:
-    """Count the faces; the list is used up."""
-    if not darts:
+def _is_sphere(permutation: list[int]) -> bool:
+    """Count the faces, overwriting the list, and apply Euler's formula."""
+    if not permutation:
         return True
     number = 0
-    for start in range(len(darts)):
-        if darts[start] >= 0:
+    for start in range(len(permutation)):
+        if permutation[start] >= 0:
             number += 1
             dart = start
-            while darts[dart] >= 0:
-                darts[dart], dart = -1, darts[dart]
-    return number == len(darts) // 4 + 2
+            while permutation[dart] >= 0:  # follow the cycle, marking its darts with -1
+                permutation[dart], dart = -1, permutation[dart]
+    # n crossings, 2 n edges, 4 n darts: n - 2 n + faces = 2
+    return number == len(permutation) // 4 + 2
 
 
 def _interlacement(visits: tuple[int, ...]) -> list[int]:
-    """Per label (from 0) the set of labels that interlace it, as bits of an int."""
+    """Return, for each label (from 0), the labels that interlace it, as the bits of an int."""
     interlaced = [0] * (len(visits) // 2)
-    open_since: list[int] = []
+    open_since: list[int] = []  # labels visited once so far, in order
     for visit in visits:
         label = abs(visit) - 1
         if label not in open_since:
             open_since.append(label)
             continue
-        place = open_since.index(label)
-        for other in open_since[place + 1 :]:
+        # those that opened since and haven't closed alternate with this one
+        index = open_since.index(label)
+        for other in open_since[index + 1 :]:
             interlaced[label] |= 1 << other
             interlaced[other] |= 1 << label
-        del open_since[place]
+        del open_since[index]
     return interlaced
 
 
 def _labels(bits: int) -> Iterator[int]:
+    """Yield the indices of the bits that are set."""
     while bits:
         low = bits & -bits
         yield low.bit_length() - 1
@@ -274,10 +284,14 @@ def _labels(bits: int) -> Iterator[int]:
 
 
 def _some_turns(code: GaussCode) -> list[int] | None:
-    """One planar handedness of the visits, as turns, or None when there is none."""
+    """Return one planar handedness of the visits, as turns, or None if there is none.
+
+    In each component the first crossing turns left; the parity rule of de Fraysseix and Ossona de
+    Mendez then fixes the others along the interlacement graph.
+    """
     interlaced = _interlacement(code.visits)
-    places = _places(code.visits)
-    turns = [0] * code.nx
+    positions = _code_positions(code.visits)
+    turns = [0] * code.nx  # 0: not decided yet
     for label in range(code.nx):
         if turns[label] == 0:
             turns[label] = 1
@@ -286,8 +300,9 @@ def _some_turns(code: GaussCode) -> list[int] | None:
                 known = todo.pop()
                 for other in _labels(interlaced[known]):
                     if turns[other] == 0:
+                        # common: how many crossings interlace both
                         common = (interlaced[known] & interlaced[other]).bit_count()
-                        alike = (common + places[known][0] + places[other][0]) % 2 == 1
+                        alike = (common + positions[known][0] + positions[other][0]) % 2 == 1
                         turns[other] = turns[known] if alike else -turns[known]
                         todo.append(other)
-    return turns if _has_sphere(_following(code.visits, turns)) else None
+    return turns if _is_sphere(_face_permutation(code.visits, turns)) else None

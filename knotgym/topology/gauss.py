@@ -1,12 +1,12 @@
-"""Gauss codes: what one walk along the rope sees of its crossings.
+"""Gauss codes: the sequence of crossings met on one walk along the rope.
 
-A code is a tuple of visits. The n crossings are labelled 1, 2, ..., n in order of first visit; a
-visit is +label where the walker is on the upper strand and -label where it is on the lower one. The
-text is "1+,1-,2+,2-", the flat loop "".
+A code is a tuple of visits. The n crossings are labelled 1, 2, ..., n in order of first visit. A
+visit is +label on the upper strand and -label on the lower one. As text a code reads "1+,1-,2+,2-",
+and the plain loop is "".
 
-Chirality adds one letter a crossing, pyknotid's: "c" for a positive (right-handed) crossing,
-(d_over x d_under)_z > 0 with d the direction of walking, "a" for a negative one. Reversing the walk
-changes no letter.
+Chirality adds one letter per crossing, as in pyknotid: "c" for a positive (right-handed) crossing,
+where (d_over x d_under)_z > 0 with d the direction of walking, and "a" for a negative one.
+Reversing the walk changes no letter.
 """
 
 from __future__ import annotations
@@ -25,34 +25,24 @@ _VISIT = re.compile(r"\s*([1-9][0-9]*)\s*([+-])\s*([ac]?)\s*")
 
 
 class InvalidGaussCode(KnotgymError, ValueError):
-    """These visits are no Gauss code."""
+    """The visits are not a Gauss code, or the code lacks the chirality that is needed."""
 
-    def __init__(self, problem: str, given: object, right: str) -> None:
-        super().__init__(f"not a Gauss code, {problem}: got {given!r}; {right}")
-
-
-class UnknownChirality(KnotgymError, ValueError):
-    """The handedness of the crossings was asked of a code that does not hold it."""
-
-    def __init__(self, code: GaussCode) -> None:
-        super().__init__(
-            f"the code {str(code)!r} does not say how its crossings turn; give one letter a"
-            " crossing, as in '1+a,1-a'"
-        )
+    def __init__(self, problem: str, given: object, expected: str) -> None:
+        super().__init__(f"invalid Gauss code, {problem}: got {given!r}; {expected}")
 
 
 @dataclass(frozen=True, slots=True)
 class GaussCode:
-    """A based, directed Gauss code; equal and hashed by value.
+    """A Gauss code with a base point and a direction; compared and hashed by value.
 
     Attributes:
         visits: +label over, -label under, in the order of the walk.
-        chirality: letter i belongs to label i + 1; None when unknown. The empty code has nothing to
-            know: it always holds "".
+        chirality: letter i belongs to label i + 1; None if unknown. It is always "" for the empty
+            code.
 
     Raises:
-        InvalidGaussCode: a label is not visited once over and once under, or labels are not in
-            order of first visit.
+        InvalidGaussCode: a label is not visited once over and once under, labels are not in order
+            of first visit, or the chirality doesn't have one letter per crossing.
 
     >>> GaussCode((1, -1), "c").chiral
     '1+c,1-c'
@@ -70,16 +60,16 @@ class GaussCode:
         letters = self.chirality
         if letters is not None and (len(letters) != self.nx or letters.strip(POSITIVE + NEGATIVE)):
             raise InvalidGaussCode(
-                "wrong chirality", letters, f"right would be {self.nx} letters, each 'a' or 'c'"
+                "wrong chirality", letters, f"expected {self.nx} letters, each 'a' or 'c'"
             )
 
     @classmethod
     def parse(cls, text: str) -> GaussCode:
-        """Read "1+,1-" or "1+a,1-a"; spaces are allowed.
+        """Parse "1+,1-" or "1+a,1-a"; spaces are allowed.
 
         Raises:
-            InvalidGaussCode: the text is malformed, or only some visits have a letter, or a
-                crossing has two different ones.
+            InvalidGaussCode: the text is malformed, only some visits have a letter, or the two
+                visits of a crossing have different letters.
 
         >>> GaussCode.parse("1+a, 2-c, 2+c, 1-a").chirality
         'ac'
@@ -94,7 +84,7 @@ class GaussCode:
                 raise InvalidGaussCode(
                     f"cannot read the visit {word.strip()!r}",
                     text,
-                    "a visit is a number, + or -, and perhaps a or c",
+                    "a visit is a number, + or -, and optionally a or c",
                 )
             label = int(visit[1])
             visits.append(label if visit[2] == "+" else -label)
@@ -102,7 +92,7 @@ class GaussCode:
                 raise InvalidGaussCode(
                     f"crossing {label} has two different letters",
                     text,
-                    "both its visits carry the same letter, or none",
+                    "both of its visits must have the same letter, or none",
                 )
         _check_visits(visits, text)
         chirality = "".join(letters[label] for label in range(1, len(letters) + 1))
@@ -110,7 +100,7 @@ class GaussCode:
             raise InvalidGaussCode(
                 "only some crossings have a letter",
                 text,
-                "either every visit has a letter or none has",
+                "either all visits must have a letter or none",
             )
         return cls(tuple(visits), chirality or None)
 
@@ -118,7 +108,11 @@ class GaussCode:
     def relabelled(
         cls, visits: Iterable[int], letters: Mapping[int, str] | None = None
     ) -> GaussCode:
-        """Number arbitrary labels in order of first visit; letters go by the old label.
+        """Make a code from arbitrary labels, renumbering them in order of first visit.
+
+        Args:
+            visits: +label over, -label under, in the order of the walk.
+            letters: chirality letter of each old label; None if unknown.
 
         >>> str(GaussCode.relabelled([7, -3, 3, -7]))
         '1+,2-,2+,1-'
@@ -133,15 +127,15 @@ class GaussCode:
 
     @property
     def chiral(self) -> str:
-        """The text with letters.
+        """The code as text with chirality letters.
 
         Raises:
-            UnknownChirality: there are none.
+            InvalidGaussCode: the chirality is unknown.
         """
         letters = self._letters()
-        labels = [f"{visit}+" if visit > 0 else f"{-visit}-" for visit in self.visits]
-        turns = [letters[abs(visit) - 1] for visit in self.visits]
-        return ",".join([label + turn for label, turn in zip(labels, turns, strict=True)])
+        return ",".join(
+            [f"{abs(v)}{'+' if v > 0 else '-'}{letters[abs(v) - 1]}" for v in self.visits]
+        )
 
     @property
     def nx(self) -> int:
@@ -150,23 +144,23 @@ class GaussCode:
 
     @property
     def plain(self) -> GaussCode:
-        """The same code without its chirality, as the reward compares it."""
+        """The same code without chirality; the reward compares these."""
         if self.chirality is None or not self.visits:
             return self
         return trusted_code(self.visits, None)
 
     @property
     def signs(self) -> tuple[int, ...]:
-        """+1 for each "c" and -1 for each "a", in order of labels.
+        """Crossing signs in order of labels: +1 for "c" and -1 for "a".
 
         Raises:
-            UnknownChirality: there are no letters.
+            InvalidGaussCode: the chirality is unknown.
         """
         return tuple([1 if letter == POSITIVE else -1 for letter in self._letters()])
 
     @property
     def writhe(self) -> int:
-        """The sum of the signs.
+        """The sum of the crossing signs.
 
         >>> GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c").writhe  # right-handed trefoil
         3
@@ -174,17 +168,17 @@ class GaussCode:
         return sum(self.signs)
 
     def matches(self, other: GaussCode, chirality: bool = False) -> bool:
-        """Say whether both show the same visits and, where asked, the same letters.
+        """Return whether both codes have the same visits and, if `chirality`, the same letters.
 
         Raises:
-            UnknownChirality: letters were asked for and one of the two has none.
+            InvalidGaussCode: `chirality` is true and one of the codes has none.
         """
         if chirality:
             return self._letters() == other._letters() and self.visits == other.visits
         return self.visits == other.visits
 
     def mirrored(self) -> GaussCode:
-        """Switch every crossing, as seen after z -> -z with the camera left above.
+        """Return the code after z -> -z, seen from above as before: every crossing is switched.
 
         >>> GaussCode.parse("1+c,1-c").mirrored().chiral
         '1-a,1+a'
@@ -192,11 +186,11 @@ class GaussCode:
         return trusted_code(tuple([-visit for visit in self.visits]), self._flipped())
 
     def reflected(self) -> GaussCode:
-        """Turn the picture over left to right (x -> -x): heights stay, letters change."""
+        """Return the code after x -> -x: heights stay the same, every letter changes."""
         return trusted_code(self.visits, self._flipped())
 
     def reversed(self) -> GaussCode:
-        """Walk the other way from the same base point.
+        """Return the code of the walk in the other direction from the same base point.
 
         >>> str(GaussCode.parse("1+,2-,2+,1-").reversed())
         '1-,2+,2-,1+'
@@ -204,7 +198,7 @@ class GaussCode:
         return self.of_visits(self.visits[::-1])
 
     def rebased(self, k: int) -> GaussCode:
-        """Start the walk just before visit k, counted modulo the number of visits.
+        """Return the code of the walk that starts just before visit k, modulo the visit count.
 
         >>> str(GaussCode.parse("1+,2-,2+,1-").rebased(1))
         '1-,1+,2-,2+'
@@ -216,7 +210,9 @@ class GaussCode:
 
     def _letters(self) -> str:
         if self.chirality is None:
-            raise UnknownChirality(self)
+            raise InvalidGaussCode(
+                "its chirality is unknown", str(self), "give one letter per crossing, as '1+a,1-a'"
+            )
         return self.chirality
 
     def _flipped(self) -> str | None:
@@ -225,9 +221,12 @@ class GaussCode:
         return self.chirality.translate(_SWITCHED)
 
     def of_visits(self, visits: tuple[int, ...]) -> GaussCode:
-        """The code of its own visits, or of all those of some crossings, in another order.
+        """Make a code from this code's visits in another order, or from some of its crossings.
 
-        Labels are numbered anew; nothing is checked.
+        Labels are renumbered; nothing is checked.
+
+        Args:
+            visits: both visits of each crossing that is kept.
 
         >>> GaussCode.parse("1+a,2+c,2-c,1-a").of_visits((-2, 2)).chiral
         '1-c,1+c'
@@ -241,7 +240,7 @@ class GaussCode:
 
 
 def trusted_code(visits: tuple[int, ...], chirality: str | None) -> GaussCode:
-    """A code from parts that are known to make one; nothing is checked, which takes a tenth."""
+    """Make a code without checking it, which takes a tenth of the time."""
     code = object.__new__(GaussCode)
     object.__setattr__(code, "visits", visits)
     object.__setattr__(code, "chirality", chirality)
@@ -249,18 +248,23 @@ def trusted_code(visits: tuple[int, ...], chirality: str | None) -> GaussCode:
 
 
 def _numbers(visits: tuple[int, ...]) -> dict[int, int]:
-    """Labels -> their numbers in order of first visit."""
+    """Map labels to 1, 2, ... in order of first visit."""
     labels = dict.fromkeys([visit if visit > 0 else -visit for visit in visits])
     return {label: number for number, label in enumerate(labels, 1)}
 
 
 def _check_visits(visits: Iterable[int], given: object = None) -> None:
-    """Raise InvalidGaussCode unless every label comes once over and once under, in order.
+    """Check that each label is visited once over and once under, in order of first visit.
 
-    `given` is what the error shows.
+    Args:
+        visits: +label over, -label under.
+        given: what the error quotes; the visits if None.
+
+    Raises:
+        InvalidGaussCode: they are not a Gauss code.
     """
     given = visits if given is None else given
-    awaited: list[int] = []  # per label the visit still to come, 0 when it came
+    awaited: list[int] = []  # per label the visit still to come, 0 once it has come
     for visit in visits:
         label = visit if visit > 0 else -visit
         if label == len(awaited) + 1:
@@ -269,13 +273,13 @@ def _check_visits(visits: Iterable[int], given: object = None) -> None:
             raise InvalidGaussCode(
                 f"label {label} comes too early",
                 given,
-                f"labels go in order of first visit, next is {len(awaited) + 1}",
+                f"labels are in order of first visit, so the next one is {len(awaited) + 1}",
             )
         elif awaited[label - 1] != visit:
             raise InvalidGaussCode(
-                f"crossing {label} is visited amiss",
+                f"crossing {label} is visited twice on one strand, or too often",
                 given,
-                "right would be once over (+) and once under (-)",
+                "expected once over (+) and once under (-)",
             )
         else:
             awaited[label - 1] = 0
@@ -284,5 +288,5 @@ def _check_visits(visits: Iterable[int], given: object = None) -> None:
         raise InvalidGaussCode(
             f"crossing {label} is visited only once",
             given,
-            "right would be once over (+) and once under (-)",
+            "expected once over (+) and once under (-)",
         )

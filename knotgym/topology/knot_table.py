@@ -1,12 +1,12 @@
-"""The knots there are to ten crossings: a diagram of each prime one, and of their sums.
+"""Table of all knots of up to ten crossings: a diagram of each prime knot and of connected sums.
 
-The names are KnotInfo's, Rolfsen's without the pair he listed twice: 3_1 to 10_165, with "m" before
-a name the mirror image and "#" between names a connected sum, as in "m3_1#4_1". `data/knots.json`
-holds the diagrams, made from the PD notation of KnotInfo (C. Livingston and A. H. Moore,
-knotinfo.org); a name means the hand whose Jones polynomial stands there, so that 3_1 is the
-right-handed trefoil, m3_1 the left-handed one.
+Names are those of KnotInfo, which are Rolfsen's without the pair that he listed twice: 3_1 to
+10_165. "m" before a name means the mirror image and "#" a connected sum, as in "m3_1#4_1". The
+diagrams in `data/knots.json` were made from KnotInfo's PD notation (C. Livingston and A. H. Moore,
+knotinfo.org). A name means the handedness with KnotInfo's Jones polynomial, so 3_1 is the
+right-handed trefoil and m3_1 the left-handed one.
 
-Types are names without hand.
+A knot type is a name regardless of handedness.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from knotgym.topology.polynomials import (
     jones_polynomial,
     mirrored_jones,
 )
-from knotgym.topology.reidemeister import is_alternating, strung
+from knotgym.topology.reidemeister import connected_sum, is_alternating
 
 UNKNOT = "0_1"
-TABLED = 10  # crossings up to which all knots are in the table
+TABLED = 10  # all knots with at most this many crossings are in the table
 
 Polynomials = tuple[tuple[int, ...], JonesPolynomial]
 
@@ -38,7 +38,7 @@ _SUMMAND = re.compile(r"(m?)([0-9]+_[0-9]+)")
 
 
 class UnknownKnot(KnotgymError, ValueError):
-    """A name that stands for no knot of the table."""
+    """The table has no knot with this name."""
 
     def __init__(self, name: str) -> None:
         super().__init__(
@@ -49,17 +49,17 @@ class UnknownKnot(KnotgymError, ValueError):
 
 @lru_cache(maxsize=1)
 def prime_diagrams() -> dict[str, GaussCode]:
-    """Type -> its diagram with fewest crossings, with chirality, of the 249 prime knots."""
+    """Return a minimal diagram with chirality of each of the 249 prime knots, by type."""
     table = json.loads((files("knotgym.topology") / "data" / "knots.json").read_text("utf-8"))
     return {name: GaussCode.parse(text) for name, text in table["diagrams"].items()}
 
 
 @lru_cache(maxsize=256)
 def diagram_of(knot: str) -> GaussCode:
-    """A diagram with fewest crossings of a knot by name, hand and all.
+    """Return a minimal diagram of a knot, with chirality; the name fixes the handedness.
 
     Raises:
-        UnknownKnot: the table has none of the name.
+        UnknownKnot: the table has no such knot.
 
     >>> diagram_of("m3_1").chiral
     '1+a,2-a,3+a,1-a,2+a,3-a'
@@ -69,25 +69,25 @@ def diagram_of(knot: str) -> GaussCode:
         if name != UNKNOT:
             code = prime_diagrams()[name]
             codes.append(code.mirrored() if mirror else code)
-    return strung(codes)
+    return connected_sum(codes)
 
 
 def type_of(knot: str) -> str:
-    """The type that a name stands for: hands left out, summands in order.
+    """Return the type of a named knot: without handedness, summands in order of the table.
 
     Raises:
-        UnknownKnot: the table has none of the name.
+        UnknownKnot: the table has no such knot.
 
     >>> type_of("m4_1#3_1")
     '3_1#4_1'
     """
-    return joined([name for _, name in _summands(knot)])
+    return composite_type([name for _, name in _summands(knot)])
 
 
-def joined(types: list[str]) -> str:
-    """The type of the connected sum.
+def composite_type(types: list[str]) -> str:
+    """Return the type of the connected sum of knots of these types.
 
-    >>> joined(["10_2", "0_1", "3_1"])
+    >>> composite_type(["10_2", "0_1", "3_1"])
     '3_1#10_2'
     """
     proper = [name for name in types if name != UNKNOT]
@@ -95,55 +95,52 @@ def joined(types: list[str]) -> str:
 
 
 def based_diagrams(code: GaussCode) -> list[GaussCode]:
-    """A diagram with chirality from every base point, in both directions, and from below: all of
-    the same knot with its hand.
+    """List a diagram's codes from every base point, in both directions, from above and from below.
+
+    All of them are of the same knot with the same handedness.
     """
     found: set[GaussCode] = set()
+    # seen from below, every crossing is switched and the picture is reflected
     for side in (code, code.mirrored().reflected()):
         for way in (side, side.reversed()):
             found.update(way.rebased(k) for k in range(max(1, len(way.visits))))
     return sorted(found, key=lambda one: (one.visits, one.chirality or ""))
 
 
-def own_type(code: GaussCode) -> str | None:
-    """The type of a diagram that is the table's own, from whatever base point; None for others.
+def table_type(code: GaussCode) -> str | None:
+    """Return the type of a diagram that is in the table, up to the base point; None otherwise.
 
     Args:
-        code: with chirality, without crossings that split it.
+        code: a code with chirality of one summand.
     """
     if not 3 <= code.nx <= TABLED:
         return None
     return _by_diagram().get(min(one.visits for one in based_diagrams(code)))
 
 
-def tabled_type(code: GaussCode) -> str | None:
-    """The type told by polynomials and the number of crossings; None where that is no proof.
+def type_from_polynomials(code: GaussCode) -> str | None:
+    """Identify the type by both polynomials and the crossing number; None if that proves nothing.
 
     Args:
-        code: with chirality, of a knot, as `reidemeister.simplify` leaves its summands.
+        code: a code with chirality of one summand, as returned by `reidemeister.simplify`.
     """
     if code.nx > TABLED:
         return None
     types = [
         name
-        for name in _by_polynomials().get(_polynomials(code), ())
+        for name in types_by_polynomials().get(_polynomials(code), ())
         if sum(_rank(one)[0] for one in name.split("#")) <= code.nx
     ]
     if is_alternating(code):
-        # it has no crossing too many (Kauffman, Murasugi, Thistlethwaite, 1987) and no summands
-        # that it doesn't show (Menasco, 1984)
+        # A reduced alternating diagram is minimal (Kauffman, Murasugi, Thistlethwaite, 1987), and
+        # it is visibly composite if its knot is (Menasco, 1984).
         types = [name for name in types if "#" not in name and _rank(name)[0] == code.nx]
     return types[0] if len(types) == 1 else None
 
 
-def alike() -> list[tuple[str, ...]]:
-    """Types that have the same Alexander and, up to the mirror, Jones polynomials."""
-    return [types for types in _by_polynomials().values() if len(types) > 1]
-
-
 @lru_cache(maxsize=1)
 def _by_diagram() -> dict[tuple[int, ...], str]:
-    """Visits, smallest over all base points, directions and sides -> type."""
+    """Map the smallest visits over all base points, directions and sides to the type."""
     return {
         min(one.visits for one in based_diagrams(code)): name
         for name, code in prime_diagrams().items()
@@ -151,22 +148,26 @@ def _by_diagram() -> dict[tuple[int, ...], str]:
 
 
 @lru_cache(maxsize=1)
-def _by_polynomials() -> dict[Polynomials, tuple[str, ...]]:
-    """Polynomials -> types of all knots of the table, composites among them."""
+def types_by_polynomials() -> dict[Polynomials, tuple[str, ...]]:
+    """Map polynomials to the types that have them, including composite ones.
+
+    The Jones polynomial is taken up to the mirror image.
+    """
     found: dict[Polynomials, dict[str, None]] = defaultdict(dict)
     for names in _sums():
         diagrams = [prime_diagrams()[name] for name in names]
+        # the Jones polynomial of a sum depends on the relative handedness of its summands
         for mirrors in product((False, True), repeat=len(names) - 1):
             hands = [
                 code.mirrored() if mirror else code
                 for code, mirror in zip(diagrams, (False, *mirrors), strict=True)
             ]
-            found[_polynomials(strung(hands))][joined(list(names))] = None
+            found[_polynomials(connected_sum(hands))][composite_type(list(names))] = None
     return {polynomials: tuple(types) for polynomials, types in found.items()}
 
 
 def _sums() -> Iterator[tuple[str, ...]]:
-    """The prime types, and the sums of several that have no more crossings than the table."""
+    """Yield the summands of every type in the table: prime ones first, then composite ones."""
     names = list(prime_diagrams())
     yield from ((name,) for name in names)
     small = [name for name in names if _rank(name)[0] <= TABLED - 3]
@@ -177,13 +178,13 @@ def _sums() -> Iterator[tuple[str, ...]]:
 
 
 def _polynomials(code: GaussCode) -> Polynomials:
-    """Both polynomials, the Jones polynomial the lesser of the two hands'."""
+    """Return the Alexander and the Jones polynomial, the latter smallest up to mirroring."""
     jones = jones_polynomial(code)
     return alexander_polynomial(code), min(jones, mirrored_jones(jones))
 
 
 def _summands(knot: str) -> list[tuple[bool, str]]:
-    """Per summand of a name, whether it is mirrored, and its type."""
+    """Parse a name; return for each summand whether it is mirrored, and its type."""
     found = []
     for word in knot.split("#"):
         match = _SUMMAND.fullmatch(word)
@@ -194,5 +195,6 @@ def _summands(knot: str) -> list[tuple[bool, str]]:
 
 
 def _rank(name: str) -> tuple[int, int]:
+    """Return the crossing number and the index of a prime type."""
     crossings, number = name.split("_")
     return int(crossings), int(number)

@@ -1,25 +1,27 @@
-"""On which side of a line a point lies, decided exactly and never "on it".
+"""Exact orientation test: on which side of a line a point lies, never on the line itself.
 
-The sign of a 2 x 2 determinant is taken in floating point where an error bound vouches for it and
-in exact expansion arithmetic elsewhere (J. R. Shewchuk, "Adaptive Precision Floating-Point
-Arithmetic and Fast Robust Geometric Predicates", 1997). A true zero is broken as if bead k had been
-moved in x and then in y by amounts that are each infinitely smaller than any before (H.
-Edelsbrunner and E. P. Muecke, "Simulation of Simplicity", 1990): all answers together are those of
-one curve in general position, so a strand that passes exactly over a bead is counted once. Exact as
-long as no product of two coordinates over- or underflows.
+The sign of a 2 x 2 determinant is computed in floating point where an error bound guarantees it,
+and in exact expansion arithmetic otherwise (J. R. Shewchuk, "Adaptive Precision Floating-Point
+Arithmetic and Fast Robust Geometric Predicates", 1997). If the determinant is exactly zero, the tie
+is broken symbolically, as if bead k were moved in x and then in y by amounts each infinitely
+smaller than all before (H. Edelsbrunner and E. P. Muecke, "Simulation of Simplicity", 1990). All
+answers together are then those of one curve in general position, so a strand that passes exactly
+over a bead is counted once. The test is exact unless a product of two coordinates over- or
+underflows.
 """
 
 import numpy as np
 from numba import njit
 
-_HALF_ULP = 2.0**-53
+_HALF_ULP = 2.0**-53  # rounding error of one operation, relative
+# Shewchuk's ccwerrboundA: |error of the determinant| <= _FILTER * (|left| + |right|)
 _FILTER = (3.0 + 16.0 * _HALF_ULP) * _HALF_ULP
-_SPLITTER = 2.0**27 + 1.0
+_SPLITTER = 2.0**27 + 1.0  # splits the 53 bits of a float64 into two halves that multiply exactly
 
 
 @njit(cache=True, nogil=True)
 def side(points: np.ndarray, a: int, b: int, c: int) -> int:
-    """Say where bead c lies, seen along the line from bead a to bead b.
+    """Return on which side bead c lies, seen along the line from bead a to bead b.
 
     Args:
         points: float64 (n, 2 or more); x and y are used.
@@ -28,6 +30,7 @@ def side(points: np.ndarray, a: int, b: int, c: int) -> int:
     Returns:
         +1 on the left, -1 on the right.
     """
+    # (a - c) x (b - c), which has the sign of (b - a) x (c - a)
     left = (points[a, 0] - points[c, 0]) * (points[b, 1] - points[c, 1])
     right = (points[a, 1] - points[c, 1]) * (points[b, 0] - points[c, 0])
     determinant = left - right
@@ -46,7 +49,12 @@ def side(points: np.ndarray, a: int, b: int, c: int) -> int:
 
 @njit(cache=True, nogil=True)
 def _tie(points: np.ndarray, a: int, b: int, c: int) -> int:
-    """Break a zero: the first coefficient that does not vanish, in order of size of the moves."""
+    """Break a tie by the first perturbation term that doesn't vanish.
+
+    The determinant of the perturbed beads is a polynomial in the infinitesimal moves. Its terms are
+    looked at from the largest down; each is the determinant's derivative by one move.
+    """
+    # Sort the rows, counting swaps: a move of a lower row is infinitely larger.
     sign = 1
     if a > b:
         a, b, sign = b, a, -sign
@@ -54,27 +62,31 @@ def _tie(points: np.ndarray, a: int, b: int, c: int) -> int:
         b, c, sign = c, b, -sign
     if a > b:
         a, b, sign = b, a, -sign
-    if points[b, 1] != points[c, 1]:  # of the move of a in x
+    if points[b, 1] != points[c, 1]:  # d/d(a_x) = b_y - c_y
         return sign if points[b, 1] > points[c, 1] else -sign
-    if points[b, 0] != points[c, 0]:  # of a in y
+    if points[b, 0] != points[c, 0]:  # d/d(a_y) = c_x - b_x
         return sign if points[c, 0] > points[b, 0] else -sign
-    if points[c, 1] != points[a, 1]:  # of b in x
+    if points[c, 1] != points[a, 1]:  # d/d(b_x) = c_y - a_y
         return sign if points[c, 1] > points[a, 1] else -sign
-    return -sign  # of a in y times b in x: constant
+    return -sign  # d2/d(a_y) d(b_x) = -1, a constant
 
 
 @njit(cache=True, nogil=True)
 def _exact_sign(ax: float, ay: float, bx: float, by: float, cx: float, cy: float) -> int:
-    """The sign of (b - a) x (c - a), exactly.
+    """Return the exact sign of (b - a) x (c - a).
 
-    Six products, each kept as a sum of two floats, are added without rounding.
+    The determinant is expanded into six products, ax by - ax cy + bx cy - bx ay + cx ay - cx by.
+    Each is held as a sum of two floats, and the twelve floats are added without rounding.
     """
     factors = (ax, by, -ax, cy, bx, cy, -bx, ay, cx, ay, -cx, by)
-    total = np.zeros(12)  # an expansion: its parts do not overlap and grow in size
+    # An expansion in Shewchuk's sense: its floats don't overlap and grow in magnitude, so the last
+    # one that isn't zero has the sign of the sum.
+    total = np.zeros(12)
     length = 0
     for k in range(6):
         high, low = _product(factors[2 * k], factors[2 * k + 1])
         for part in (low, high):
+            # GROW-EXPANSION: push `part` through by TWO-SUM, leaving each rounding error behind
             carry = part
             for m in range(length):
                 upper = carry + total[m]
@@ -91,8 +103,9 @@ def _exact_sign(ax: float, ay: float, bx: float, by: float, cx: float, cy: float
 
 @njit(cache=True, nogil=True)
 def _product(u: float, v: float) -> tuple[float, float]:
-    """u * v exactly, as its float and what rounding lost (Dekker)."""
+    """Return u * v exactly, as the rounded product and its rounding error (Dekker, Veltkamp)."""
     high = u * v
+    # Veltkamp's split: u = u_high + u_low, each with at most 26 bits
     scaled = _SPLITTER * u
     u_high = scaled - (scaled - u)
     u_low = u - u_high

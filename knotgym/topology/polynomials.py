@@ -1,28 +1,31 @@
 """The Alexander and Jones polynomials of a diagram, in exact integers.
 
-A polynomial with integer coefficients is computed by putting a power of two so large for its
-variable that the coefficients can be read off the digits of one long integer (Kronecker
-substitution): determinants and sums of states are then ordinary integer arithmetic.
+A polynomial with integer coefficients is evaluated at a power of two so large that its coefficients
+can be read off the digits of the resulting integer (Kronecker substitution). Determinants and state
+sums are then ordinary integer arithmetic.
 
-Conventions: Alexander is symmetric with value 1 at t = 1; Jones is in t, right-handed trefoil t +
-t^3 - t^4.
+Conventions: the Alexander polynomial is symmetric and 1 at t = 1. The Jones polynomial is in t, and
+that of the right-handed trefoil is t + t^3 - t^4.
 """
 
 from __future__ import annotations
 
 from functools import lru_cache
 
-from knotgym.topology.diagrams import drawn
+from knotgym.topology.diagrams import with_chirality
 from knotgym.topology.gauss import GaussCode
 
-JonesPolynomial = tuple[tuple[int, int], ...]
+JonesPolynomial = tuple[tuple[int, int], ...]  # (power of t, coefficient), lowest power first
 
-Matching = frozenset[tuple[int, int]]
+Matching = frozenset[tuple[int, int]]  # pairs of frontier edges that are joined by an arc
 
 
 @lru_cache(maxsize=65536)
 def alexander_polynomial(code: GaussCode) -> tuple[int, ...]:
-    """Return the coefficients, lowest power first; a code without chirality is drawn() first.
+    """Return the coefficients of the Alexander polynomial, lowest power first.
+
+    Args:
+        code: a planar code; without chirality it gets one from `diagrams.with_chirality`.
 
     Raises:
         NotPlanar: no closed curve shows the code.
@@ -30,13 +33,16 @@ def alexander_polynomial(code: GaussCode) -> tuple[int, ...]:
     >>> alexander_polynomial(GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c"))  # trefoil
     (1, -1, 1)
     """
-    code = drawn(code)
-    # of the matrix; a row has the entries 1 - t, t, -1, so no coefficient exceeds 4 ** size
-    size = code.nx - 1
+    code = with_chirality(code)
+    size = code.nx - 1  # of the matrix
     if size < 1:
         return (1,)
+    # The entries of a row are 1 - t, t and -1, whose coefficients have absolute values that sum to
+    # at most 4. So no coefficient of the determinant exceeds 4 ** size = 2 ** (2 size), and 2 more
+    # bits hold its sign.
     digits = 2 * size + 2
     coefficients = _digits(_determinant(_alexander_matrix(code, 1 << digits)), digits)
+    # The determinant is the polynomial up to a unit +-t^k: drop the power, then fix the sign.
     while coefficients[0] == 0:
         del coefficients[0]
     sign = 1 if sum(coefficients) > 0 else -1
@@ -45,11 +51,14 @@ def alexander_polynomial(code: GaussCode) -> tuple[int, ...]:
 
 @lru_cache(maxsize=65536)
 def jones_polynomial(code: GaussCode) -> JonesPolynomial:
-    """Return the (power of t, coefficient) pairs, none of them 0, lowest power first.
+    """Return the nonzero (power of t, coefficient) pairs of the Jones polynomial.
 
     The Kauffman bracket is summed crossing by crossing over a moving frontier, so the time grows
-    with the width of the diagram rather than with 2 ** n. A code without chirality is drawn()
-    first: its knot is known up to the mirror.
+    with the width of the diagram and not with 2 ** n.
+
+    Args:
+        code: a planar code; without chirality it gets one from `diagrams.with_chirality`, and the
+            polynomial is known up to mirrored summands.
 
     Raises:
         NotPlanar: no closed curve shows the code.
@@ -57,28 +66,33 @@ def jones_polynomial(code: GaussCode) -> JonesPolynomial:
     >>> jones_polynomial(GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c"))  # right-handed trefoil
     ((1, 1), (3, 1), (4, -1))
     """
-    code = drawn(code)
+    code = with_chirality(code)
     if not code.nx:
         return ((0, 1),)
-    # The bracket is a polynomial in A; at most 4 ** n terms, two per loop and state, add up to a
-    # coefficient.
+    # The bracket is a Laurent polynomial in A. Each of the 2 ** n smoothings has at most n + 1
+    # loops of two terms each, so at most 2 * 4 ** n terms add up in a coefficient. A weight is the
+    # value of A^lowest times such a polynomial at A = 2 ** digits. `lowest` makes all powers
+    # non-negative: n crossings contribute at least A^-n, n + 1 loops at least A^(-2 n - 2).
     digits, lowest = 2 * code.nx + 3, 3 * code.nx + 2
+    # A state is a matching of the edges that enter the part of the diagram already summed. States
+    # with the same matching continue in the same way, so their weights are added up.
     states: dict[Matching, int] = {frozenset(): 1 << digits * lowest}
     for corners in _sweep(_corners(code)):
         new: dict[Matching, int] = {}
         for matching, weight in states.items():
             south, east, north, west = corners
             for joints, term in (
-                # what turning the upper strand left opens: A; and right: 1 / A
+                # A: join the regions swept by turning the upper strand counterclockwise;
+                # 1 / A: join those swept by turning it clockwise
                 (((south, east), (north, west)), weight << digits),
                 (((south, west), (north, east)), weight >> digits),
             ):
                 joined, loops = _joined(matching, joints)
-                for _ in range(loops):
+                for _ in range(loops):  # a closed loop is a factor -A^2 - A^-2
                     term = -(term << 2 * digits) - (term >> 2 * digits)
                 new[joined] = new.get(joined, 0) + term
         states = new
-    # Normalized: (-A^3)^-writhe, one loop (-A^2 - 1 / A^2) taken out, t = A^-4.
+    # Normalize: multiply by (-A^3)^-writhe, divide by one loop (-A^2 - A^-2), substitute t = A^-4.
     bracket = {
         power - lowest: value
         for power, value in enumerate(_digits(states[frozenset()], digits))
@@ -87,7 +101,7 @@ def jones_polynomial(code: GaussCode) -> JonesPolynomial:
     sign = -1 if code.writhe % 2 else 1
     rest = {power - 3 * code.writhe: sign * value for power, value in bracket.items()}
     jones: dict[int, int] = {}
-    while rest:
+    while rest:  # long division from the highest power of A down; the remainder is 0
         power = max(rest)
         value = -rest.pop(power)
         jones[-(power - 2) // 4] = value
@@ -98,12 +112,15 @@ def jones_polynomial(code: GaussCode) -> JonesPolynomial:
 
 
 def mirrored_jones(jones: JonesPolynomial) -> JonesPolynomial:
-    """Return the polynomial of the mirror image: t to 1 / t."""
+    """Return the Jones polynomial of the mirror image: t becomes 1 / t."""
     return tuple(sorted((-power, value) for power, value in jones))
 
 
 def _digits(number: int, digits: int) -> list[int]:
-    """Read balanced coefficients, lowest first, off a polynomial's value at 2 ** digits."""
+    """Return a polynomial's coefficients, lowest first, from its value at 2 ** digits.
+
+    Digits are balanced, in [-half, half), because coefficients may be negative.
+    """
     half, mask = 1 << (digits - 1), (1 << digits) - 1
     coefficients = []
     while number:
@@ -114,7 +131,12 @@ def _digits(number: int, digits: int) -> list[int]:
 
 
 def _alexander_matrix(code: GaussCode, t: int) -> list[list[int]]:
-    """Fox's matrix without its last row and column; arcs run from one under-visit to the next."""
+    """Return Fox's matrix at t without its last row and column.
+
+    Rows are crossings and columns are arcs, which run from one under-visit to the next. With i the
+    arc over a positive crossing, j the arc that arrives under it and k the one that leaves, the row
+    is (1 - t) i + t j - k; at a negative crossing j and k change places.
+    """
     arc = 0
     over = [0] * code.nx
     before = [0] * code.nx
@@ -136,7 +158,11 @@ def _alexander_matrix(code: GaussCode, t: int) -> list[list[int]]:
 
 
 def _determinant(matrix: list[list[int]]) -> int:
-    """Eliminate without fractions (Bareiss); the matrix is used up."""
+    """Return the determinant by Bareiss's fraction-free elimination; overwrites the matrix.
+
+    Every entry stays an integer: after step k it is a minor of order k + 2 of the original matrix,
+    so the division by the previous pivot is exact.
+    """
     size, sign, previous = len(matrix), 1, 1
     for k in range(size - 1):
         pivot_row = next((row for row in range(k, size) if matrix[row][k]), None)
@@ -155,10 +181,10 @@ def _determinant(matrix: list[list[int]]) -> int:
 
 
 def _corners(code: GaussCode) -> list[tuple[int, int, int, int]]:
-    """Per crossing its four edges, counterclockwise from the incoming lower one.
+    """Return the four edges at each crossing, counterclockwise from the incoming lower one.
 
-    Edge k leads to visit k. With the lower strand going north the upper one goes east at a positive
-    crossing.
+    Edge k ends at visit k. The lower strand goes north; at a positive crossing the upper one goes
+    east, at a negative one west.
     """
     count = len(code.visits)
     lower: dict[int, int] = {}
@@ -174,9 +200,10 @@ def _corners(code: GaussCode) -> list[tuple[int, int, int, int]]:
 
 
 def _sweep(corners: list[tuple[int, int, int, int]]) -> list[tuple[int, int, int, int]]:
-    """Order the crossings so that few edges lie between those done and those to do.
+    """Order the crossings greedily so that the frontier stays small.
 
-    Next is always the best connected one.
+    The frontier is the set of edges between crossings that come earlier and later. The next
+    crossing is always one with the most edges in it.
     """
     left = list(corners)
     frontier: set[int] = set()
@@ -185,7 +212,7 @@ def _sweep(corners: list[tuple[int, int, int, int]]) -> list[tuple[int, int, int
         crossing = max(left, key=lambda edges: len(frontier.intersection(edges)))
         left.remove(crossing)
         order.append(crossing)
-        for edge in crossing:
+        for edge in crossing:  # an edge enters at its first end and leaves at its second
             frontier ^= {edge}
     return order
 
@@ -193,17 +220,22 @@ def _sweep(corners: list[tuple[int, int, int, int]]) -> list[tuple[int, int, int
 def _joined(
     matching: Matching, joints: tuple[tuple[int, int], tuple[int, int]]
 ) -> tuple[Matching, int]:
-    """Join edges of the frontier: the new pairs of ends, and how many loops closed."""
+    """Smooth one crossing: join two pairs of its edges.
+
+    Returns:
+        The new matching of the frontier, and the number of loops that closed.
+    """
     partner: dict[int, int] = {}
     for one, other in matching:
         partner[one], partner[other] = other, one
     loops = 0
     for one, other in joints:
-        if one == other or partner.get(one) == other:
+        if one == other or partner.get(one) == other:  # both ends of one arc: it closes
             loops += 1
             partner.pop(one, None)
             partner.pop(other, None)
         else:
+            # an edge that is new to the frontier is its own far end
             start, end = partner.pop(one, one), partner.pop(other, other)
             partner[start], partner[end] = end, start
     return frozenset((one, other) for one, other in partner.items() if one < other), loops

@@ -1,10 +1,10 @@
-"""An independent second opinion on a rope's Gauss code: pyknotid's.
+"""Independent check of a rope's Gauss code with pyknotid.
 
-Nothing here shares code with knotgym.topology.crossings beyond the value type. Four traps of
-pyknotid 0.5.3 are minded: it needs aliases that NumPy 2 no longer has (lent to it only while it
-runs, so not for several threads at once), it drops crossings whose cross product is under an
-absolute 1e-5 (the rope is scaled up), it writes to standard output, and an empty code reads "----".
-A crossing that falls exactly on a bead remains lost to it.
+Only the types for codes and errors are shared with `knotgym.topology.crossings`. Four problems of
+pyknotid 0.5.3 are worked around: it needs aliases that NumPy 2 removed (restored only while it
+runs, so this isn't thread-safe); it drops crossings whose cross product is below an absolute 1e-5
+(the rope is scaled up); it prints to standard output; and it writes an empty code as "----". It
+still misses a crossing that falls exactly on a bead.
 
 Source: A. J. Taylor, "pyknotid knot identification toolkit", https://github.com/SPOCKnots/pyknotid
 """
@@ -18,38 +18,29 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
-from knotgym.common.errors import KnotgymError
+from knotgym.topology.crossings import InvalidPoints
 from knotgym.topology.gauss import GaussCode
 
 _ALIASES: dict[str, type] = {"float": float, "int": int, "complex": complex}
-_BEAD = 10.0  # length to which the mean bead is scaled; pyknotid goes wrong under 0.1
-
-
-class UnreadableCurve(KnotgymError, ValueError):
-    """pyknotid cannot be asked about these points."""
-
-    def __init__(self, problem: str) -> None:
-        super().__init__(
-            f"no curve for pyknotid: {problem}; right would be (beads, 3) finite numbers, at least"
-            " 3 beads"
-        )
+_BEAD = 10.0  # mean distance of beads after scaling; pyknotid makes mistakes below 0.1
+_EXPECTED = "expected (beads, 3) finite numbers, at least 3 beads, for pyknotid"
 
 
 def pyknotid_code(points: ArrayLike) -> GaussCode:
-    """Ask pyknotid for the Gauss code of a closed rope, with chirality, seen from +z.
+    """Read the Gauss code of a closed rope with pyknotid, with chirality, seen from +z.
 
     Args:
         points: (beads, 3), metres; the last bead is joined to the first.
 
     Raises:
-        UnreadableCurve: another shape, not finite, or all beads at one place.
+        InvalidPoints: the shape is wrong, a number isn't finite, or all beads coincide.
     """
     rope = np.asarray(points, dtype=np.float64)
     if rope.ndim != 2 or rope.shape[1] != 3 or len(rope) < 3:
-        raise UnreadableCurve(f"the array has shape {rope.shape}")
+        raise InvalidPoints(f"the array has shape {rope.shape}", _EXPECTED)
     bead = float(np.linalg.norm(np.roll(rope, -1, axis=0) - rope, axis=1).mean())
     if not np.isfinite(bead) or bead == 0.0:
-        raise UnreadableCurve(f"the mean bead is {bead} long")
+        raise InvalidPoints(f"the mean distance of beads is {bead}", _EXPECTED)
     scaled = (rope - rope.mean(axis=0)) * (_BEAD / bead)
     with _lent_aliases(), contextlib.redirect_stdout(io.StringIO()):
         from pyknotid.spacecurves import SpaceCurve
@@ -60,7 +51,7 @@ def pyknotid_code(points: ArrayLike) -> GaussCode:
 
 @contextlib.contextmanager
 def _lent_aliases() -> Iterator[None]:
-    """Give NumPy the names that pyknotid looks for, and take them away again."""
+    """Define the removed NumPy aliases that pyknotid uses, and delete them again at the end."""
     missing = [name for name in _ALIASES if name not in vars(np)]
     for name in missing:
         setattr(np, name, _ALIASES[name])

@@ -1,13 +1,14 @@
-"""Simpler diagrams of the same knot.
+"""Simplification of diagrams without changing the knot.
 
-Kinks and bigons (Reidemeister's first and second move) are taken out first. Then strands are
-lifted: a stretch of the rope that at each of its crossings passes over, or under a part of itself
-walked before, hangs above all the rest, so it may be laid down again along any way between its
-ends, crossing over whatever is there. The shortest way through the faces is taken. The same is done
-from below. A lift is a chain of Reidemeister moves of all three kinds.
+Kinks and bigons are removed first (Reidemeister's first and second move). Then strands are lifted.
+A stretch of rope is liftable if at each of its crossings it passes over, or under an earlier part
+of itself: it then lies above everything else, so it may be laid down again along any path between
+its ends, over whatever is there. The shortest path through the faces has the fewest crossings. The
+same is done from below. A lift is a sequence of Reidemeister moves of all three kinds.
 
-Lifts that keep the number of crossings lead from diagram to diagram in a search of bounded effort,
-so a result may still have more crossings than its knot needs. No step draws random numbers.
+Lifts that keep the number of crossings lead from diagram to diagram in a breadth-first search of
+bounded effort, so the result may have more crossings than the knot needs. The search is
+deterministic.
 """
 
 from __future__ import annotations
@@ -15,23 +16,23 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 
-from knotgym.topology.diagrams import drawn, following, summands
+from knotgym.topology.diagrams import face_permutation, summands, with_chirality
 from knotgym.topology.gauss import NEGATIVE, POSITIVE, GaussCode
 
-_DETOURS = 4  # equally short ways tried per lift
+_MAX_PATHS = 4  # equally short paths tried per lift
 
 
 def simplify(code: GaussCode, effort: int = 64) -> GaussCode:
-    """Return a code with chirality of the same knot, with no more crossings.
+    """Return a code with chirality of the same knot, with at most as many crossings.
 
-    Summands of the diagram are simplified one by one and then strung together, so the base point is
-    not kept.
+    The summands of the diagram are simplified one by one and their connected sum is returned, so
+    the base point is not kept.
 
     Args:
-        code: a planar code; without chirality it is drawn() first, so its knot is known up to
-            mirrored summands.
-        effort: how many diagrams a summand's search may look at after the last that had fewer
-            crossings.
+        code: a planar code; without chirality it gets one from `diagrams.with_chirality`, so the
+            knot is known up to mirrored summands.
+        effort: number of diagrams that the search of a summand may expand without finding one with
+            fewer crossings.
 
     Raises:
         NotPlanar: no closed curve shows the code.
@@ -39,44 +40,41 @@ def simplify(code: GaussCode, effort: int = 64) -> GaussCode:
     >>> simplify(GaussCode.parse("1+,2+,3-,1-,2-,3+")).nx
     0
     """
-    return strung([_least(summand, effort) for summand in summands(without_bigons(drawn(code)))])
+    return connected_sum(
+        [
+            _fewest_crossings(summand, effort)
+            for summand in summands(without_bigons(with_chirality(code)))
+        ]
+    )
 
 
 def without_bigons(code: GaussCode) -> GaussCode:
-    """Take out kinks and bigons until there are none; the base point stays on its strand.
+    """Remove kinks and bigons until none are left; the base point stays on its strand.
 
     Args:
-        code: planar, with chirality.
+        code: a planar code with chirality.
 
     >>> without_bigons(GaussCode.parse("1+a,2-c,2+c,1-a")).nx
     0
     """
     visits = _without_kinks(code.visits)
-    signs = code.signs
-    while True:
-        pair = _bigon(visits, signs)
-        if pair is None:
-            break
+    while pair := _bigon(visits, code.signs):
         visits = _without_kinks(
             [visit for visit in visits if visit not in pair and -visit not in pair]
         )
-    if len(visits) == len(code.visits):
-        return code
-    return GaussCode.relabelled(
-        visits, {label: POSITIVE if sign > 0 else NEGATIVE for label, sign in enumerate(signs, 1)}
-    )
+    return code if len(visits) == len(code.visits) else code.of_visits(tuple(visits))
 
 
 def is_alternating(code: GaussCode) -> bool:
-    """Whether the strand goes over and under in turns."""
+    """Return whether the strand goes over and under alternately."""
     return all(
         (visit > 0) != (after > 0)
         for visit, after in zip(code.visits, code.visits[1:], strict=False)
     )
 
 
-def strung(codes: list[GaussCode]) -> GaussCode:
-    """The connected sum: one diagram after the other along the rope."""
+def connected_sum(codes: list[GaussCode]) -> GaussCode:
+    """Return the connected sum of diagrams with chirality, one after the other along the rope."""
     visits: list[int] = []
     letters: list[str] = []
     for code in codes:
@@ -88,6 +86,8 @@ def strung(codes: list[GaussCode]) -> GaussCode:
 
 
 def _without_kinks(visits: list[int] | tuple[int, ...]) -> list[int]:
+    """Remove pairs of consecutive visits to one crossing until none are left, also cyclically."""
+    # Like matching brackets: removing a kink can make its neighbours a kink.
     kept: list[int] = []
     for visit in visits:
         if kept and kept[-1] == -visit:
@@ -100,7 +100,9 @@ def _without_kinks(visits: list[int] | tuple[int, ...]) -> list[int]:
 
 
 def _bigon(visits: list[int], signs: tuple[int, ...]) -> tuple[int, int] | None:
-    """Two labels of opposite sign that follow each other on the upper and on the lower strand."""
+    """Find two crossings of opposite sign that are consecutive on the upper and lower strand."""
+    # The under-visits may come in either order: the strands of a bigon run in the same direction or
+    # in opposite ones. Neighbours are cyclic: the base point may lie on either strand.
     count = len(visits)
     lower = {-visit: k for k, visit in enumerate(visits) if visit < 0}
     for k in range(count):
@@ -115,26 +117,29 @@ def _bigon(visits: list[int], signs: tuple[int, ...]) -> tuple[int, int] | None:
     return None
 
 
-def _least(code: GaussCode, effort: int) -> GaussCode:
-    """The summand with fewest crossings that is found: straight down first, then on the level.
+def _fewest_crossings(code: GaussCode, effort: int) -> GaussCode:
+    """Return the diagram with the fewest crossings that the search finds.
 
-    An alternating diagram without crossings that split it has the fewest already (Kauffman,
-    Murasugi, Thistlethwaite, 1987).
+    Lifts that remove crossings are applied greedily. Then a breadth-first search follows lifts that
+    keep their number, until a diagram allows removal again.
     """
-    code = _descended(code)
-    if len(summands(code)) > 1:
-        return strung([_least(summand, effort) for summand in summands(code)])
+    code = _without_liftable(code)
+    if len(summands(code)) > 1:  # a lift may split the diagram
+        return connected_sum([_fewest_crossings(summand, effort) for summand in summands(code)])
+    # a reduced alternating diagram is minimal (Kauffman, Murasugi, Thistlethwaite, 1987)
     if is_alternating(code):
         return code
+    # Each diagram reached is reduced at once; `level` holds those with as many crossings, up to the
+    # base point, whose lifts have not been tried.
     seen = {_canonical(code)}
     level = deque([code])
     for _ in range(effort):
-        if not level or code.nx < 3:
+        if not level or code.nx < 3:  # every knot with fewer than 3 crossings is trivial
             break
         for neighbour in _lifts(level.popleft(), 0):
-            lower = _descended(neighbour)
+            lower = _without_liftable(neighbour)
             if lower.nx < code.nx:
-                return _least(lower, effort)
+                return _fewest_crossings(lower, effort)
             key = _canonical(lower)
             if key not in seen:
                 seen.add(key)
@@ -142,8 +147,8 @@ def _least(code: GaussCode, effort: int) -> GaussCode:
     return code
 
 
-def _descended(code: GaussCode) -> GaussCode:
-    """Repeat lifts that take away crossings until there is none."""
+def _without_liftable(code: GaussCode) -> GaussCode:
+    """Apply lifts that remove crossings until none is left."""
     while True:
         code = without_bigons(code)
         lower = next(_lifts(code, 1), None)
@@ -153,28 +158,35 @@ def _descended(code: GaussCode) -> GaussCode:
 
 
 def _lifts(code: GaussCode, gain: int) -> Iterator[GaussCode]:
-    """Diagrams after one lift, from above or below, that takes away at least `gain` crossings."""
+    """Yield the diagrams after one lift that removes at least `gain` crossings.
+
+    Lifts from below are lifts from above of the mirror image.
+    """
+    # to remove crossings, only the longest stretch from each start is tried
     for view, back in ((code, False), (code.mirrored(), True)):
         for start in range(len(view.visits)):
-            for length, labels in _stretches(view.visits, start, whole=gain > 0):
-                for lifted in _laid(view, start + length, labels, len(labels) - gain):
+            for length, labels in _liftable_stretches(view.visits, start, whole=gain > 0):
+                for lifted in _relaid(view, start + length, labels, len(labels) - gain):
                     yield lifted.mirrored() if back else lifted
 
 
-def _stretches(
+def _liftable_stretches(
     visits: tuple[int, ...], start: int, whole: bool
 ) -> list[tuple[int, frozenset[int]]]:
-    """Stretches from visit `start` that hang above the rest, all or only the longest.
+    """Find the liftable stretches that begin with visit `start`; if `whole`, only the longest.
 
-    Returns their lengths in visits, and the labels met.
+    Returns:
+        For each stretch its length in visits, and the crossings on it.
     """
+    # The stretch grows visit by visit. Passing over a strand is always allowed; passing under is
+    # allowed if the strand above belongs to the stretch, because it is lifted first.
     met: set[int] = set()
     found: list[tuple[int, frozenset[int]]] = []
     for length in range(1, len(visits) + 1):
         visit = visits[(start + length - 1) % len(visits)]
         if visit > 0:
             met.add(visit)
-        elif -visit not in met:
+        elif -visit not in met:  # under a strand that doesn't belong to the stretch
             break
         if whole:
             found.clear()
@@ -182,25 +194,27 @@ def _stretches(
     return found
 
 
-def _laid(code: GaussCode, end: int, labels: frozenset[int], limit: int) -> Iterator[GaussCode]:
-    """Take the stretch before visit `end` off and lay it along shortest ways of few crossings."""
+def _relaid(code: GaussCode, end: int, labels: frozenset[int], limit: int) -> Iterator[GaussCode]:
+    """Remove the stretch before visit `end`; lay it along shortest paths of at most `limit` edges.
+
+    The rest is rebased so that the gap is in its last edge.
+    """
     end %= len(code.visits)
-    letters = dict(enumerate(code.chirality or "", 1))
-    rest = GaussCode.relabelled(
-        [visit for visit in code.visits[end:] + code.visits[:end] if abs(visit) not in labels],
-        letters,
-    )
+    rebased = code.visits[end:] + code.visits[:end]
+    rest = code.of_visits(tuple([visit for visit in rebased if abs(visit) not in labels]))
     if not rest.visits:
         yield rest
         return
-    for way in _ways(following(rest), limit):
-        yield _crossed(rest, way)
+    for path in _shortest_paths(face_permutation(rest), limit):
+        yield _with_overstrand(rest, path)
 
 
-def _ways(onwards: list[int], limit: int) -> Iterator[list[int]]:
-    """Shortest ways from one end of the gap in the last edge to the other.
+def _shortest_paths(onwards: list[int], limit: int) -> Iterator[list[int]]:
+    """Yield shortest paths through the faces between the two ends of the gap in the last edge.
 
-    Each is the darts stepped over from their left.
+    A path is the list of darts that it crosses, each from left to right. The faces are the nodes of
+    the dual graph; a breadth-first search from the target gives distances, and every step of a
+    shortest path decreases the distance.
     """
     face, borders, source, target = _gap_faces(onwards)
     distance = {target: 0}
@@ -214,30 +228,33 @@ def _ways(onwards: list[int], limit: int) -> Iterator[list[int]]:
                 queue.append(there)
     if distance[source] > limit:
         return
-    ways: list[tuple[int, list[int]]] = [(source, [])]
+    # depth-first along decreasing distances; every path found this way is a shortest one
+    paths: list[tuple[int, list[int]]] = [(source, [])]
     yielded = 0
-    while ways and yielded < _DETOURS:
-        here, way = ways.pop()
+    while paths and yielded < _MAX_PATHS:
+        here, path = paths.pop()
         if here == target:
             yielded += 1
-            yield way
+            yield path
         else:
-            ways.extend(
-                (face[dart ^ 1], [*way, dart])
+            paths.extend(
+                (face[dart ^ 1], [*path, dart])
                 for dart in borders[here]
                 if distance[face[dart ^ 1]] < distance[here]
             )
 
 
 def _gap_faces(onwards: list[int]) -> tuple[list[int], list[list[int]], int, int]:
-    """The faces of a diagram without its last edge.
+    """Find the faces of a diagram without its last edge.
+
+    The last edge is cut in the middle, so that a stub is left at either end.
 
     Returns:
-        the face on the left of each dart; the darts round each face; and the faces into which the
-        stubs at the ends of the missing edge lead, the one it leaves from and the one it arrives
-        at.
+        face: the face on the left of each dart.
+        borders: the darts around each face.
+        source, target: the faces with the stub where the missing edge starts and where it ends.
     """
-    leaving, arriving = len(onwards) - 2, len(onwards) - 1  # the missing edge's darts
+    leaving, arriving = len(onwards) - 2, len(onwards) - 1  # darts of the missing edge
     face = [-1] * leaving
     borders: list[list[int]] = []
     source = target = -1
@@ -251,7 +268,9 @@ def _gap_faces(onwards: list[int]) -> tuple[list[int], list[list[int]], int, int
             face[dart] = number
             borders[number].append(dart)
             dart = onwards[dart]
-            while dart >= leaving:  # walk around a stub: on it outwards, back on its other side
+            # Walk around a stub: out on one dart of the missing edge, back on the other, whose sum
+            # is leaving + arriving.
+            while dart >= leaving:
                 if dart == leaving:
                     source = number
                 else:
@@ -260,26 +279,27 @@ def _gap_faces(onwards: list[int]) -> tuple[list[int], list[list[int]], int, int
     return face, borders, source, target
 
 
-def _crossed(rest: GaussCode, way: list[int]) -> GaussCode:
-    """Close the gap in the last edge by a strand over the edges of these darts.
+def _with_overstrand(rest: GaussCode, path: list[int]) -> GaussCode:
+    """Close the gap in the last edge with a strand that crosses over the edges of these darts.
 
-    Over a forward dart it is positive.
+    A crossing over a forward dart is positive: the strand goes from left to right of the edge.
     """
     letters = dict(enumerate(rest.chirality or "", 1))
-    under: dict[int, int] = {}
-    for label, dart in enumerate(way, rest.nx + 1):
+    under: dict[int, int] = {}  # edge -> the new visit on it; a shortest path meets it only once
+    for label, dart in enumerate(path, rest.nx + 1):
         under[dart // 2] = -label
         letters[label] = POSITIVE if dart % 2 == 0 else NEGATIVE
+    # edge k starts at visit k, so the new under-visit follows it; the new strand comes last
     visits: list[int] = []
     for edge, visit in enumerate(rest.visits):
         visits.append(visit)
         if edge in under:
             visits.append(under[edge])
-    visits.extend(range(rest.nx + 1, rest.nx + 1 + len(way)))
+    visits.extend(range(rest.nx + 1, rest.nx + 1 + len(path)))
     return GaussCode.relabelled(visits, letters)
 
 
 def _canonical(code: GaussCode) -> tuple[tuple[int, ...], str]:
-    """The same for all base points."""
+    """Return a key that doesn't depend on the base point."""
     bases = [code.rebased(k) for k in range(len(code.visits))] or [code]
     return min((base.visits, base.chirality or "") for base in bases)

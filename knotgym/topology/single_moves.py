@@ -1,8 +1,9 @@
-"""Reidemeister's moves one at a time, on codes with chirality: what a diagram may show next.
+"""Single Reidemeister moves on codes with chirality: the diagrams one move away.
 
-The base point stays on its strand. First and second moves are given as they take crossings out;
-put in again, a kink curls up one arc, and a finger of one arc is laid over another. Arc 0 runs from
-the base point to the first visit, arc k from visit k to the next.
+The base point stays on its strand. First and second moves are listed in the direction that removes
+crossings; the reverse of a first move makes a kink in one arc, and that of a second move lays a
+finger of one arc over another. Arc 0 runs from the base point to the first visit, and arc k from
+the k-th visit to the next.
 """
 
 from __future__ import annotations
@@ -15,13 +16,13 @@ from knotgym.topology.gauss import GaussCode
 
 
 class Removal(NamedTuple):
-    """A first or second move that takes crossings out.
+    """A first or second move that removes crossings.
 
     Attributes:
-        code: what is left.
-        kink: it was a first move.
-        over, under: arcs of it that the crossings taken out lay on, the upper strand's and the
-            lower one's; the same for a kink.
+        code: the code after the move.
+        kink: whether it was a first move.
+        over, under: the arcs of `code` on which the removed crossings lay, for the upper and the
+            lower strand; equal for a kink.
     """
 
     code: GaussCode
@@ -31,16 +32,17 @@ class Removal(NamedTuple):
 
 
 def removals(code: GaussCode) -> Iterator[Removal]:
-    """Every kink and every bigon taken out by itself.
+    """Yield the removal of each kink and of each bigon.
 
-    A bigon may be the outer face: the rope's upper strand is laid over all the rest.
+    A bigon may be the outer face: then the upper strand is moved across the whole diagram.
 
     >>> [move.code.chiral for move in removals(GaussCode.parse("1+a,1-a,2-c,2+c"))]
     ['', '1-c,1+c', '1+a,1-a']
     """
     visits, signs = code.visits, code.signs
     count = len(visits)
-    place = {visit: k for k, visit in enumerate(visits)}
+    index = {visit: k for k, visit in enumerate(visits)}
+    # k and k - 1 are neighbouring visits; with one crossing both pairs are the same kink
     for k in range(1, 2) if count == 2 else range(count):
         first, second = visits[k - 1], visits[k]
         if first == -second:
@@ -50,18 +52,18 @@ def removals(code: GaussCode) -> Iterator[Removal]:
             first > 0
             and second > 0
             and signs[first - 1] != signs[second - 1]
-            and (place[-first] - place[-second]) % count in (1, count - 1)
+            and (index[-first] - index[-second]) % count in (1, count - 1)
         ):
             taken = {first, second}
             over, under = [
                 sum(abs(visit) not in taken for visit in visits[:start])
-                for start in (k, _later(place[-first], place[-second]))
+                for start in (k, _edge_end(index[-first], index[-second]))
             ]
             yield Removal(_without(code, taken), False, over, under)
 
 
 def sideways(code: GaussCode) -> Iterator[GaussCode]:
-    """Codes as long, one move away: the base point past a crossing, and every third move.
+    """Yield the codes one move away with as many crossings: base point shifts and third moves.
 
     >>> sum(1 for _ in sideways(GaussCode.parse("1+a,1-a")))
     2
@@ -74,6 +76,8 @@ def sideways(code: GaussCode) -> Iterator[GaussCode]:
         edges = [dart // 2 for dart in face]
         ends = [(visits[edge], visits[(edge + 1) % count]) for edge in edges]
         labels = {abs(visit) for pair in ends for visit in pair}
+        # A triangle allows a third move if one of its edges is over at both ends, one under at
+        # both, and one over at one end. The move swaps the two visits of each edge.
         heights = sorted((a > 0) + (b > 0) for a, b in ends)
         if len(face) == len(labels) == 3 and heights == [0, 1, 2]:
             moved = list(visits)
@@ -83,11 +87,11 @@ def sideways(code: GaussCode) -> Iterator[GaussCode]:
             yield code.of_visits(tuple(moved))
 
 
-def _later(one: int, other: int) -> int:
-    """The place that ends the edge between two neighbouring places; 0 if it holds the base."""
+def _edge_end(one: int, other: int) -> int:
+    """Return the later of two consecutive indices; 0 if they are the first and the last."""
     return 0 if abs(one - other) > 1 else max(one, other)
 
 
 def _without(code: GaussCode, taken: set[int]) -> GaussCode:
-    """The code after some labels are gone."""
+    """Return the code without these crossings."""
     return code.of_visits(tuple([visit for visit in code.visits if abs(visit) not in taken]))

@@ -1,16 +1,16 @@
-"""The symmetries of a rope's diagrams: what one demonstration of a diagram teaches about others.
+"""Symmetries of the rope and of its Gauss codes, used to transfer demonstrations between codes.
 
-Turning the rope about z, looking at it in a mirror (x -> -x) and switching over and under (z -> -z)
-take rope motions to rope motions exactly. Two more do so nearly: walking the rope the other way,
-and starting the walk at another sub-chain. A rope bends more easily where its sub-chains meet
-(their closures have no damping), so that a walk that starts at any other bead is no symmetry: with
-the base shifted by one bead a step ends 9 mm elsewhere, shifted by a sub-chain, 0.5 mm.
+Rotating the rope about z, reflecting it (x -> -x) and switching over and under (z -> -z) map rope
+motions to rope motions exactly. Two more symmetries are approximate: walking the rope in the other
+direction, and starting the walk at another sub-chain. Starting at any other bead is no symmetry,
+because the rope bends more easily where its sub-chains meet (their closures have no damping): with
+the base shifted by one bead, one step ends 9 mm away; shifted by a sub-chain, 0.5 mm.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -24,14 +24,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Symmetry:
-    """Reflect, switch and turn the rope, then walk it the other way, then from another vertex.
+    """Reflect, switch and rotate the rope, then reverse the walk, then shift its base point.
 
     Attributes:
-        reflect: x -> -x first.
-        switch: z -> -z.
-        turn: about z, radians, after the reflection.
-        reverse: the new vertex j is the old vertex -j.
-        base_shift: then, the new vertex j is the old vertex j + base_shift.
+        reflect: whether to map x -> -x, first.
+        switch: whether to map z -> -z.
+        turn: rotation about z after the reflection, radians.
+        reverse: whether the new vertex j is the old vertex -j.
+        base_shift: number of vertices; after the reversal, the new vertex j is the old vertex
+            j + base_shift.
     """
 
     reflect: bool = False
@@ -41,29 +42,27 @@ class Symmetry:
     base_shift: int = 0
 
     def vectors(self, v: Array) -> Array:
-        """Positions or forces (..., 3), as the symmetry moves them."""
+        """Transform positions or forces, shape (..., 3), without renumbering them."""
         mirrored = v * (-1.0 if self.reflect else 1.0, 1.0, -1.0 if self.switch else 1.0)
         x, y, z = mirrored[..., 0], mirrored[..., 1], mirrored[..., 2]
         c, s = np.cos(self.turn), np.sin(self.turn)
         return np.asarray(np.stack([c * x - s * y, s * x + c * y, z], axis=-1))
 
     def configuration(self, points: Array) -> Array:
-        """A configuration (beads, 3), moved and renumbered."""
+        """Transform a configuration, shape (beads, 3), and renumber its vertices."""
         index = np.arange(len(points)) + self.base_shift
         return self.vectors(points)[(-index if self.reverse else index) % len(points)]
 
     def beads(self, beads: NDArray[np.integer], count: int) -> NDArray[np.int64]:
-        """New numbers of beads; bead b lies between the vertices b and b + 1."""
+        """Renumber beads, of `count` in all; bead b lies between the vertices b and b + 1."""
         old = np.asarray(beads, dtype=np.int64)
         return ((-old - 1 if self.reverse else old) - self.base_shift) % count
 
     def back_to_loop(self, count: int) -> Symmetry:
-        """The exact symmetry that lays a plain loop, moved by this one, down as it was.
+        """Return the exact symmetry that maps a plain loop transformed by this one back to itself.
 
-        The numbers of its `count` beads are then the old ones too.
-
-        A loop lies as it did after a turn; one that was mirrored, or walked the other way, after a
-        reflection and a turn.
+        Its `count` beads then have their old numbers too. A rotation is enough, unless the loop was
+        either reflected or reversed: then a reflection comes first.
         """
         shifted, half = 2 * np.pi * self.base_shift / count, np.pi if self.reverse else 0.0
         if self.reflect != self.reverse:
@@ -71,16 +70,16 @@ class Symmetry:
         return Symmetry(turn=-(half + shifted + self.turn))
 
     def undone(self) -> Symmetry:
-        """The symmetry that takes back this one, which renumbers nothing."""
+        """Return the inverse of this symmetry, which must neither reverse nor shift the base."""
         return Symmetry(
             reflect=self.reflect, switch=self.switch, turn=self.turn if self.reflect else -self.turn
         )
 
 
 def mirrorings(code: GaussCode) -> Iterator[tuple[GaussCode, Symmetry]]:
-    """The codes that a rope showing `code` shows after reflection and switch; four, some twice.
+    """Yield the code and symmetry of each of the four reflections and switches of `code`.
 
-    Each comes with its symmetry; `code` has its chirality.
+    Codes may repeat. `code` needs its chirality.
     """
     for switch in (False, True):
         for reflect in (False, True):
@@ -88,18 +87,10 @@ def mirrorings(code: GaussCode) -> Iterator[tuple[GaussCode, Symmetry]]:
             yield shown.reflected() if reflect else shown, Symmetry(reflect=reflect, switch=switch)
 
 
-def variants(code: GaussCode) -> Iterator[tuple[GaussCode, Symmetry]]:
-    """As `mirrorings`, walked both ways; eight, some twice."""
-    yield from mirrorings(code)
-    yield from (
-        (shown, replace(symmetry, reverse=True)) for shown, symmetry in mirrorings(code.reversed())
-    )
-
-
 def images(code: GaussCode) -> tuple[GaussCode, ...]:
-    """The codes of `variants`, in the same order.
+    """Return the codes of the `mirrorings` of `code`, then those of the reversed code.
 
-    Walking the other way, switching and reflecting each undo themselves and may go in any order: so
+    Reversing, switching and reflecting are commuting involutions, one per bit of the index, so
     image i of image k is image i ^ k.
     """
     members = []
@@ -111,7 +102,7 @@ def images(code: GaussCode) -> tuple[GaussCode, ...]:
 
 @lru_cache(maxsize=200_000)
 def canonical_form(code: GaussCode) -> GaussCode:
-    """The code that stands for all its variants: the first in order of visits and chirality.
+    """Return the representative of the code's images: the first by visits, then chirality.
 
     >>> canonical_form(GaussCode.parse("1+a,1-a")) == canonical_form(GaussCode.parse("1-c,1+c"))
     True
@@ -121,12 +112,12 @@ def canonical_form(code: GaussCode) -> GaussCode:
 
 @lru_cache(maxsize=200_000)
 def diagram_form(code: GaussCode) -> GaussCode:
-    """The code that stands for a code's diagram, whatever symmetry of the rope shows it.
+    """Return the representative of all codes of the same diagram up to symmetry.
 
-    Of the codes without chirality that the diagram shows from any base bead, walked either way,
-    switched or not, it is the first. Reflection changes chirality alone.
+    It is the first, by visits, of the codes without chirality over all base points, both
+    directions, and with crossings switched or not. Reflection changes only the chirality.
 
-    >>> diagram_form(GaussCode.parse("1-,2+,2-,1+")) == diagram_form(GaussCode.parse("1+,1-,2-,2+"))
+    >>> diagram_form(GaussCode.parse("1-,2+,2-,1+")) == diagram_form(GaussCode.parse("1+,1-,2+,2-"))
     True
     """
     based = [code.plain.rebased(visit) for visit in range(max(1, 2 * code.nx))]
@@ -136,14 +127,14 @@ def diagram_form(code: GaussCode) -> GaussCode:
 
 @lru_cache(maxsize=200_000)
 def mirror_images(code: GaussCode) -> tuple[GaussCode, ...]:
-    """The codes of `mirrorings`, once each, in order; the first stands for all of them."""
+    """Return the distinct codes of `mirrorings`, sorted; the first is their representative."""
     return tuple(sorted({image for image, _ in mirrorings(code)}, key=_order))
 
 
 def shifted_base(crossings: Crossings, base_shift: int) -> GaussCode:
-    """The code of the same rope with its walk starting at vertex `base_shift`."""
-    places = np.concatenate([crossings.over_place, crossings.under_place])
-    return crossings.code.rebased(int((places < base_shift).sum()))
+    """Return the code of the same rope for a walk that starts at vertex `base_shift`."""
+    visit_places = np.concatenate([crossings.over_place, crossings.under_place])
+    return crossings.code.rebased(int((visit_places < base_shift).sum()))
 
 
 def _order(code: GaussCode) -> tuple[tuple[int, ...], str]:

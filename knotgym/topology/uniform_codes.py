@@ -1,10 +1,10 @@
-"""Gauss codes drawn uniformly at random, where there are too many to list.
+"""Gauss codes sampled uniformly at random, for crossing numbers with too many codes to list.
 
-A closed curve crosses a loop an even number of times, so the two visits to a crossing lie an odd
-number of places apart: one is at an even place, one at an odd. A uniform permutation matches them;
-of n! matchings those that can be drawn are kept (1,804 of 10,000 at 10 crossings), all equally
-likely, and so are the 2 ** n ways to choose the upper strands, and what is left of them when only
-the codes of one knot are kept.
+A closed curve crosses a loop an even number of times, so the two visits of a crossing have
+positions of opposite parity in the code. A uniform permutation pairs even positions with odd ones;
+pairings that are not planar are rejected (1,804 of 10,000 are kept at 10 crossings). The ones kept
+are equally likely, and so are the 2 ** n choices of upper strands. Rejecting codes of other knots
+keeps the distribution uniform.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from knotgym.topology.gauss import GaussCode
 
 
 def uniform_code(nx: int, rng: np.random.Generator) -> GaussCode:
-    """A planar code with nx crossings, each of `diagrams.planar_codes(nx)` equally likely."""
+    """Sample a planar code with nx crossings, uniformly from `diagrams.planar_codes(nx)`."""
     while True:
         word = np.empty(2 * nx, dtype=np.int64)
         word[0::2] = np.arange(1, nx + 1)

@@ -70,7 +70,7 @@ def test_what_no_run_reports_is_a_fault_and_is_not_shown(
 def test_what_is_no_json_is_one_line(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "manifest.json"
     path.write_bytes(content)
-    with pytest.raises(UnreadableJson, match=r"is no JSON") as raised:
+    with pytest.raises(UnreadableJson, match=r"isn't valid JSON") as raised:
         read_json(path)
     assert str(raised.value).isprintable()
     assert len(read_manifest(tmp_path)[1]) == 1
@@ -80,7 +80,7 @@ def test_a_pipe_and_what_is_too_large_are_not_read(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "link").symlink_to("/dev/zero")
     (tmp_path / "large").write_bytes(b" " * 101)
-    for name, told in (("pipe", "no regular file"), ("link", "no regular file")):
+    for name, told in (("pipe", "a regular file"), ("link", "a regular file")):
         with pytest.raises(UnreadableJson, match=told):
             read_json(tmp_path / name)
     with pytest.raises(UnreadableJson, match="more than 100 bytes"):

@@ -1,13 +1,13 @@
-"""Ropes drawn from codes, checked by the labeller that reads them."""
+"""Ropes drawn from codes show these codes."""
 
 import numpy as np
 import pytest
 
-from knotgym.drawing.circle_packing import packed
+from knotgym.drawing.circle_packing import pack_circles
 from knotgym.drawing.drawn_curve import TooManyCrossings, UndrawnCode, drawn_curve
 from knotgym.drawing.planar_map import planar_map
 from knotgym.topology.crossings import label
-from knotgym.topology.diagrams import NotPlanar, drawn, faces
+from knotgym.topology.diagrams import NotPlanar, faces, with_chirality
 from knotgym.topology.gauss import GaussCode
 
 TREFOIL = GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c")
@@ -15,7 +15,7 @@ KINKS = GaussCode.parse("1-a,2-c,2+c,1+a,3+a,3-a")
 
 
 def first_drawn(code: GaussCode, seed: int) -> np.ndarray:
-    """The first drawing of a code that isn't too tight."""
+    """Draw a code until the rope can take the shape."""
     rng = np.random.default_rng(seed)
     for _ in range(20):
         try:
@@ -53,9 +53,9 @@ def test_more_crossings_than_a_rope_has_room_for_are_refused() -> None:
 
 @pytest.mark.parametrize("outer", range(5))
 def test_packed_circles_draw_the_triangulation_without_folds(outer: int) -> None:
-    code = drawn(KINKS)
+    code = with_chirality(KINKS)
     of = planar_map(code, outer)
-    assert len(faces(code)) == len(of.sizes) == 5
-    a, b, c = packed(of.triangles, of.rim, of.nodes)[of.triangles].transpose(1, 2, 0)
+    assert len(faces(code)) == 5
+    a, b, c = pack_circles(of.triangles, of.rim, of.nodes)[of.triangles].transpose(1, 2, 0)
     turn = (b - a)[0] * (c - a)[1] - (b - a)[1] * (c - a)[0]
     assert turn.min() > 0

@@ -11,7 +11,6 @@ from hypothesis.extra.numpy import arrays
 from knotgym.topology.crossings import (
     Crossings,
     InvalidPoints,
-    VisitSpacing,
     count_crossings,
     find_crossings,
     label,
@@ -56,7 +55,7 @@ def turned(points: np.ndarray, angle: float) -> np.ndarray:
 
 
 def grid_curves(largest: int) -> st.SearchStrategy[np.ndarray]:
-    """Closed curves through whole numbers, full of exact ties."""
+    """Closed curves on an integer grid, with many exact ties."""
     return st.integers(3, 12).flatmap(
         lambda beads: arrays(np.float64, (beads, 3), elements=st.integers(0, largest).map(float))
     )
@@ -135,14 +134,14 @@ def test_both_strands_meet_at_the_position(seed: int) -> None:
 @given(seeds, st.floats(-4.0, 4.0))
 def test_a_code_survives_rotation_about_z(seed: int, angle: float) -> None:
     points = random_curve(seed)
-    assume(visit_spacing(find_crossings(points), 100).visits > 1e-6)
+    assume(visit_spacing(find_crossings(points), 100) > 1e-6)
     assert label(turned(points, angle)) == label(points)
 
 
 @given(seeds, st.floats(1e-3, 1e3), arrays(np.float64, 3, elements=st.floats(-1.0, 1.0)))
 def test_a_code_survives_shift_and_scale(seed: int, scale: float, shift: np.ndarray) -> None:
     points = random_curve(seed)
-    assume(visit_spacing(find_crossings(points), 100).visits > 1e-6)
+    assume(visit_spacing(find_crossings(points), 100) > 1e-6)
     assert label((points + shift) * scale) == label(points)
 
 
@@ -200,7 +199,7 @@ def test_a_strand_that_only_touches_a_bead_crosses_evenly() -> None:
 
 
 def runs_along_itself(points: np.ndarray) -> bool:
-    """Whether two edges share more than a point, or one has no length: exact for whole numbers."""
+    """Whether two edges overlap in more than a point, or one has no length; exact for integers."""
     start, end = points[:, :2], np.roll(points[:, :2], -1, axis=0)
     along = end - start
     for i in range(len(points)):
@@ -227,8 +226,8 @@ def runs_along_itself(points: np.ndarray) -> bool:
 )
 def test_exact_ties_still_give_planar_codes(points: np.ndarray) -> None:
     crossings = find_crossings(points)
-    # else three strands may meet in a point
-    assume(visit_spacing(crossings, len(points)).visits > 1e-9)
+    # otherwise three strands may meet in a point
+    assume(visit_spacing(crossings, len(points)) > 1e-9)
     assert is_planar(crossings.code)
 
 
@@ -289,15 +288,17 @@ def test_the_points_are_left_alone() -> None:
     assert (points == before).all()
 
 
-def test_spacing_is_cyclic_and_measured_from_the_base_bead() -> None:
-    crossings = find_crossings(EIGHT)
-    assert visit_spacing(crossings, 6) == VisitSpacing(visits=3.0, base=0.5)
+def test_spacing_is_cyclic() -> None:
+    assert visit_spacing(find_crossings(EIGHT), 6) == 3.0
+    assert visit_spacing(find_crossings(np.roll(EIGHT, -1, axis=0)), 6) == 3.0
+    bowtie = find_crossings(np.roll(np.delete(EIGHT, 2, axis=0), 1, axis=0))
+    assert visit_spacing(bowtie, 5) == 2.0
 
 
 def test_spacing_without_crossings_is_infinite() -> None:
     crossings = find_crossings(np.eye(3))
     assert isinstance(crossings, Crossings)
-    assert visit_spacing(crossings, 3) == VisitSpacing(np.inf, np.inf)
+    assert visit_spacing(crossings, 3) == np.inf
 
 
 def test_many_crossings_are_all_found() -> None:

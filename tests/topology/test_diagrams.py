@@ -1,4 +1,4 @@
-"""Planarity against the published lists, and the shape of the faces."""
+"""Planarity, checked against published lists; faces and summands."""
 
 import json
 from itertools import product
@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 from knotgym.topology.diagrams import (
     NotPlanar,
     chiralities,
-    drawn,
     faces,
     is_planar,
     parts,
     planar_codes,
     summands,
+    with_chirality,
 )
-from knotgym.topology.gauss import GaussCode, UnknownChirality
+from knotgym.topology.gauss import GaussCode, InvalidGaussCode
 
 CODES = Path(__file__).parents[1] / "codes"
 TREFOIL = GaussCode.parse("1+c,2-c,3+c,1-c,2+c,3-c")
@@ -55,9 +55,9 @@ def test_no_other_pattern_is_planar(code: GaussCode) -> None:
 def test_planarity_knows_no_base_direction_or_height(code: GaussCode, k: int) -> None:
     assert is_planar(code.rebased(k)) and is_planar(code.reversed()) and is_planar(code.mirrored())
     assert (
-        is_planar(drawn(code).rebased(k))
-        and is_planar(drawn(code).reversed())
-        and is_planar(drawn(code).mirrored())
+        is_planar(with_chirality(code).rebased(k))
+        and is_planar(with_chirality(code).reversed())
+        and is_planar(with_chirality(code).mirrored())
     )
 
 
@@ -75,30 +75,30 @@ def test_a_trefoil_with_one_letter_wrong_is_not_planar() -> None:
 
 
 def test_drawing_keeps_a_chirality_that_is_there() -> None:
-    assert drawn(TREFOIL) is TREFOIL
-    assert drawn(TREFOIL.plain).chirality == "aaa"
+    assert with_chirality(TREFOIL) is TREFOIL
+    assert with_chirality(TREFOIL.plain).chirality == "aaa"
 
 
 @pytest.mark.parametrize("nx", range(5))
 def test_a_code_is_drawn_with_the_first_of_its_chiralities(nx: int) -> None:
-    assert all(drawn(code).chirality == chiralities(code)[0] for code in planar_codes(nx))
+    assert all(with_chirality(code).chirality == chiralities(code)[0] for code in planar_codes(nx))
 
 
 def test_a_code_of_many_parts_is_drawn_without_listing_its_chiralities() -> None:
     kinks = GaussCode(tuple(sign * k for k in range(1, 61) for sign in (1, -1)))
-    assert is_planar(drawn(kinks))  # of 2 ** 60
+    assert is_planar(with_chirality(kinks))  # of 2 ** 60
 
 
 @pytest.mark.parametrize("text", ["1+,2+,1-,2-", "1+c,2-c,3+a,1-c,2+c,3-a"])
 def test_what_cannot_be_drawn_is_named(text: str) -> None:
     with pytest.raises(NotPlanar) as refusal:
-        drawn(GaussCode.parse(text))
+        with_chirality(GaussCode.parse(text))
     assert repr(text) in str(refusal.value)
 
 
 @given(planar)
 def test_a_planar_code_has_two_faces_more_than_crossings(code: GaussCode) -> None:
-    found = faces(drawn(code))
+    found = faces(with_chirality(code))
     assert len(found) == (code.nx + 2 if code.nx else 0)
     assert sorted(dart for face in found for dart in face) == list(range(4 * code.nx))
 
@@ -108,7 +108,7 @@ def test_a_trefoil_has_two_triangles_and_three_bigons() -> None:
 
 
 def test_faces_need_letters() -> None:
-    with pytest.raises(UnknownChirality):
+    with pytest.raises(InvalidGaussCode):
         faces(TREFOIL.plain)
 
 
@@ -120,4 +120,4 @@ def test_summands_come_in_order_of_first_visit() -> None:
 @given(planar)
 def test_summands_share_out_the_crossings(code: GaussCode) -> None:
     assert sum(summand.nx for summand in summands(code)) == code.nx
-    assert all(is_planar(summand) for summand in summands(drawn(code)))
+    assert all(is_planar(summand) for summand in summands(with_chirality(code)))

@@ -9,7 +9,7 @@ from knotgym.topology.single_moves import Removal, removals, sideways
 
 
 def diagrams(nx: int, every: int) -> list[GaussCode]:
-    """Every so many of the planar codes, with all their chiralities."""
+    """Every `every`-th planar code, with each of its chiralities."""
     return [
         GaussCode(code.visits, letters)
         for code in islice(planar_codes(nx), 0, None, every)
@@ -41,7 +41,7 @@ def test_kinks_and_bigons_are_the_faces_with_one_and_two_sides() -> None:
 
 
 def put_back(move: Removal) -> set[GaussCode]:
-    """Every code, without chirality, with the crossings taken out on the arcs they lay on."""
+    """All codes, without chirality, that have the removed crossings on the arcs of the move."""
     new = move.code.nx + 1
     upper = [new] if move.kink else [new, new + 1]
     codes = set()

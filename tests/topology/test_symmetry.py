@@ -1,5 +1,6 @@
-"""Symmetries take ropes to ropes and codes to codes, both in step."""
+"""Symmetries act consistently on ropes and on their codes."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +20,6 @@ from knotgym.topology.symmetry import (
     mirror_images,
     mirrorings,
     shifted_base,
-    variants,
 )
 
 BEADS = RopeConfig().beads
@@ -44,8 +44,16 @@ rows = st.integers(0, 39)
 
 @pytest.fixture(scope="module")
 def configurations(rope: Rope, tangled: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Ropes in mid-motion: float64 (40, beads, 3)."""
+    """Moving ropes, float64 (40, beads, 3)."""
     return rope.points(tangled)
+
+
+def variants(code: GaussCode) -> Iterator[tuple[GaussCode, Symmetry]]:
+    """Yield the four mirrorings for each direction of the walk, with their symmetries."""
+    yield from mirrorings(code)
+    yield from (
+        (shown, replace(symmetry, reverse=True)) for shown, symmetry in mirrorings(code.reversed())
+    )
 
 
 @given(codes)

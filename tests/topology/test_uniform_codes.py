@@ -11,7 +11,7 @@ from knotgym.topology.uniform_codes import uniform_code
 
 
 def chi_square(counts: Counter[str], kinds: int) -> float:
-    """Pearson's statistic against a uniform law, over its degrees of freedom."""
+    """Pearson's statistic against the uniform distribution, per degree of freedom."""
     expected = counts.total() / kinds
     missing = (kinds - len(counts)) * expected
     off = sum((count - expected) ** 2 / expected for count in counts.values())
@@ -35,7 +35,7 @@ def test_unknots_among_them_are_uniform_over_the_exact_list(nx: int, draws: int)
     drawn = (uniform_code(nx, rng) for _ in range(draws))
     counts = Counter(str(code) for code in drawn if is_unknot(code))
     assert set(counts) <= unknots
-    degrees = len(unknots) - 1  # a chi-square over them is normal, of variance 2 over them
+    degrees = len(unknots) - 1  # chi-square / degrees is about normal with variance 2 / degrees
     assert abs(chi_square(counts, len(unknots)) - 1) < 4 * (2 / degrees) ** 0.5
 
 

@@ -1,12 +1,21 @@
-"""A drawn diagram eased: faces blown up, strands kept apart, bends spread, and the code kept.
+"""Relaxation of a straight-line drawing of a diagram until it is easy to read.
 
-The diagram is a plane graph of straight segments, two strands sharing the node where they cross.
-Every face is a balloon whose pressure is its share over its area, the strands are stretched and
-stiff, and strands that come near push each other away. No move closes a gap between a node and a
-segment by more than a third, so that strands don't pass each other (the idea of P. Simonetto et
-al., "ImPrEd", Computer Graphics Forum 30, 2011); whoever needs the code reads it again.
+The drawing is a plane graph of straight segments, in which two strands share the node where they
+cross. Five forces act on its nodes:
 
-Lengths are shares of the rope's.
+- pressure: every face is a balloon whose pressure is its share divided by its area;
+- tension: strands are stretched, with an energy that is quadratic in the length of an edge;
+- bending: consecutive segments turn into line;
+- right angles: strands that cross turn perpendicular to each other;
+- repulsion: strands that come close push each other away.
+
+Nodes move along the force divided by an estimate of its stiffness (a diagonal Newton step). No step
+closes the gap between a node and a segment by more than a third, so strands can't pass through each
+other (the idea of P. Simonetto et al., "ImPrEd", Computer Graphics Forum 30, 2011). Callers that
+rely on the code read it again.
+
+Lengths are fractions of the rope's length: the drawing is rescaled to total length 1 in each
+iteration.
 """
 
 from __future__ import annotations
@@ -24,22 +33,22 @@ Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, kw_only=True)
-class EasingConfig:
-    """How strong the forces are, against a pressure of one face's share over its area.
+class LayoutRelaxationConfig:
+    """Strengths of the forces, relative to the pressure of a face with share 1.
 
     Attributes:
-        first: iterations with the segments as they are given.
-        later: iterations each time that all segments have been split in two.
-        segments: of which there are as many at least in the end.
-        tension: of the strands, 1 where it just balances the pressures.
-        power: of a face's area; 0 for a pressure of its share over its area, more for faces more
-            alike in size.
-        bending: stiffness, per face.
-        reach: within which strands push each other away; 0.025 are 6 pixels.
-        push: of strands on top of each other, per face.
-        crossing: stiffness of right angles between strands that cross.
-        most: that a node moves at once.
-        step: share of what each force alone would mend that is mended at once.
+        first: iterations with the segments as given.
+        later: iterations after each time all segments have been split in two.
+        segments: splitting stops at this many segments or more.
+        tension: strength of the tension; 1 balances the pressures.
+        power: exponent that makes small faces push harder; with 0, a pressure is share / area, and
+            the larger it is the more equal the areas become.
+        bending: bending stiffness, per face.
+        reach: distance within which strands push each other away; 0.025 is 6 pixels.
+        push: strength of the repulsion between strands, per face.
+        crossing: stiffness of the right angles at crossings.
+        most: largest displacement of a node per iteration.
+        step: fraction of the Newton step that is taken.
     """
 
     first: int = 300
@@ -63,45 +72,38 @@ class EasingConfig:
         )
 
 
-def eased(
+def relax_layout(
     at: Array,
     walk: Integers,
     left: Integers,
     right: Integers,
     shares: Array,
-    config: EasingConfig,
+    config: LayoutRelaxationConfig,
 ) -> tuple[Array, Integers]:
-    """Ease a diagram drawn with straight segments.
+    """Relax a diagram drawn with straight segments.
+
+    The drawing is relaxed with few segments first, then with twice as many, and so on: large moves
+    are cheap on the coarse drawing, and later stages only smooth it.
 
     Args:
-        at: float64 (nodes, 2), places; left alone.
-        walk: int64 (segments,), nodes along the rope, as many on each edge; begins at a crossing.
-        left, right: face on either side of each edge.
-        shares: float64 (faces,), what pressures are in proportion to; 0 for the outer face.
-        config: how.
+        at: float64 (nodes, 2), positions of the nodes; not modified.
+        walk: int64 (segments,), nodes along the rope from a crossing on; all edges have the same
+            number of segments.
+        left, right: int64 (edges,), the faces on either side of each edge.
+        shares: float64 (faces,), relative sizes of the faces; 0 for the outer face.
+        config: strengths of the forces and numbers of iterations.
 
     Returns:
-        Places and walk, the segments split in two at each stage but the first.
+        The positions and the walk after relaxation and splitting.
     """
+    strengths = (
+        *(config.tension, config.bending, config.crossing, config.push, config.reach),
+        *(config.power, config.most, config.step),
+    )
     at = at.copy()
     iterations = config.first
     while True:
-        _ease(
-            at,
-            walk,
-            left,
-            right,
-            shares,
-            iterations,
-            config.tension,
-            config.bending,
-            config.reach,
-            config.push,
-            config.crossing,
-            config.power,
-            config.most,
-            config.step,
-        )
+        _relax(at, walk, left, right, shares, iterations, strengths)
         if len(walk) >= config.segments:
             return at, walk
         at, walk = _split(at, walk)
@@ -109,56 +111,59 @@ def eased(
 
 
 def _split(at: Array, walk: Integers) -> tuple[Array, Integers]:
-    """Every segment cut in two at its middle."""
-    middles = (at[walk] + at[np.roll(walk, -1)]) / 2
+    """Split every segment in two at its midpoint."""
+    midpoints = (at[walk] + at[np.roll(walk, -1)]) / 2
     cuts = len(at) + np.arange(len(walk))
-    return np.concatenate([at, middles]), np.stack([walk, cuts], axis=1).ravel()
+    return np.concatenate([at, midpoints]), np.stack([walk, cuts], axis=1).ravel()
 
 
 @numba.njit(cache=True, nogil=True)
-def _ease(
+def _relax(
     at: Array,
     walk: Integers,
     left: Integers,
     right: Integers,
     shares: Array,
     iterations: int,
-    tension: float,
-    bending: float,
-    reach: float,
-    push: float,
-    crossing: float,
-    power: float,
-    most: float,
-    step: float,
+    strengths: tuple[float, float, float, float, float, float, float, float],
 ) -> None:
+    """Run the iterations, changing `at`; `strengths` are fields of the configuration.
+
+    `force` (nodes, 2) sums the forces on each node. `stiff` (nodes,) sums their derivatives by the
+    node's own position, without signs or cross terms.
+    """
+    tension, bending, crossing, push, reach, power, most, step = strengths
     nodes, count, edges = len(at), len(walk), len(left)
-    per_edge = count // edges
+    per_edge = count // edges  # segments
     nx = edges // 2
     balloons = shares.sum()
-    visits = np.empty((nx, 2), dtype=np.int64)  # of each crossing, places in the walk
+    visits = np.empty((nx, 2), dtype=np.int64)  # index in the walk of both visits of each crossing
     met = np.zeros(nx, dtype=np.int64)
     for k in range(edges):
         node = walk[k * per_edge]
         visits[node, met[node]] = k * per_edge
         met[node] = 1
     force, stiff, limit = np.empty((nodes, 2)), np.empty(nodes), np.empty(nodes)
-    length, own = np.empty(count), np.empty(edges)
-    area, pressure, place = np.empty(len(shares)), np.empty(len(shares)), np.empty(count)
+    length, mean_length = np.empty(count), np.empty(edges)  # of segments; of those of an edge
+    area, pressure = np.empty(len(shares)), np.empty(len(shares))
+    arc = np.empty(count)  # position of each segment's start along the rope
     pairs, gaps = np.empty((count * count, 2), dtype=np.int64), np.empty((count * count, 4))
     for _ in range(iterations):
+        # lengths; then rescale the drawing to total length 1
         total = 0.0
-        own[:] = 0.0
+        mean_length[:] = 0.0
         for s in range(count):
             a, b = walk[s], walk[(s + 1) % count]
             length[s] = np.hypot(at[b, 0] - at[a, 0], at[b, 1] - at[a, 1])
-            place[s] = total
-            own[s // per_edge] += length[s] / per_edge
+            arc[s] = total
+            mean_length[s // per_edge] += length[s] / per_edge
             total += length[s]
         at /= total
         length /= total
-        own /= total
-        place /= total
+        mean_length /= total
+        arc /= total
+        # Areas by the shoelace formula: a segment adds to the face on its left and subtracts from
+        # the face on its right. The outer face gets minus the area of all others.
         area[:] = 0.0
         for s in range(count):
             a, b, edge = walk[s], walk[(s + 1) % count], s // per_edge
@@ -167,6 +172,9 @@ def _ease(
             area[right[edge]] -= swept
         force[:] = 0.0
         stiff[:] = 0.0
+        # Pressure p = share / area * min(fair^-power, 1000), `fair` being the area relative to the
+        # mean area per share. If the drawing is stretched by 1 + e, the pressures do the work
+        # 2 e * virial, with virial = sum of p * area; tension 1 takes up as much.
         virial, inside = 0.0, 0.0
         for face in range(len(shares)):
             if shares[face] > 0:
@@ -177,14 +185,16 @@ def _ease(
             virial += pressure[face] * area[face]
         for s in range(count):
             a, b, edge = walk[s], walk[(s + 1) % count], s // per_edge
-            # balloons: half of a segment's force on either end
+            # pressure: the force p * length along the segment's right normal (y, -x), half on
+            # either end; the face on the left pushes to the right
             press = pressure[left[edge]] - pressure[right[edge]]
             x, y = at[b, 0] - at[a, 0], at[b, 1] - at[a, 1]
             for node in (a, b):
                 force[node, 0] += 0.5 * press * y
                 force[node, 1] -= 0.5 * press * x
-            # stretched strands
-            pull = 2 * tension * virial / own[edge]
+            # Tension: the energy of an edge is tension * virial * (sum of its segment lengths^2) /
+            # mean length, with the mean held fixed. It also spaces the nodes evenly.
+            pull = 2 * tension * virial / mean_length[edge]
             force[a, 0] += pull * x
             force[a, 1] += pull * y
             force[b, 0] -= pull * x
@@ -193,7 +203,8 @@ def _ease(
             stiff[b] += pull
         _stiffen(at, walk, length, force, stiff, bending * balloons)
         _square(at, walk, visits, force, stiff, crossing)
-        near = _repel(at, walk, length, place, force, stiff, reach, push * balloons, pairs, gaps)
+        near = _repel(at, walk, length, arc, force, stiff, reach, push * balloons, pairs, gaps)
+        # from here on `force` holds displacements
         _bound(walk, length, force, stiff, step, most)
         _hold_back(walk, force, limit, pairs, gaps, near)
         for node in range(nodes):
@@ -205,7 +216,11 @@ def _ease(
 def _bound(
     walk: Integers, length: Array, force: Array, stiff: Array, step: float, most: float
 ) -> None:
-    """Turn forces into moves, none of them further than a third of the node's own segments."""
+    """Turn forces into displacements of at most `most` and a third of the adjacent segments.
+
+    The displacement is step * force / stiffness. A crossing is on the walk twice: clearing `stiff`
+    marks nodes that have been converted.
+    """
     for s in range(len(walk)):
         for node in (walk[s], walk[(s + 1) % len(walk)]):
             if stiff[node] > 0:
@@ -225,7 +240,11 @@ def _bound(
 def _hold_back(
     walk: Integers, move: Array, limit: Array, pairs: Integers, gaps: Array, near: int
 ) -> None:
-    """The share of every move that may be made: no gap closes by more than a third."""
+    """Compute the fraction of each displacement that is allowed, float64 (nodes,), in `limit`.
+
+    No gap between a node and a segment may close by more than a third. The point of the segment
+    nearest to the node moves by a mean of its ends' displacements, weighted by `along`.
+    """
     limit[:] = 1.0
     for k in range(near):
         node, s = pairs[k]
@@ -244,7 +263,13 @@ def _hold_back(
 def _stiffen(
     at: Array, walk: Integers, length: Array, force: Array, stiff: Array, bending: float
 ) -> None:
-    """Add what turns segments that follow each other into line: the bends want to be spread."""
+    """Add the force of bending.
+
+    The energy at a node between segments of lengths `back` and `on` with unit directions t and t'
+    is 4 * bending * (1 - t . t') / (back + on), about stiffness times curvature squared times
+    length. Its gradient has two parts: the change of the directions (the projections below), and
+    that of the lengths in the denominator.
+    """
     count = len(walk)
     for s in range(count):
         before, node, after = walk[s - 1], walk[s], walk[(s + 1) % count]
@@ -254,17 +279,18 @@ def _stiffen(
         along = x * u + y * v
         weight = 4 * bending / (back + on)
         for side in range(2):
-            if side == 0:  # the segment ahead turns towards the one behind
+            # d(unit vector) / d(end point) = (1 - t t^T) / length
+            if side == 0:  # turn the segment ahead towards the one behind
                 a, b, strength = node, after, weight / on
                 turn_x, turn_y = x - along * u, y - along * v
-            else:
+            else:  # turn the segment behind towards the one ahead
                 a, b, strength = before, node, weight / back
                 turn_x, turn_y = u - along * x, v - along * y
             force[b, 0] += strength * turn_x
             force[b, 1] += strength * turn_y
             force[a, 0] -= strength * turn_x
             force[a, 1] -= strength * turn_y
-        # the same bend over a longer stretch is a lesser one
+        # lengthening both segments lowers the energy: -dE / d(length) = E / (back + on)
         stretch = weight * (1 - along) / (back + on)
         force[after, 0] += stretch * u
         force[after, 1] += stretch * v
@@ -286,7 +312,11 @@ def _square(
     stiff: Array,
     crossing: float,
 ) -> None:
-    """Add what turns strands that cross to a right angle."""
+    """Add the force that turns crossing strands perpendicular.
+
+    The energy at a crossing is crossing * cos^2(angle). The direction of a strand there is the line
+    between the nodes before and after the crossing.
+    """
     count = len(walk)
     for node in range(len(visits)):
         for side in range(2):
@@ -313,7 +343,7 @@ def _repel(
     at: Array,
     walk: Integers,
     length: Array,
-    place: Array,
+    arc: Array,
     force: Array,
     stiff: Array,
     reach: float,
@@ -321,11 +351,12 @@ def _repel(
     pairs: Integers,
     gaps: Array,
 ) -> int:
-    """Add what keeps strands apart; list the nodes and segments within reach of each other.
+    """Add the repulsion between strands; list all pairs of a node and a segment within reach.
 
     Returns:
-        How many pairs there are; of each, `gaps` holds the direction from segment to node, the
-        distance, and the nearest place on the segment.
+        The number of pairs. `pairs` holds (node, segment) of each. `gaps` holds the unit vector
+        from the nearest point of the segment to the node (2 columns), the distance, and the
+        position of that point along the segment, in [0, 1].
     """
     count, found = len(walk), 0
     for t in range(count):
@@ -336,6 +367,7 @@ def _repel(
                 continue
             x, y = at[b, 0] - at[a, 0], at[b, 1] - at[a, 1]
             u, v = at[node, 0] - at[a, 0], at[node, 1] - at[a, 1]
+            # nearest point of the segment, as a fraction of its length from a
             along = min(1.0, max(0.0, (u * x + v * y) / max(length[s] * length[s], 1e-300)))
             u, v = u - along * x, v - along * y
             far = np.hypot(u, v)
@@ -345,10 +377,14 @@ def _repel(
             gaps[found, 0], gaps[found, 1] = u / max(far, 1e-300), v / max(far, 1e-300)
             gaps[found, 2], gaps[found, 3] = far, along
             found += 1
-            walked = abs(place[t] - place[s] - 0.5 * length[s])
-            if far > 0.5 * min(walked, 1 - walked):  # one strand, hardly bent
+            # Skip neighbours on the same strand: there the distance is more than half the way
+            # along the rope, because the strand hardly bends.
+            walked = abs(arc[t] - arc[s] - 0.5 * length[s])
+            if far > 0.5 * min(walked, 1 - walked):
                 continue
-            # a segment's and a node's own share of the strand, so that splitting changes nothing
+            # push * (1 - d)^2 / (0.1 + d) with d = distance / reach: steep when close, smooth at
+            # the end of the reach. The two lengths make it an integral over both strands, so that
+            # splitting segments doesn't change it.
             near = far / reach
             strength = (
                 push * (1 - near) ** 2 / (0.1 + near) * length[s] * length[t] / max(far, 1e-12)
