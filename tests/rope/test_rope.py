@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from knotgym.rope.model import InvalidCurve, Rope, RopeConfig, clearance, sub_chains
 from knotgym.topology.crossings import label
 
-from .conftest import curled, trefoil
+from ..conftest import curled, trefoil
 
 ROPE = Rope()  # hypothesis tests cannot take function-scoped fixtures
 BEAD = RopeConfig().bead_length

@@ -22,7 +22,7 @@ from knotgym.rendering.picture import DEFAULT
 from knotgym.rope.model import Rope
 from knotgym.topology.crossings import find_crossings
 
-from .conftest import curled, trefoil
+from ..conftest import curled, trefoil
 
 PIXEL = DEFAULT.view / DEFAULT.size  # metres
 RADIUS = DEFAULT.rope_radius / PIXEL  # pixels

@@ -31,7 +31,7 @@ from knotgym.states.state_file import InvalidStates, States, merge_states, write
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 
-from .conftest import rough_play
+from ..conftest import rough_play
 
 TASKS = ("unknot", "tie", "convert")
 MODES = ("pixels", "state", "both", "symbolic")

@@ -17,7 +17,7 @@ from knotgym.rope.model import Rope
 from knotgym.states.state_file import States, merge_states, read_states, shipped, write_states
 from knotgym.topology.gauss import GaussCode
 
-from .small_job import knotgym
+from ..small_job import knotgym
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from knotgym.rope.model import Rope, RopeConfig
 from knotgym.rope.simulation import InvalidAction, Simulation
 
-from .conftest import curled, rough_play
+from ..conftest import curled, rough_play
 
 
 def moved(simulation: Simulation, steps: int, seed: int = 0) -> NDArray[np.float64]:
