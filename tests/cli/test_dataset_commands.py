@@ -144,7 +144,7 @@ def test_a_film_keeps_its_scale_while_the_rope_shrinks() -> None:
 
 @pytest.mark.parametrize("name", ["a.avi", "a", "a.gif.txt"])
 def test_another_kind_of_film_is_refused_and_not_written(tmp_path: Path, name: str) -> None:
-    with pytest.raises(UnknownFilm, match="a video ends in .gif, .mp4 or .webm"):
+    with pytest.raises(UnknownFilm, match="a video must end in .gif, .mp4 or .webm"):
         write_film(tmp_path / name, FRAMES)
     assert list(tmp_path.iterdir()) == []
 
@@ -361,7 +361,7 @@ def test_states_without_provenance_cannot_be_replayed(
     [
         ("--row 8", "row 8 is not there; there are 8, from 0"),
         ("--row -1", "greater than or equal to 0"),
-        ("--out {}/a.avi", "a video ends in .gif, .mp4 or .webm"),
+        ("--out {}/a.avi", "a video must end in .gif, .mp4 or .webm"),
     ],
 )
 def test_a_replay_of_what_cannot_be_is_refused(

@@ -521,9 +521,9 @@ def test_a_row_of_the_other_split_is_refused(make: Make, states: States) -> None
             {"views": ["top", "below"]},
             "views must be a list of top, left, front, each at most once",
         ),
-        ({"views": "left"}, "one at least; got 'left'"),
+        ({"views": "left"}, "at least one of top, left, front, each at most once; got 'left'"),
         ({"depth": "yes"}, "depth must be true or false, got 'yes'"),
-        ({"depth": True, "renderer": "mujoco"}, "depth is drawn by renderer 'opencv'"),
+        ({"depth": True, "renderer": "mujoco"}, "depth needs renderer 'opencv'"),
         (
             {"noise": 0.1},
             "got an unexpected keyword argument 'noise'; there is nx, split, states, observation",
@@ -857,7 +857,7 @@ def test_a_window_without_a_display_is_one_line(monkeypatch: pytest.MonkeyPatch)
     pytest.importorskip("pygame")
     monkeypatch.setenv("SDL_VIDEODRIVER", "nonesuch")
     env = KnotEnv("tie", render_mode="human")
-    with pytest.raises(NoWindow, match="needs a display .*; without one use 'rgb_array'"):
+    with pytest.raises(NoWindow, match="needs a display .*; use 'rgb_array' without one"):
         env.reset(seed=0)
 
 

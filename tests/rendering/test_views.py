@@ -145,7 +145,7 @@ def test_the_strand_shown_is_read_off_the_top_view() -> None:
         ({"views": ("top", "below")}, "'below'"),
         ({"views": ["left", "left"]}, "each at most once"),
         ({"depth": 1}, "depth must be true or false, got 1"),
-        ({"depth": True, "renderer": "mujoco"}, "depth is drawn by renderer 'opencv'"),
+        ({"depth": True, "renderer": "mujoco"}, "depth needs renderer 'opencv'"),
     ],
     ids=str,
 )

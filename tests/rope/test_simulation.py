@@ -133,12 +133,12 @@ def test_laying_one_rope_leaves_the_others(rope: Rope) -> None:
 @pytest.mark.parametrize(
     ("actions", "message"),
     [
-        (np.full((2, 6), np.nan), r"lie in \[-1, 1\]"),
+        (np.full((2, 6), np.nan), r"must be in \[-1, 1\]"),
         (
             np.array([[0.0] * 6, [0, 0, 0, 0, 0, 1.001]]),
-            r"lie in \[-1, 1\]; got \[0.0, 0.0, 0.0, 0.0, 0.0, 1.001\]",
+            r"must be in \[-1, 1\], got \[0.0, 0.0, 0.0, 0.0, 0.0, 1.001\]",
         ),
-        (np.full((2, 6), -np.inf), r"lie in \[-1, 1\]"),
+        (np.full((2, 6), -np.inf), r"must be in \[-1, 1\]"),
         (np.zeros((2, 5)), r"shape \(2, 5\) for 2 ropes"),
         (np.zeros((3, 6)), r"shape \(3, 6\) for 2 ropes"),
         (np.zeros(6), r"shape \(6,\) for 2 ropes"),
