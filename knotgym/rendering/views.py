@@ -14,7 +14,7 @@ def checked_views(views: Sequence[str], error: type[KnotgymError]) -> tuple[str,
     named = tuple(views) if isinstance(views, (tuple, list)) else ()
     if not named or any(view not in VIEWS for view in named) or len({*named}) < len(named):
         raise error(
-            f"views must be a list of at least one of {', '.join(VIEWS)}, each at most once; got"
+            f"views must be a list of {', '.join(VIEWS)}, at least one, each at most once; got"
             f" {views!r}"
         )
     return named

@@ -106,5 +106,5 @@ def test_ogbench_is_told_of_success_in_numbers(states_path: str) -> None:
         assert bool(info["success"]) is terminated
         assert not any(isinstance(value, str) for value in info.values())
     assert env.render().shape == (128, 128, 3)
-    with pytest.raises(InvalidSetting, match="task_id is a number from 1 to 5, got 6"):
+    with pytest.raises(InvalidSetting, match="task_id must be a number from 1 to 5, got 6"):
         env.reset(options={"task_id": 6})

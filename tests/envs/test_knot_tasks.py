@@ -67,7 +67,7 @@ def test_what_no_pull_reaches_is_refused_with_the_tasks_that_fit(
 
 
 def test_gymnasium_refuses_it_too(path: str) -> None:
-    with pytest.raises(InvalidSetting, match="no pull changes the knot type"):
+    with pytest.raises(InvalidSetting, match="no action changes the knot type"):
         gym.make("knotgym/Unknot-v0", nx=3, states=path)
 
 

@@ -19,7 +19,7 @@ from knotgym.common.errors import KnotgymError
 from knotgym.rendering.picture import (
     PictureConfig,
     PictureError,
-    _placed,
+    _on_canvas,
     bead_colours,
     crossing_pixels,
     draw,
@@ -56,7 +56,7 @@ def test_compiled_polygons_are_those_of_plain_arithmetic_bit_for_bit(config: Pic
             * (np.cos(at + rng.uniform(0, 6, 5)) @ waves.T)
             * [rng.choice([1.0, 0.01]), 1.0, rng.choice([0.2, 2.0])]
         )
-        placed, side = _placed(rope, config), config.size * config.supersampling
+        placed, side = _on_canvas(rope, config), config.size * config.supersampling
         made = polygons(*placed, side), plain_polygons.polygons(*placed, side)
         for part in (0, 1, 2):
             ours, plain = made[0][part], made[1][part]
