@@ -70,8 +70,11 @@ def test_the_rope_is_seen_alone(states_path: str, observation: str) -> None:
     [
         ({"hold": 2}, "hold must be 1 and failure_reward 0, got 2 and 0.0"),
         ({"failure_reward": -5.0}, "failure_reward 0, got 1 and -5.0"),
-        ({"observation": "both"}, "observation is pixels, state or symbolic"),
-        ({"observation": "pixels", "layout": "stacked"}, "layout beside; got 'pixels' and 'stack"),
+        ({"observation": "both"}, "needs observation 'pixels', 'state' or 'symbolic'"),
+        (
+            {"observation": "pixels", "layout": "stacked"},
+            "layout 'beside'; got 'pixels' and 'stack",
+        ),
     ],
 )
 def test_settings_that_a_changed_goal_gives_no_meaning_are_refused(

@@ -519,7 +519,7 @@ def test_a_row_of_the_other_split_is_refused(make: Make, states: States) -> None
         ({"reset_noise": float("nan")}, r"reset_noise must be in \[0, 1\), got nan"),
         (
             {"views": ["top", "below"]},
-            "views must be a list of top, left, front, each at most once",
+            "views must be a list of top, left, front, at least one, each at most once",
         ),
         ({"views": "left"}, "each at most once; got 'left'"),
         ({"depth": "yes"}, "depth must be true or false, got 'yes'"),
