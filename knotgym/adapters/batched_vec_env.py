@@ -10,7 +10,12 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from knotgym.adapters.goal_environment import Goals
-from knotgym.envs.environment import action_space, observation_space, task_config
+from knotgym.envs.environment import (
+    action_space,
+    observation_space,
+    stack_observations,
+    task_config,
+)
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import InvalidSetting
 
@@ -28,8 +33,6 @@ class BatchedVecEnv(VecEnv):
     def __init__(
         self, task: str, num_envs: int, threads: int, goals: bool, settings: dict[str, Any]
     ) -> None:
-        if num_envs < 1:
-            raise InvalidSetting(f"num_envs must be at least 1, got {num_envs}")
         config = task_config(task, {**({"failure_reward": 0.0} if goals else {}), **settings})
         self.render_mode = "rgb_array"
         self.num_envs = num_envs
@@ -49,7 +52,7 @@ class BatchedVecEnv(VecEnv):
             self._begin(i, options)
         self._reset_seeds()
         self._reset_options()
-        return self._stacked([self._observation(i) for i in range(self.num_envs)])
+        return stack_observations([self._observation(i) for i in range(self.num_envs)])
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
         """Store the actions for `step_wait`."""
@@ -70,7 +73,7 @@ class BatchedVecEnv(VecEnv):
                 self._begin(i)
             infos.append(info)
             observations.append(self._observation(i))
-        return self._stacked(observations), rewards.astype(np.float32), dones, infos
+        return stack_observations(observations), rewards.astype(np.float32), dones, infos
 
     def close(self) -> None:
         """Do nothing; there are no resources to release."""
@@ -116,11 +119,6 @@ class BatchedVecEnv(VecEnv):
         if self.goals is not None:
             return self.goals.observation(index)
         return self.episodes.observation(index)
-
-    def _stacked(self, each: list[Any]) -> Any:
-        if isinstance(each[0], dict):
-            return {name: np.stack([one[name] for one in each]) for name in each[0]}
-        return np.stack(each)
 
     def _which(self, indices: Indices) -> Sequence[int]:
         return list(self._get_indices(indices))

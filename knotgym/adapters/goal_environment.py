@@ -35,13 +35,13 @@ class GoalEnv(KnotEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """As `KnotEnv.reset`."""
+        """Start an episode, as `KnotEnv.reset`."""
         info = super().reset(seed=seed, options=options)[1]
         self.goals.begin(0)
         return self.goals.observation(0), info
 
     def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """As `KnotEnv.step`."""
+        """Take one action, as `KnotEnv.step`."""
         _, *outcome = super().step(action)
         return self.goals.observation(0), *outcome  # type: ignore[return-value]
 

@@ -151,8 +151,6 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         warn_of_compilation()
         self.config = task_config(task, settings)
         self.render_mode = _checked(render_mode, "rgb_array")
-        if num_envs < 1:
-            raise InvalidSetting(f"num_envs must be at least 1, got {num_envs}")
         self.num_envs = num_envs
         self._autoreset, self.autoreset_mode = _autoreset(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
@@ -249,16 +247,20 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         return tuple(self.episodes.rgb(i) for i in range(self.num_envs))
 
     def _observations(self) -> Any:
-        each = [self.episodes.observation(i) for i in range(self.num_envs)]
-        if isinstance(each[0], dict):
-            return {name: np.stack([seen[name] for seen in each]) for name in each[0]}
-        return np.stack(each)
+        return stack_observations([self.episodes.observation(i) for i in range(self.num_envs)])
 
     def _infos(self, each: dict[int, dict[str, Any]]) -> dict[str, Any]:
         infos: dict[str, Any] = {}
         for i, info in each.items():
             infos = self._add_info(infos, info, i)
         return infos
+
+
+def stack_observations(each: list[Any]) -> Any:
+    """Stack the observations of ropes, arrays or dicts of arrays, along a new first axis."""
+    if isinstance(each[0], dict):
+        return {name: np.stack([one[name] for one in each]) for name in each[0]}
+    return np.stack(each)
 
 
 def task_config(task: str, settings: dict[str, Any]) -> TaskConfig:

@@ -59,6 +59,8 @@ class EpisodeBatch:
     """
 
     def __init__(self, config: TaskConfig, count: int = 1, threads: int = 1) -> None:
+        if count < 1:
+            raise InvalidSetting(f"num_envs must be at least 1, got {count}")
         self.config = config
         self.count = count
         self.simulation = Simulation(count, Rope(config.rope), threads)

@@ -15,19 +15,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import KnotgymError
 from knotgym.common.streams import Stream, generator
-from knotgym.rendering.picture import RGB, PictureConfig, draw, project, rope_colours
+from knotgym.rendering.picture import RGB, PictureConfig, PictureError, draw, project, rope_colours
 
 Array = NDArray[np.float64]
 
 VARIED = ("colours", "width", "background", "turn", "zoom", "noise", "blur")
 SIZES = (64, 512)  # smallest and largest size of a picture, pixels
 MARGIN = 2.0  # smallest distance of a zoomed rope from the edge, pixels of a 128-pixel picture
-
-
-class InvalidAppearance(KnotgymError, ValueError):
-    """Invalid settings for varied appearance."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,26 +49,24 @@ class AppearanceConfig:
     def __post_init__(self) -> None:
         for name in self.vary:
             if name not in VARIED:
-                raise InvalidAppearance(
+                raise PictureError(
                     f"{name!r} can't be varied; choose from {', '.join(VARIED)}, or all, or none"
                 )
         object.__setattr__(self, "vary", tuple(name for name in VARIED if name in self.vary))
         if not self.sizes or any(
             type(size) is not int or not SIZES[0] <= size <= SIZES[1] for size in self.sizes
         ):
-            raise InvalidAppearance(
+            raise PictureError(
                 f"sizes must be whole pixels from {SIZES[0]} to {SIZES[1]}, got"
                 f" {', '.join(map(str, self.sizes)) or 'none'}"
             )
         for name in ("width", "zoom"):
             low, high = getattr(self, name)
             if not 0 < low <= high < math.inf:
-                raise InvalidAppearance(
-                    f"{name} must be a range (low, high) above 0, got {(low, high)}"
-                )
+                raise PictureError(f"{name} must be a range (low, high) above 0, got {(low, high)}")
         for name in ("noise", "blur"):
             if not 0 <= getattr(self, name) < math.inf:
-                raise InvalidAppearance(
+                raise PictureError(
                     f"{name} must be at least 0 and finite, got {getattr(self, name)}"
                 )
 

@@ -35,7 +35,7 @@ _NEAR = 0.01  # near plane of the perspective camera, metres
 
 
 class PictureError(KnotgymError, ValueError):
-    """Invalid settings or points of a picture."""
+    """Invalid settings or points of a picture or video."""
 
 
 def require(met: bool, rule: str, given: object) -> None:

@@ -134,9 +134,7 @@ def _shrink(canvas: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
 
 @numba.njit(cache=True, nogil=True)
 def _directions(step: NDArray[np.float64], length: NDArray[np.float64]) -> Any:
-    """Return unit vectors of the beads (n, 2), and sine and cosine (n,) of the turns at their
-    starts.
-    """
+    """Return the beads' unit vectors (n, 2), and sine and cosine (n,) of the turns between them."""
     n = len(step)
     along, sine, cosine = np.empty((n, 2)), np.empty(n), np.empty(n)
     # a bead seen exactly end-on has no direction; any will do, and it is (1, 0)

@@ -393,11 +393,12 @@ def base_shifts(config: RopeConfig) -> list[int]:
 
 
 def closed_directions(along: Array) -> Array:
-    """Correct unit vectors (n, 3) so that they sum to zero and a chain of equal chords closes.
+    """Change unit vectors (n, 3) as little as possible so that they sum to zero.
 
-    All vectors are shifted by one common vector and normalized again.
+    A chain of equal chords in these directions is closed.
     """
-    # Newton's method on the three components of the shift s:
+    # The unit vectors u_i with sum 0 that minimize sum |u_i - a_i|^2 are the normalized a_i - s,
+    # where s is the Lagrange multiplier of the constraint. Newton's method on s:
     #     f(s) = sum_i (a_i - s) / |a_i - s| = 0,
     # with the Jacobian df/ds = -sum_i (I - u_i u_i^T) / |a_i - s|, u_i the normalized vectors.
     shift = np.zeros(3)

@@ -1,4 +1,4 @@
-"""Goals told apart from observations: what hindsight may pay for, and what OGBench asks for."""
+"""Goal-conditioned environments: relabelled rewards, and OGBench's interface."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STATE: dict[str, Any] = {"nx": 1, "observation": "state"}
 
 
 def untied(states_path: str, **settings: Any) -> tuple[GoalEnv, list[Any]]:
-    """An episode that ends well: towing undoes a curl; every observation with what it paid."""
+    """Play an episode in which towing undoes a curl; return all observations with their rewards."""
     env = goal_env("unknot", states=states_path, **{**STATE, **settings})
     seen, info = env.reset(seed=2)
     steps = [(seen, 0.0, False, info)]

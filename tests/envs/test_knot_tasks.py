@@ -1,4 +1,4 @@
-"""Tasks join states of one knot type: what no pull can reach is refused, and what fits is named."""
+"""Tasks connect states of one knot type; errors list the tasks that fit."""
 
 from dataclasses import replace
 from pathlib import Path

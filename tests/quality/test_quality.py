@@ -1,6 +1,4 @@
-"""Quality measures give what a ruler gives, on curves drawn for it; limits name what misses
-them.
-"""
+"""Quality measures agree with lengths and angles of constructed curves; limits name failures."""
 
 import math
 from dataclasses import fields, replace
@@ -31,9 +29,7 @@ PERFECT = Quality(90.0, 128.0, 128.0, 128.0, 900.0, 900.0, 40.0, 20.0, 0.0, 1.0,
 
 
 def drawn(corners: ArrayLike, vertices: int = 800) -> NDArray[np.float64]:
-    """A closed polygon with corners given in pixels, from its first corner: float64 (vertices, 3),
-    metres.
-    """
+    """Return a closed polygon from corners in pixels: float64 (vertices, 3), metres."""
     c = np.array(corners, dtype=np.float64)
     closed = np.concatenate([c, c[:1]])
     along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
@@ -42,13 +38,13 @@ def drawn(corners: ArrayLike, vertices: int = 800) -> NDArray[np.float64]:
 
 
 def bow_tie(width: float = 30, height: float = 30, above: float = 4) -> NDArray[np.float64]:
-    """One crossing, in the middle, of two straight strands `above` pixels apart in height."""
+    """Return one crossing of straight strands, `above` pixels apart in height, in the middle."""
     w, h = width, height
     return drawn([(-w, -h, 0), (w, h, 0), (w, -h, above), (-w, h, above)])
 
 
 def zigzag() -> NDArray[np.float64]:
-    """Two crossings, 40 pixels apart."""
+    """Return two crossings, 40 pixels apart."""
     return drawn([(-40, 10, 3), (0, -10, 3), (40, 10, 3), (40, -10, 0), (0, 10, 0), (-40, -10, 0)])
 
 

@@ -1,4 +1,4 @@
-"""The picture: its camera, its colours, and that it shows which strand is on top."""
+"""The picture: camera, colours, and which strand is on top."""
 
 import dataclasses
 import functools
@@ -65,9 +65,7 @@ def test_compiled_polygons_are_those_of_plain_arithmetic_bit_for_bit(config: Pic
 
 @pytest.fixture(scope="session")
 def opengl() -> None:
-    """Skip where MuJoCo's renderer cannot draw; tried in another process, so that a crash of a
-    driver does not take the tests along.
-    """
+    """Skip if MuJoCo's renderer can't draw; tried in another process, which may crash."""
     code = (
         "import numpy as np; from knotgym.rendering.picture import PictureConfig, draw;"
         " draw(np.eye(3) * 0.1, PictureConfig(size=16, renderer='mujoco'))"
@@ -86,9 +84,7 @@ def gl(test: Callable[..., None]) -> Any:
 def random_curve(
     rng: np.random.Generator, beads: int = 100, length: float = 1.33, gap: float = 0.009
 ) -> Points:
-    """A closed curve like a rope's: equal chords along a random smooth curve whose strands stay gap
-    apart.
-    """
+    """Return a random smooth closed curve of equal chords, whose strands stay `gap` apart."""
     phase = np.linspace(0.0, 2.0 * np.pi, 2001)
 
     def wave(modes: int, decay: float) -> Points:
@@ -123,9 +119,7 @@ def curves(count: int = 40) -> Points:
 
 
 def traced(points: Points, config: PictureConfig) -> NDArray[np.uint8]:
-    """The orthographic picture by brute force: each sample's ray down z meets the capsules, and the
-    highest one met gives the colour.
-    """
+    """Draw the orthographic picture by brute force: the highest capsule on each sample's ray."""
     side = config.size * config.supersampling
     place = ((np.arange(side) + 0.5) / side - 0.5) * config.view
     points = points - points.mean(axis=0)
@@ -165,8 +159,8 @@ def traced(points: Points, config: PictureConfig) -> NDArray[np.uint8]:
 def differences(
     one: NDArray[np.uint8], other: NDArray[np.uint8]
 ) -> tuple[float, float, float, float]:
-    """Mean absolute difference of the rope's pixels; share of them that differ by more than 64
-    levels; by more than 128; overlap of silhouettes.
+    """Return the mean absolute difference of the rope's pixels, and the fraction of them that
+    differ by more than 64 levels.
     """
     first, second = one.any(axis=-1), other.any(axis=-1)
     rope = first | second

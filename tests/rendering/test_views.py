@@ -1,4 +1,4 @@
-"""The rope from the side, and its depth."""
+"""Side views and depth."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SEEN = {
 
 
 def spread(beads: int = 100) -> NDArray[np.float64]:
-    """A rope that reaches as far in z as in x and y."""
+    """Return a rope that extends as far in z as in x and y."""
     at = 2 * np.pi * np.arange(beads) / beads
     return 0.12 * np.stack([np.cos(at), np.sin(2 * at), np.sin(at + 0.5)], axis=1)
 
@@ -85,7 +85,7 @@ def test_depth_leaves_the_colours_alone_and_is_0_exactly_where_no_rope_is() -> N
 
 
 def level(nearer: Any) -> Any:
-    """The depth of what is so many metres nearer to the camera than the rope's centre."""
+    """Return the depth level of a point `nearer` metres in front of the rope's centre."""
     return 1 + 254 * (0.5 + nearer / 0.66)
 
 

@@ -1,6 +1,4 @@
-"""The rope is the published one, and configurations and generalized positions are two names of one
-thing.
-"""
+"""The rope model matches the published one, and configurations and qpos convert without loss."""
 
 import json
 from dataclasses import asdict, replace
