@@ -1,6 +1,6 @@
 """What runs gone on with take from what was saved: as file_readers.py, of each kind of checkpoint.
 
-Searches, drawings and random walks are the JSON file of a staging folder with what lies beside and
+Searches and random walks are the JSON file of a staging folder with what lies beside and
 below it; episode files that of a shard, walk files one of pictures, trainings the arrays beside
 their request, replies the lines of a prompted run, caches what a frame cache says of its pictures,
 beside the episode file that they are of.
@@ -28,38 +28,25 @@ def _asked(kind: str, here: Any) -> Any:
 def told_staging(kind: str, path: Path) -> Told:
     """Digests of what a run of states takes up from its staging folder."""
     from knotgym.common.configuration import from_json
-    from knotgym.generate.states.drawn_states import DrawnStatesConfig
-    from knotgym.generate.states.drawn_states_recipe import DrawnStatesRecipe
     from knotgym.generate.states.generate_config import GenerateConfig
     from knotgym.generate.states.random_walk import RandomWalkConfig
     from knotgym.generate.states.random_walk_recipe import RandomWalkRecipe
     from knotgym.generate.states.state_recipe import StateRecipe
     from knotgym.runs.engine import request_of, require_resumable
-    from knotgym.runs.run_options import RunOptions
-    from knotgym.runs.shards import Shard
 
     folder = path.parent
     left = request_of(folder)
     asked = _asked(kind, left)
-    config: Any
     recipe: Any
-    if kind == "drawings":
-        recipe = DrawnStatesRecipe(from_json(DrawnStatesConfig, asked["config"]), Shard())
-    elif kind == "random_walks":
+    if kind == "random_walks":
         recipe = RandomWalkRecipe(from_json(RandomWalkConfig, asked["config"]))
     else:
-        config = from_json(GenerateConfig, asked["config"])
-        recipe = StateRecipe(config, RunOptions(workers=1), None)
+        recipe = StateRecipe(from_json(GenerateConfig, asked["config"]))
     require_resumable(folder, left, asked, recipe.flexible)
     if not recipe.load(folder):
         return ["there is nothing to go on from, so the run begins anew"], {}
-    if kind == "searches":
-        state = vars(recipe.run)
-        named = ("accepted", "rejected", "tried", "targeted", "cycle", "actions", "growth")
-        counts = {name: state[name] for name in named}
-    else:
-        own = vars(recipe)
-        counts = {name: own[name] for name in own if name not in ("codes", "config")}
+    skipped = ("archive", "codes", "config", "shard")
+    counts = {name: own for name, own in vars(recipe).items() if name not in skipped}
     with np.printoptions(threshold=10**9, floatmode="unique"):
         return [], {name: digest(repr(own)) for name, own in counts.items()}
 
@@ -133,7 +120,7 @@ def told_caches(path: Path) -> Told:
 
 
 CHECKPOINTS: dict[str, Callable[[Path], Told]] = {
-    **{kind: partial(told_staging, kind) for kind in ("searches", "drawings", "random_walks")},
+    **{kind: partial(told_staging, kind) for kind in ("searches", "random_walks")},
     "episode_files": told_episode_files,
     "walk_files": told_walk_files,
     "trainings": told_trainings,

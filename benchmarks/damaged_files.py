@@ -206,7 +206,6 @@ DAMAGES: dict[str, tuple[Damage, ...]] = {
     "curves": (*_BYTES, text_changed),
     "models": _BYTES,
     "searches": _STAGED,
-    "drawings": _STAGED,
     "random_walks": _STAGED,
     "episode_files": (*_JSON, beside_changed),
     "walk_files": _BYTES,
@@ -216,7 +215,7 @@ DAMAGES: dict[str, tuple[Damage, ...]] = {
 }
 # of files that are read with others, which
 _WITH = {
-    **dict.fromkeys(("manifests", "policies", "searches", "drawings", "random_walks"), "**/*"),
+    **dict.fromkeys(("manifests", "policies", "searches", "random_walks"), "**/*"),
     **dict.fromkeys(("walks", "archives"), "manifest.json"),
     **dict.fromkeys(("episode_files", "trainings", "caches"), "*"),
 }

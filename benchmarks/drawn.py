@@ -33,11 +33,12 @@ from rich.table import Table
 
 from knotgym.common.atomic_files import atomic_write
 from knotgym.datasets.gallery import Tile, contact_sheet, write_png
-from knotgym.generate.states.drawn_states import DrawnStatesConfig, DrawnUnit, draw_states
+from knotgym.generate.states.drawn_states import DrawnUnit, draw_states
+from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.quality.measures import Limits
 from knotgym.rendering.diagram import draw_diagram
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knot_table import based_diagrams, prime_diagrams
+from knotgym.topology.knot_table import UNKNOT, based_diagrams, prime_diagrams
 from knotgym.topology.knots import is_unknot, shows
 from knotgym.topology.uniform_codes import uniform_code
 
@@ -57,12 +58,14 @@ SHOWN = 8  # states of each nx on the page
 
 def crossings_row(code: GaussCode, number: int, drawings: int, seed: int) -> dict[str, Any]:
     """What becomes of a code: the first state accepted at either size, and what rejects at 128."""
-    config = DrawnStatesConfig(nx=(code.nx,), seed=seed, limits=AT_256)
+    config = GenerateConfig(nx=(code.nx,), seed=seed, limits=AT_256)
     row: dict[str, Any] = {"code": str(code), "nx": code.nx, "drawings": 0, "at_256": False}
     row |= {"at_128": False, "rejected": {}}
     rejected: Counter[str] = Counter()
     while row["drawings"] < drawings and not row["at_128"]:
-        unit = DrawnUnit(config, code, number, row["drawings"], drawings - row["drawings"], 1)
+        unit = DrawnUnit(
+            config, UNKNOT, code, number, row["drawings"], drawings - row["drawings"], 1
+        )
         made = draw_states(unit)
         row["drawings"] += made.drawings
         rejected += made.rejected
@@ -91,11 +94,11 @@ def knot_row(name: str, number: int, drawings: int, seed: int) -> dict[str, Any]
     diagrams = based_diagrams(prime_diagrams()[name])
     rng = np.random.default_rng([seed, number])
     nx = diagrams[0].nx
-    config = DrawnStatesConfig(nx=(nx,), knot=name, seed=seed, limits=LAID)
+    config = GenerateConfig(nx=(nx,), knot=name, seed=seed, limits=LAID)
     rejected: Counter[str] = Counter()
     for drawing in range(drawings):
         code = diagrams[int(rng.integers(len(diagrams)))]
-        made = draw_states(DrawnUnit(config, code, number, drawing, 1, 1))
+        made = draw_states(DrawnUnit(config, name, code, number, drawing, 1, 1))
         rejected += made.rejected
         if made.states:
             assert shows(made.states[0].code, name)

@@ -169,9 +169,9 @@ def told_scores(path: Path) -> Told:
 
 def told_curves(path: Path) -> Told:
     """The type of the knot of a curve that a user made; there is no checksum of it."""
-    from knotgym.generate.states.curves import knot_of
+    from knotgym.generate.states.curves import start_of
 
-    knot_of(path)
+    start_of(str(path))
     return [], {}
 
 

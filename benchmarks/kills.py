@@ -30,8 +30,8 @@ from knotgym.common.atomic_files import sha256
 
 SMALL = {
     "wave": 2,
-    "choice": 1,
-    "candidate": {"hill_climb": {"steps": 4, "tries": 4}, "loop_walk_steps": 4},
+    "planned": 2,
+    "stalled": 0,
     "planner": {"budget": 100},
     "search": {"batch_size": 4, "steps": 8},
 }

@@ -33,11 +33,11 @@ BARS = {"main": 0.85, "pixels": 0.75}
 STAGES = ("mj_step", "configurations", "label", "quality", "picture", "compression")
 WATCHED = {
     "configurations": (
-        "rope.Rope.points",
-        "rope.Rope.points_and_gaps",
-        "rope.Rope.qpos",
-        "reset_noise.noised",
-        "rope.clearance",
+        "rope.model.Rope.points",
+        "rope.model.Rope.points_and_gaps",
+        "rope.model.Rope.qpos",
+        "rope.reset_noise.noised",
+        "rope.model.clearance",
     ),
     "label": (
         "topology.crossings.find_crossings",
@@ -47,9 +47,9 @@ WATCHED = {
         "topology.reference_labeller.pyknotid_code",
     ),
     "quality": (
-        "quality.measure",
-        "quality.noise_survival",
-        "quality.base_spacing",
+        "quality.measures.measure",
+        "quality.measures.noise_survival",
+        "quality.measures.base_spacing",
     ),
     "picture": (
         "rendering.picture.draw",
@@ -61,7 +61,7 @@ WATCHED = {
         "datasets.episode_writer.merge_episodes",
         "datasets.image_table.encode",
         "datasets.image_table.write_rows",
-        "datasets.states.write_states",
+        "states.state_file.write_states",
         "generate.states.archive.Archive.save",
         "datasets.gallery.write_gallery",
     ),

@@ -1,6 +1,4 @@
-"""Runs made small enough for tests, by settings alone: shorter rounds of the search, smaller waves,
-less hill climbing.
-"""
+"""Runs made small enough for tests, by settings alone: shorter rounds of play, smaller waves."""
 
 from __future__ import annotations
 
@@ -44,7 +42,7 @@ def typed(*arguments: object) -> list[str]:
 
 
 def begun(out: Path, *arguments: object, saved: bool) -> subprocess.Popen[str]:
-    """A run in another process group, once it holds its folder, or once it has saved a cycle."""
+    """A run in another process group, once it holds its folder, or has saved what it made."""
     run = subprocess.Popen(
         typed("generate", *WANTED, *arguments, "--out", out),
         stdout=subprocess.PIPE,
@@ -52,11 +50,17 @@ def begun(out: Path, *arguments: object, saved: bool) -> subprocess.Popen[str]:
         text=True,
         start_new_session=True,
     )
-    sign = out.parent / f".{out.name}.partial" / ("run.json" if saved else "lock")
-    until = time.monotonic() + SECONDS
-    while not sign.exists() and run.poll() is None and time.monotonic() < until:
+    partial, until = out.parent / f".{out.name}.partial", time.monotonic() + SECONDS
+
+    def is_there() -> bool:
+        counters = partial / "run.json"
+        if saved:
+            return counters.is_file() and "wave-" in counters.read_text(encoding="utf-8")
+        return (partial / "lock").exists()
+
+    while not is_there() and run.poll() is None and time.monotonic() < until:
         time.sleep(0.02)
-    assert run.poll() is None and sign.exists()
+    assert run.poll() is None and is_there()
     return run
 
 

@@ -14,7 +14,7 @@ IMPORTS = {
     "control/own_policies.py": "module:name, which the user types; never from a file",
     "datasets/exports/forms.py": "FORMS, names in the code",
     "datasets/image_table.py": "parts of pyarrow, names in the code",
-    "lazy_exports.py": "a package's own table",
+    "common/lazy_exports.py": "a package's own table",
     "loaders/converters.py": "libraries, names in the code",
     "loaders/perception.py": "libraries, names in the code",
     "rendering/mujoco_renderer.py": "backends of MuJoCo, names in the code",

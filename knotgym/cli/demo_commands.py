@@ -74,8 +74,8 @@ def compile_kernels(quiet: QuietOption = False) -> None:
         from knotgym.control.policies import PolicyConfig
         from knotgym.envs.tasks import TaskConfig
         from knotgym.generate.episodes.collect import CollectConfig, collect
-        from knotgym.generate.states.drawn_states import DrawnStatesConfig
-        from knotgym.generate.states.drawn_states_recipe import draw_state_set
+        from knotgym.generate.states.generate_config import GenerateConfig
+        from knotgym.generate.states.state_recipe import generate
         from knotgym.loaders import arrays
         from knotgym.runs.run_options import RunOptions
         from knotgym.topology.crossing_kernel import scan
@@ -84,8 +84,8 @@ def compile_kernels(quiet: QuietOption = False) -> None:
         with tempfile.TemporaryDirectory(prefix="knotgym-compile-") as temporary:
             room = Path(temporary)
             progress.stage("compiling what draws, relaxes and measures states")
-            states = DrawnStatesConfig(nx=(1,), count=1)
-            draw_state_set(states, room / "states", options, progress=silent)
+            states = GenerateConfig(nx=(1,), count=1, demonstrations=False)
+            generate(states, room / "states", options, progress=silent)
             progress.stage("compiling what plays, plans and draws pictures")
             config = CollectConfig(
                 task=TaskConfig(task="tie", nx=1, horizon=2, observation="state"),

@@ -39,7 +39,7 @@ def generate(
         typer.Option(
             "--nx",
             help="Crossings: 3, or 2,3, or 0-4.",
-            show_default="3; with --source drawing and --knot as many as the knot needs",
+            show_default="3; with --knot as few as that knot can have",
         ),
     ] = None,
     count: Annotated[
@@ -57,13 +57,24 @@ def generate(
         option(
             "--source",
             help=(
-                '"play": searched and opened up, with the trajectories; "random-walk": saved from'
-                " uniform random actions, only over-twisted states left out;"
-                ' "drawing": drawn from the codes themselves, quick, no trajectories.'
+                '"drawing": states are drawn from their Gauss codes, and legible ones that play'
+                ' met come first; "random-walk": states as uniform random actions meet them, only'
+                " over-twisted ones left out, without demonstrations."
             ),
             group=_CHOICE,
         ),
-    ] = "play",
+    ] = "drawing",
+    demonstrations: Annotated[
+        bool,
+        option(
+            "--demonstrations/--no-demonstrations",
+            help=(
+                "Find an action sequence from the start to the code of every state, by play and"
+                " the planner, and write them as Minari datasets. To 6 crossings."
+            ),
+            group=_CHOICE,
+        ),
+    ] = True,
     every_code: Annotated[
         int,
         option(
@@ -72,14 +83,6 @@ def generate(
             group=_CHOICE,
         ),
     ] = 0,
-    balance: Annotated[
-        str,
-        option(
-            "--balance",
-            help='"even" over codes, or "empirical": as often as a random policy meets them.',
-            group=_CHOICE,
-        ),
-    ] = "even",
     split_by: Annotated[
         str,
         option(
@@ -93,9 +96,9 @@ def generate(
         option(
             "--knot",
             help=(
-                "0_1, 3_1, 4_1, 5_1, or a file with a closed curve, three numbers a line or .npy;"
-                " with --source drawing every prime knot to 10 crossings (8_19), a mirror image"
-                " (m3_1), or a sum (3_1#4_1)."
+                "Knot of the rope: 0_1, a prime knot of up to 10 crossings (8_19), a mirror image"
+                " (m3_1), or a sum (3_1#4_1); or a file with a closed curve, three numbers a line"
+                " or .npy, where action sequences then begin."
             ),
             group=_CHOICE,
         ),
@@ -105,8 +108,8 @@ def generate(
         option(
             "--codes",
             help=(
-                "With --source drawing: a file of Gauss codes, one a line, that are drawn instead"
-                " of those of --nx; --every-code says how often, 1 if not given."
+                "A file of Gauss codes, one a line, to make states of instead of those of --nx;"
+                " --every-code says how many of each, 1 if not given."
             ),
             group=_CHOICE,
         ),
@@ -115,7 +118,7 @@ def generate(
         Path | None,
         option(
             "--archive",
-            help="Go on from the archive of another run (its archive.h5).",
+            help="Begin with the action sequences of another run (its archive.h5).",
             group=_SEARCH,
         ),
     ] = None,
@@ -123,7 +126,10 @@ def generate(
         int,
         option(
             "--attempts",
-            help="Candidates tried, or ropes walked, for each state wanted, before giving up.",
+            help=(
+                "Drawings for each state wanted of a code, before the code is passed over; ropes"
+                " walked for each state wanted of a random walk."
+            ),
             group=_SEARCH,
         ),
     ] = 100,
@@ -131,10 +137,7 @@ def generate(
         int,
         option(
             "--cycles",
-            help=(
-                "Stop after so many rounds of searching and choosing, with what there is; 0: when"
-                " all is there."
-            ),
+            help="Stop after so many waves of work, with what there is; 0: when all is there.",
             group=_SEARCH,
         ),
     ] = 0,
@@ -149,26 +152,22 @@ def generate(
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Make rope states, split into train and test.
-
-    They are curated, with the trajectories that reach them; or as random play meets them; or drawn.
+    """Make rope states, split into train and test, and demonstrations that reach their codes.
 
     Examples:
 
         knotgym generate --nx 3 --count 40
 
-        knotgym generate --nx 3 --knot 3_1 --count 8
+        knotgym generate --nx 4 --every-code 1
+
+        knotgym generate --nx 7 --count 20 --no-demonstrations
+
+        knotgym generate --knot 8_19 --count 4
 
         knotgym generate --nx 2-4 --source random-walk
-
-        knotgym generate --nx 5 --source drawing --every-code 1
-
-        knotgym generate --source drawing --knot 8_19 --count 4
     """
     with Progress(quiet) as progress:
         from knotgym.datasets.minari_dataset import loading_lines
-        from knotgym.generate.states.drawn_states import DrawnStatesConfig
-        from knotgym.generate.states.drawn_states_recipe import draw_state_set
         from knotgym.generate.states.generate_config import GenerateConfig
         from knotgym.generate.states.random_walk import RandomWalkConfig
         from knotgym.generate.states.random_walk_recipe import walk_states
@@ -177,74 +176,57 @@ def generate(
 
         existing = Existing(resume=resume, restart=restart, overwrite=overwrite)
         options = run_options(engine, scheduler, workers, shard, existing, quiet)
-        if source not in ("play", "random-walk", "drawing"):
-            raise typer.BadParameter(f"--source takes play, random-walk or drawing, got {source!r}")
-        if codes is not None and source != "drawing":
-            raise typer.BadParameter(f"--codes goes with --source drawing, not {source}")
+        if source not in ("drawing", "random-walk"):
+            raise typer.BadParameter(f"--source takes drawing or random-walk, got {source!r}")
         if nx is None:
-            drawn_knot = source == "drawing" and knot != UNKNOT
-            nx = str(diagram_of(knot).nx) if drawn_knot else "3"
+            named = knot != UNKNOT and not Path(knot).is_file()
+            nx = str(diagram_of(knot).nx) if named else "3"
         folder = out or default_folder(
             f"nx{nx}",
-            "" if source == "play" else source,
+            "" if source == "drawing" else source,
             "" if knot == "0_1" else Path(knot).stem,
             f"every{every_code}" if every_code else "",
-            "" if balance == "even" else balance,
             "" if split_by == "state" else f"by-{split_by}",
             Path(codes).stem if codes else "",
+            "" if demonstrations else "states",
             made_from(archive),
             f"seed{seed}" if seed else "",
         )
-        if source == "drawing":
-            for name, refused in {
-                "--balance": balance != "even",
-                "--archive": archive is not None,
-            }.items():
-                if refused:
-                    raise typer.BadParameter(f"{name} goes with --source play, not drawing")
-            named = code_list(codes)
-            drawings = DrawnStatesConfig(
-                nx=tuple(dict.fromkeys(code.nx for code in named)) or numbers(nx),
-                codes=tuple(str(code) if code.chirality is None else code.chiral for code in named),
-                count=count,
-                every_code=every_code or int(bool(named)),
-                split_by=split_by,
-                knot=knot,
-                seed=seed,
-                attempts=attempts,
-                cycles=cycles,
-            )
-            draw_state_set(with_settings(drawings, settings), folder, options, progress=progress)
-            return
         if source == "random-walk":
             for name, given in {
                 "--every-code": every_code != 0,
-                "--balance": balance != "even",
                 "--split-by": split_by != "state",
                 "--knot": knot != "0_1",
+                "--codes": codes is not None,
                 "--archive": archive is not None,
                 "--cycles": cycles != 0,
             }.items():
                 if given:
-                    raise typer.BadParameter(f"{name} goes with --source play, not random-walk")
+                    raise typer.BadParameter(f"{name} goes with --source drawing, not random-walk")
             walks = RandomWalkConfig(nx=numbers(nx), count=count, seed=seed, attempts=attempts)
             walk_states(with_settings(walks, settings), folder, options, progress=progress)
             return
+        if archive is not None and not demonstrations:
+            raise typer.BadParameter("--archive holds action sequences; drop --no-demonstrations")
+        listed_codes = code_list(codes)
         config = GenerateConfig(
-            nx=numbers(nx),
+            nx=tuple(dict.fromkeys(code.nx for code in listed_codes)) or numbers(nx),
+            codes=tuple(
+                str(code) if code.chirality is None else code.chiral for code in listed_codes
+            ),
             count=count,
-            every_code=every_code,
-            balance=balance,
+            every_code=every_code or int(bool(listed_codes)),
             split_by=split_by,
             knot=knot,
+            demonstrations=demonstrations,
             seed=seed,
             attempts=attempts,
             cycles=cycles,
         )
         run(with_settings(config, settings), folder, options, archive=archive, progress=progress)
         root = options.shard.folder(folder) / "minari"
-        for demonstrations in sorted(root.glob("knotgym/*/demonstrations-v0"))[-1:]:
-            shown = demonstrations.relative_to(root).as_posix()
+        for dataset in sorted(root.glob("knotgym/*/demonstrations-v0"))[-1:]:
+            shown = dataset.relative_to(root).as_posix()
             progress.say_how_to_load(loading_lines(shown, root))
 
 

@@ -182,7 +182,7 @@ def _print_growth(report: Mapping[str, Any], console: Console) -> None:
     if not rows:
         return
     grown = narrow_table(("steps", *(f"nx {nx}" for nx in rows[-1]["known"])))
-    _say(console, "growth: codes known to the search / states accepted")
+    _say(console, "growth: codes with an action sequence / states accepted")
     for row in rows:
         grown.add_row(str(row["steps"]), *known_and_accepted(row))
     console.print(grown)
@@ -194,7 +194,7 @@ def _print_rejected(report: Mapping[str, Any], console: Console) -> None:
         return
     _say(
         console,
-        f"{report['attempts']} candidates made; rejected, by reason (a candidate can have"
+        f"{report['attempts']} drawings made, or ropes walked; rejected, by reason (one can have"
         " several):",
     )
     for nx, reasons in rejected.items():

@@ -33,16 +33,12 @@ class Stream(IntEnum):
 
     SHARD = 1  # number of the shard: the seed of its search
     SPLIT = 2  # nx: train or test
-    SHARD_CODES = 3  # nx: which codes fall to which shard
     CODE_ORDER = 4  # nx: in which order codes are wanted
-    CHIRALITY = 5  # nx, code: the chirality that its candidates begin with
-    CANDIDATE = 6  # nx, code, number of the candidate
-    TARGETED_SEARCH = 7  # nx, code, number of the search
+    CANDIDATE = 6  # nx, code, copy: its demonstration, and the state that it may end in
+    TARGETED_SEARCH = 7  # nx, code, number of the planner's search
     SEARCH_ROPE = 8  # round, rope of the batch
     SEARCH_PARENTS = 9  # round
-    SEARCH_REPLAYS = 10  # round
-    FREQUENCIES = 11  # nx: the random policy whose codes are counted
-    FREQUENCY_SHARES = 12  # nx: states of each code, by those counts
+    SEARCH_REPLAYS = 10  # round, wave of the planner after it
     EPISODE = 13  # number of the episode: the seed of its environment, in datasets
     POLICY = 14  # number of the episode, attempt: draws of the policy, in datasets
     IMAGE_WALK = 15  # number of the walk
@@ -62,6 +58,7 @@ class Stream(IntEnum):
     RANDOM_WALK_NOISE = 31  # rope, step: noise survival of the state saved there
     DRAWING = 40  # nx, code, number of the drawing
     DRAWING_CODES = 41  # nx: which codes are drawn, where there are too many to list
+    START = 42  # the drawing of a knot that action sequences begin at
     LEARN_PICTURES = 50  # step of training the reader
     LEARN_ROPE = 51  # fitting the model of the rope
     LEARN_PLACES = 52  # which places ropes begin at are kept

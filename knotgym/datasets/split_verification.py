@@ -3,7 +3,8 @@ and no episode is there twice.
 
 A start or goal belongs to the split of the state that it lies at, whatever its options say. It lies
 at a state when it comes within half of NEAR of it, turned about z and moved: reset noise at its
-default scale stays below 6 mm, and no place is so near to two states of a curated set.
+default scale stays below 6 mm, and no place is so near to two states of a curated set. The plain
+loop, where action sequences begin, belongs to no split.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from knotgym.states.schema import STATE_SPLITS
 from knotgym.states.state_file import States, read_states, shipped
 
 _AT = NEAR / 2  # metres
+_SAME = 1e-6  # metres; above the rounding of `distances`, far below what any stirring does
 
 
 def split_faults(reader: EpisodeReader) -> list[str]:
@@ -143,6 +145,10 @@ class _Side:
 
     def _nearest(self, points: NDArray[np.float64]) -> int | None:
         if points.shape != self.states.points.shape[1:] or not np.isfinite(points).all():
+            return None
+        loop = self.rope.loop()
+        loops = np.stack([loop, loop * (-1, 1, 1)])  # walked either way
+        if self.name == "start" and distances(points, loops).min() < _SAME:
             return None
         apart = distances(points, self.states.points)
         for rows in (np.flatnonzero(self.mine), np.flatnonzero(~self.mine)):

@@ -16,13 +16,14 @@ from knotgym.common.streams import InvalidSeed, Stream, generator_of, key
 from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
 from knotgym.datasets.episode_verification import verify_episodes
 from knotgym.datasets.manifest_check import listed_faults, read_manifest, report_faults
+from knotgym.datasets.trajectory import Episode
 from knotgym.drawing.drawn_curve import DrawingConfig, drawn_curve
 from knotgym.rendering.picture import draw
 from knotgym.rope.actions import drawn_actions
 from knotgym.rope.model import Array, Rope
 from knotgym.rope.simulation import Simulation
 from knotgym.states.near_duplicates import pairs_within, repeated
-from knotgym.states.schema import COLUMNS, RANDOM_WALK, REPLAYED, STATE_SPLITS
+from knotgym.states.schema import COLUMNS, DRAWING, RANDOM_WALK, REPLAYED, STATE_SPLITS
 from knotgym.states.splits import overlap
 from knotgym.states.state_file import InvalidStates, States, content_digest, read_states
 from knotgym.states.state_measures import (
@@ -128,7 +129,11 @@ def overlap_faults(states: States, said: Mapping[str, Any], where: str) -> Itera
 
 
 def demonstration_faults(states: States, name: str, demonstrations: EpisodeReader) -> Iterator[str]:
-    """Rows that say they come from an episode of the dataset `name` and don't."""
+    """Rows that name an episode of the dataset `name` which doesn't lead to them.
+
+    The episode of a drawn state ends in its code, with that state as its goal; that of any other
+    state ends in the state itself.
+    """
     source = states.source
     if not {"dataset", "trajectory", "step"} <= source.keys():
         return
@@ -137,11 +142,22 @@ def demonstration_faults(states: States, name: str, demonstrations: EpisodeReade
         where = f"states.h5 row {row}: episode {k} of {name}"
         if not 0 <= k < len(demonstrations) or not 0 <= step <= demonstrations.lengths[k]:
             yield f"{where} has no state {step}"
-        elif not np.array_equal(demonstrations.column(k, "points")[step], states.points[row]):
-            yield f"{where} doesn't lead to it: its state {step} lies elsewhere"
+        elif fault := _unlike(states, row, demonstrations.episode(k), step):
+            yield f"{where} {fault}"
         elif demonstrations.task.split != states.split[row]:
             yield f"{where} is of the {demonstrations.task.split} split, the row of the other"
     demonstrations.close()
+
+
+def _unlike(states: States, row: int, episode: Episode, step: int) -> str:
+    """How an episode fails to lead to a row, "" if it does."""
+    if states.source["policy"][row] != DRAWING or not states.nx[row]:
+        if np.array_equal(episode.points[step], states.points[row]):
+            return ""
+        return f"doesn't lead to it: its state {step} lies elsewhere"
+    if str(episode.gauss_code[step]) != str(states.gauss_code[row]):
+        return f"doesn't lead to its code: its state {step} shows another"
+    return "" if np.array_equal(episode.goal_points, states.points[row]) else "has another goal"
 
 
 def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""Data made: curated states (`states`), a policy's episodes, success rates and the fixed benchmark
+"""Data made: rope states (`states`), a policy's episodes, success rates and the fixed benchmark
 (`episodes`), labelled pictures (`images`); what the commands do, to be called from Python.
 
 The names below are imported when they are first used.
@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from knotgym.generate.episodes.suite_scores import InvalidScores
     from knotgym.generate.images.image_recipe import make_images
     from knotgym.generate.images.images_config import ImagesConfig, InvalidImagesConfig
-    from knotgym.generate.states.drawn_states import DrawnStatesConfig
-    from knotgym.generate.states.drawn_states_recipe import draw_state_set
     from knotgym.generate.states.generate_config import GenerateConfig, InvalidGenerateConfig
     from knotgym.generate.states.random_walk import RandomWalkConfig
     from knotgym.generate.states.random_walk_recipe import walk_states
@@ -34,7 +32,6 @@ else:
         __name__,
         {
             "CollectConfig": "knotgym.generate.episodes.collect",
-            "DrawnStatesConfig": "knotgym.generate.states.drawn_states",
             "EvaluateConfig": "knotgym.generate.episodes.evaluate",
             "GenerateConfig": "knotgym.generate.states.generate_config",
             "ImagesConfig": "knotgym.generate.images.images_config",
@@ -51,7 +48,6 @@ else:
             "RunOptions": "knotgym.runs.run_options",
             "SuiteConfig": "knotgym.generate.episodes.suite",
             "collect": "knotgym.generate.episodes.collect",
-            "draw_state_set": "knotgym.generate.states.drawn_states_recipe",
             "evaluate": "knotgym.generate.episodes.evaluate:run",
             "make_images": "knotgym.generate.images.image_recipe",
             "make_states": "knotgym.generate.states.state_recipe:generate",
@@ -62,7 +58,6 @@ else:
 
 __all__ = [
     "CollectConfig",
-    "DrawnStatesConfig",
     "EvaluateConfig",
     "GenerateConfig",
     "ImagesConfig",
@@ -79,7 +74,6 @@ __all__ = [
     "RunOptions",
     "SuiteConfig",
     "collect",
-    "draw_state_set",
     "evaluate",
     "make_images",
     "make_states",

@@ -39,13 +39,12 @@ from knotgym.generate.episodes.collect import REPORT, CollectConfig, Tally, writ
 from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.generate.states import state_folder
 from knotgym.generate.states.archive import Archive
-from knotgym.generate.states.drawn_states import DrawnStatesConfig
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.search import SearchSettings
 from knotgym.runs.engine import LISTED
 from knotgym.runs.shards import Shard
 from knotgym.states.near_duplicates import apart
-from knotgym.states.schema import DRAWING, STATE_SPLITS
+from knotgym.states.schema import STATE_SPLITS
 from knotgym.states.splits import IMAGE_SPLITS, kept_together, split
 from knotgym.states.state_file import (
     States,
@@ -191,7 +190,7 @@ def _reported(ordered: Sequence[ShardFolder]) -> dict[str, Any]:
 
 def _config_of(shard: ShardFolder) -> type[Any]:
     if shard.kind == "states":
-        return DrawnStatesConfig if shard.request["source"] == DRAWING else GenerateConfig
+        return GenerateConfig
     return CollectConfig if shard.kind == "episodes" else ImagesConfig
 
 
@@ -211,11 +210,6 @@ def _states(ordered: Sequence[ShardFolder], report: dict[str, Any], folder: Path
     chosen = every.taken(kept)
     folder.mkdir(parents=True)
     report = {**report, _NEAR: len(every) - len(kept)}
-    if request["source"] == DRAWING:
-        merged = _split_anew(chosen, config)
-        write_states(folder / "states.h5", merged)
-        state_folder.finish(folder, merged, report, request, _machines(ordered))
-        return folder
     merged = _renumbered(chosen, config)
     write_states(folder / "states.h5", merged)
     # where the demonstration of each row is, in order
@@ -224,8 +218,8 @@ def _states(ordered: Sequence[ShardFolder], report: dict[str, Any], folder: Path
         for k, name in zip(from_shard.tolist(), chosen.source["dataset"], strict=True)
     ]
     for nx, name in product(sorted(set(merged.nx.tolist())), STATE_SPLITS):
-        mine = merged.rows(nx, name).tolist()
-        if not mine or not merged.source["dataset"][mine[0]]:
+        mine = [row for row in merged.rows(nx, name).tolist() if merged.source["dataset"][row]]
+        if not mine:
             continue
         sources = [
             Chosen(dataset, [int(chosen.source["trajectory"][row]) for row in rows])
@@ -240,9 +234,11 @@ def _states(ordered: Sequence[ShardFolder], report: dict[str, Any], folder: Path
             folder / "minari",
             folder / "states.h5",
         )
-    archives = [Archive.load(shard.folder / "archive.h5") for shard in ordered]
-    search = from_json(SearchSettings, config["search"])
-    _joined_archive(archives, search).save(folder / "archive.h5")
+    files = [shard.folder / "archive.h5" for shard in ordered]
+    archives = [Archive.load(file) for file in files if file.is_file()]
+    if archives:
+        search = from_json(SearchSettings, config["search"])
+        _joined_archive(archives, search).save(folder / "archive.h5")
     state_folder.finish(folder, merged, report, request, _machines(ordered))
     return folder
 
@@ -255,7 +251,9 @@ def _machines(ordered: Sequence[ShardFolder]) -> list[dict[str, str]]:
 def _renumbered(states: States, config: dict[str, Any]) -> States:
     """States split anew, each nx and split with demonstrations of its own."""
     states = _split_anew(states, config)
-    numbered = state_folder.demonstrations_of(states.nx, states.split, str(states.knot[0]))
+    numbered = state_folder.demonstrations_of(
+        states.nx, states.split, str(states.knot[0]), (states.source["dataset"] != "").tolist()
+    )
     return replace(states, source={**states.source, **numbered})
 
 

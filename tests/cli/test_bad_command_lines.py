@@ -46,7 +46,6 @@ WORDS: dict[str, tuple[str, ...]] = {
     "--nx": ("x", "", "1,1", "3-1", "1,,2", "0-", "99999999", "\x1b[2J", "1-3,2", "²"),
     "--test-nx": ("x", "", "1,1", "\x1b[2J", "2-1"),
     "--source": ("x", "", "Play", "\x1b[2J"),
-    "--balance": ("x", "", "\x1b[2J"),
     "--split-by": ("x", "", "\x1b[2J"),
     "--knot": ("x", "", "{fifo}", "{empty}", "{text}", "99_99", "\x1b[2J"),
     "--shard": ("x", "0/2", "3/2", "1/0", "1/2/3", "-1/2", "1.5/2", "\x1b[2J"),
@@ -98,7 +97,7 @@ WORDS: dict[str, tuple[str, ...]] = {
     "--side-by-side": ("0",),
 }
 FREE = {"--author", "--author-email", "--code-permalink", "--model"}  # any words will do
-GOES_WITH = {"--codes": ("--source", "drawing")}
+GOES_WITH: dict[str, tuple[str, ...]] = {}
 
 
 def lines() -> Iterator[tuple[str, ...]]:

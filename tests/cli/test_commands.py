@@ -319,6 +319,22 @@ def test_a_time_left_grows_while_nothing_happens() -> None:
     assert int(second) > int(first)
 
 
+def test_the_time_left_goes_by_the_share_of_the_work_where_it_is_known() -> None:
+    times, written = iter([0.0, 0.0, 20.0, 20.0]), io.StringIO()
+    progress = Progress(console=Console(file=written, width=200), clock=lambda: next(times))
+    progress.show(lambda: Status(0, 40, "states", share=0.0))
+    progress.show(lambda: Status(0, 40, "states", share=0.25))
+    assert "20 s  states 0 of 40; time left, about 60 s" in written.getvalue()
+
+
+def test_a_run_says_a_line_before_it_imports_anything_heavy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("knotgym.generate.states.state_recipe.run", lambda *_: None)
+    assert knotgym("generate", "--count", 1, "--out", tmp_path / "a") == 0
+    assert re.match(r"\s+0 s  starting\n", capfd.readouterr().out)
+
+
 @pytest.mark.parametrize(
     ("seconds", "told"), [(3000, ""), (9e6, "about 52 days"), (2e9, "32 years")]
 )
@@ -334,7 +350,7 @@ def test_a_million_states_are_said_to_take_long(
 ) -> None:
     monkeypatch.setattr("knotgym.generate.states.state_recipe.run", lambda *_: None)
     assert knotgym("generate", "--count", 1000000, "--workers", 2, "--out", tmp_path / "a") == 0
-    assert "this would take about 46 days with 2 workers" in capfd.readouterr().out
+    assert "this would take about 17 days with 2 workers" in capfd.readouterr().out
 
 
 # Before hours of work.
@@ -573,7 +589,7 @@ def test_what_show_prints_fits_a_pipe(
     assert knotgym("dataset", "show", curated / name) == 0
     lines = [line for line in capfd.readouterr().out.splitlines() if str(curated) not in line]
     assert lines and all("{" not in line and "…" not in line for line in lines)
-    tables = [line for line in lines if " candidates made" not in line and "; " not in line]
+    tables = [line for line in lines if " drawings made" not in line and "; " not in line]
     assert max(map(len, tables)) <= 100
 
 

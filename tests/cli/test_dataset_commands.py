@@ -237,7 +237,9 @@ def test_show_counts_states_codes_and_rejections(
 ) -> None:
     assert knotgym("dataset", "show", curated) == 0
     told = capfd.readouterr().out
-    assert "8 states" in told and "noise_survival" in told and "candidates made; rejected" in told
+    assert (
+        "8 states" in told and "noise_survival" in told and "drawings made, or ropes walked" in told
+    )
 
 
 def test_show_sums_up_trajectories(curated: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -19,20 +19,14 @@ from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.generate.images.selection import SelectionConfig
 from knotgym.generate.images.walks import WalkConfig
 from knotgym.generate.states.archive import ArchiveConfig
-from knotgym.generate.states.candidates import CandidateConfig
-from knotgym.generate.states.code_frequencies import FrequencyConfig
-from knotgym.generate.states.curation_run import search_config
 from knotgym.generate.states.generate_config import GenerateConfig
-from knotgym.generate.states.hill_climb import HillClimbConfig
 from knotgym.generate.states.search import SearchSettings
+from knotgym.generate.states.state_recipe import StateRecipe
 from knotgym.quality.label_limits import LabelLimits
 from knotgym.rope.relaxation import RelaxationConfig
 
 TUNED = (
     ArchiveConfig,
-    CandidateConfig,
-    FrequencyConfig,
-    HillClimbConfig,
     LabelLimits,
     MacroActionConfig,
     PlannerConfig,
@@ -111,6 +105,6 @@ def test_a_value_without_a_field_is_refused() -> None:
 def test_the_search_of_a_run_has_every_setting_of_its_configuration() -> None:
     settings = SearchSettings(batch_size=8, steps=7, longest=30, jitter=0.1)
     config = replace(GenerateConfig(seed=5), search=settings)
-    search = search_config(config)
+    search = StateRecipe(config).search
     assert {name: getattr(search, name) for name in vars(settings)} == vars(settings)
     assert search.seed == 5 and search.max_nx == 3

@@ -81,4 +81,4 @@ def test_no_two_keys_of_a_run_are_equal_but_those_that_are_asked_for_again(
     drawn = {tuple(np.random.default_rng(key).integers(2**62, size=2)) for key in set(used)}
     assert len(drawn) == len(set(used))
     again = {Stream(entropy[0]) for entropy in used if used.count(entropy) > 1}
-    assert again <= {Stream.CODE_ORDER, Stream.CHIRALITY, Stream.EPISODE, Stream.SPLIT}
+    assert again <= {Stream.CODE_ORDER, Stream.CODE_ORDER, Stream.EPISODE, Stream.SPLIT}

@@ -60,9 +60,8 @@ def told(reader: EpisodeReader) -> list[str]:
     return [fault.removeprefix(str(reader.path)) for fault in split_faults(reader)]
 
 
-def test_a_loader_gets_the_train_demonstrations_alone(curated: Path, states: States) -> None:
-    rows = states.rows(1, "train")
-    actions = [states.source["actions"][row, : states.source["steps"][row]] for row in rows]
+def test_a_loader_gets_the_train_demonstrations_alone(curated: Path, train: list[Episode]) -> None:
+    actions = [episode.actions for episode in train]
     loaded = arrays(curated / "minari/knotgym/tie-nx1/demonstrations-v0", observation="state")
     assert np.array_equal(loaded["actions"], np.concatenate(actions))
 
@@ -195,7 +194,9 @@ def test_a_row_that_names_another_episode_is_a_fault(curated: Path, states: Stat
     wrong = replace(states, source={**states.source, **named})
     name = demonstrations_id(1)
     elsewhere, absent = demonstration_faults(wrong, name, ways(curated, "train"))
-    assert elsewhere.startswith(f"states.h5 row {first}: episode 1 of {name} doesn't lead to it: ")
+    assert elsewhere.startswith(
+        f"states.h5 row {first}: episode 1 of {name} doesn't lead to its code"
+    )
     assert absent.startswith(f"states.h5 row {second}: episode 7 of {name} has no state ")
 
 

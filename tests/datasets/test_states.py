@@ -8,6 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
+from knotgym.datasets.state_verification import state_faults
 from knotgym.rendering.picture import draw
 from knotgym.rope.model import Rope
 from knotgym.states.state_file import (
@@ -194,6 +195,12 @@ def test_flipped_bytes_are_read_as_written_or_refused(copy: Path, states: States
 
 def test_curated_states_ship() -> None:
     assert shipped().is_file()
+
+
+def test_curated_states_are_replayed_from_the_actions_that_the_file_holds() -> None:
+    states = read_states(shipped())
+    few = states.taken(np.arange(0, len(states), 16))
+    assert set(few.nx) == {0, 1, 2, 3, 4} and list(state_faults(few)) == []
 
 
 def test_curated_states_are_17_loops_and_40_of_each_nx_half_of_them_to_train_on() -> None:

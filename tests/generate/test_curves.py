@@ -1,4 +1,4 @@
-"""Curves that begin a rope as a knot, by name and from files; any other file is refused."""
+"""Where action sequences begin: knots by name, and curves from files; any other file is refused."""
 
 from pathlib import Path
 
@@ -6,45 +6,26 @@ import numpy as np
 import pytest
 
 from knotgym.generate.states.curves import (
-    KNOTS,
     InvalidCurveFile,
-    LoopConfig,
-    knot_curve,
-    knot_of,
-    plain_loop,
+    start_of,
 )
-from knotgym.quality.measures import Limits, measure
 from knotgym.rope.model import InvalidCurve, Rope
-from knotgym.states.spread import spread_of
 from knotgym.topology.crossings import label
-from knotgym.topology.knots import knot_type
+from knotgym.topology.knots import shows
 
 from ..conftest import curled, trefoil
 
 
-@pytest.mark.parametrize("knot", list(KNOTS))
-def test_a_named_curve_is_certified_as_what_it_is_named(knot: str) -> None:
-    assert knot_of(knot) == knot
+def test_the_unknot_begins_as_the_plain_loop(rope: Rope) -> None:
+    assert np.array_equal(start_of("0_1").points, rope.loop())
 
 
-@pytest.mark.parametrize("knot", list(KNOTS))
-def test_a_named_curve_becomes_a_rope(rope: Rope, knot: str) -> None:
-    assert knot_type(label(rope.from_curve(knot_curve(knot)))) == knot
-
-
-def test_plain_loops_are_legible_and_unlike_each_other(rope: Rope) -> None:
-    rng = np.random.default_rng(0)
-    loops = [plain_loop(rope, LoopConfig(), Limits(), rng) for _ in range(6)]
-    for points in loops:
-        assert label(points).nx == 0 and not Limits().faults(measure(points), 0)
-    spread = spread_of(np.stack(loops))
-    assert spread.shape is not None and spread.shape[0] > 0.06
-
-
-def test_a_plain_loop_that_cannot_be_drawn_is_the_circle(rope: Rope) -> None:
-    strict = Limits(crossing_angle=91.0)
-    points = plain_loop(rope, LoopConfig(draws=2), strict, np.random.default_rng(0))
-    assert np.array_equal(points, rope.loop())
+@pytest.mark.parametrize("knot", ["3_1", "m3_1", "4_1"])
+def test_a_named_knot_begins_as_its_least_diagram_the_same_each_time(knot: str) -> None:
+    start, again = start_of(knot), start_of(knot)
+    assert np.array_equal(start.points, again.points)
+    assert start.code == label(start.points) and start.code.nx == int(knot.strip("m")[0])
+    assert shows(start.code, knot)
 
 
 def test_a_curve_is_read_from_text_from_csv_and_from_npy(tmp_path: Path) -> None:
@@ -52,25 +33,22 @@ def test_a_curve_is_read_from_text_from_csv_and_from_npy(tmp_path: Path) -> None
     np.savetxt(tmp_path / "a.csv", trefoil(), delimiter=",")
     np.save(tmp_path / "a.npy", trefoil())
     for path in tmp_path.iterdir():
-        assert np.array_equal(knot_curve(str(path)), trefoil()), path.name
-
-
-def test_whole_numbers_are_read_as_numbers(tmp_path: Path) -> None:
-    np.save(tmp_path / "a.npy", np.arange(12).reshape(4, 3))
-    assert knot_curve(str(tmp_path / "a.npy")).dtype == np.float64
+        assert start_of(str(path)).knot == "m3_1", path.name
 
 
 def test_a_file_is_certified_whatever_it_is_called(tmp_path: Path) -> None:
     np.save(tmp_path / "unknown.npy", trefoil())
     np.save(tmp_path / "3_1.npy", curled(2))
-    assert knot_of(tmp_path / "unknown.npy") == "3_1" and knot_of(tmp_path / "3_1.npy") == "0_1"
+    np.save(tmp_path / "mirror.npy", trefoil() * (1, 1, -1))
+    named = {path.stem: start_of(str(path)).knot for path in tmp_path.iterdir()}
+    assert named == {"unknown": "m3_1", "mirror": "3_1", "3_1": "0_1"}
 
 
 def test_an_unknown_name_is_told_what_there_is() -> None:
     with pytest.raises(
-        InvalidCurveFile, match="no knot '9_42'; there is 0_1, 3_1, 4_1, 5_1, or a file"
+        InvalidCurveFile, match="no knot '9_50'; there are 0_1, .*; or a file with a closed curve"
     ):
-        knot_curve("9_42")
+        start_of("9_50")
 
 
 @pytest.mark.parametrize("name", ["a.txt", "a.csv", "a.npy"])
@@ -83,7 +61,7 @@ def test_a_file_without_numbers_is_refused_in_one_line(
 ) -> None:
     (tmp_path / name).write_bytes(content)
     with pytest.raises(InvalidCurveFile, match=f"{name} holds no curve: .") as caught:
-        knot_curve(str(tmp_path / name))
+        start_of(str(tmp_path / name))
     assert "\n" not in str(caught.value)
 
 
@@ -95,14 +73,14 @@ def test_an_array_of_anything_but_real_numbers_is_refused(
 ) -> None:
     np.save(tmp_path / "a.npy", array)
     with pytest.raises(InvalidCurveFile, match="holds no curve"):
-        knot_curve(str(tmp_path / "a.npy"))
+        start_of(str(tmp_path / "a.npy"))
 
 
 def test_several_arrays_in_one_file_are_refused(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", one=trefoil(), other=trefoil())
     (tmp_path / "a.npz").rename(tmp_path / "a.npy")
     with pytest.raises(InvalidCurveFile, match="it isn't one array of real numbers"):
-        knot_curve(str(tmp_path / "a.npy"))
+        start_of(str(tmp_path / "a.npy"))
 
 
 @pytest.mark.parametrize(
@@ -120,5 +98,5 @@ def test_what_is_no_closed_curve_is_refused_in_one_line(
 ) -> None:
     np.save(tmp_path / "a.npy", curve)
     with pytest.raises(InvalidCurve, match=problem) as caught:
-        knot_of(tmp_path / "a.npy")
+        start_of(str(tmp_path / "a.npy"))
     assert "\n" not in str(caught.value)

@@ -117,8 +117,8 @@ def test_a_run_is_taken_up_where_it_was_saved(tmp_path: Path, unit: Walked) -> N
 @pytest.mark.parametrize(
     ("words", "named"),
     [
-        (("--source", "drawn"), "--source takes play, random-walk or drawing, got 'drawn'"),
-        (("--source", "random-walk", "--knot", "3_1"), "--knot goes with --source play"),
+        (("--source", "drawn"), "--source takes drawing or random-walk, got 'drawn'"),
+        (("--source", "random-walk", "--knot", "3_1"), "--knot goes with --source drawing"),
         (("--source", "random-walk", "--shard", "1/2"), "leave out --shard"),
     ],
 )

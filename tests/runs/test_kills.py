@@ -248,7 +248,7 @@ def test_asked_to_stop_twice_it_says_so_once(command: tuple[object, ...], tmp_pa
     )
 
 
-@pytest.mark.parametrize("name", ["run.json", "archive-*.h5", "accepted/*.npz"])
+@pytest.mark.parametrize("name", ["run.json", "archive-*.h5", "wave-*.npz"])
 def test_a_spoilt_checkpoint_is_one_line(
     name: str, checkpoint: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -280,11 +280,11 @@ def test_a_checkpoint_with_other_tuned_numbers_is_refused_by_name(
     checkpoint: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     shutil.copytree(checkpoint, tmp_path / ".a.partial")
-    other = {**json.loads(SETTINGS.read_text()), "stuck": 47}
+    other = {**json.loads(SETTINGS.read_text()), "stalled": 1}
     (tmp_path / "more.json").write_text(json.dumps(other))
     more = ("--settings", tmp_path / "more.json", "--resume", "--workers", 1)
     assert knotgym("generate", *WANTED, *more, "--out", tmp_path / "a") == 2
-    assert "config.stuck is 48 there and 47 here" in said(capfd)[0]
+    assert "config.stalled is 0 there and 1 here" in said(capfd)[0]
 
 
 def test_no_checkpoint_is_unpickled(checkpoint: Path) -> None:

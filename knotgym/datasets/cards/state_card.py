@@ -1,4 +1,4 @@
-"""The dataset card: what a folder of curated states holds, in prose and numbers."""
+"""The dataset card: what a folder of states holds, in prose and numbers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from knotgym.common.hdf5_files import Column
 from knotgym.datasets.cards.citation import TO_CITE, code_span, plain
-from knotgym.states.schema import COLUMNS, DRAWING, RANDOM_WALK, STATE_SPLITS
+from knotgym.states.schema import COLUMNS, RANDOM_WALK, STATE_SPLITS
 from knotgym.states.splits import overlap
 from knotgym.states.spread import spread_of
 from knotgym.states.state_file import States
@@ -49,6 +49,7 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         config: the whole configuration.
     """
     facts = summary(states)
+    demonstrated = any(states.source.get("dataset", ()))
     lines = [
         "---",
         "license: cc-by-4.0",
@@ -60,7 +61,7 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         f"{len(states)} configurations of a closed rope in MuJoCo (knot type"
         f" {plain(report['knot'])}), each labelled with its Gauss code, made by"
         f" `knotgym generate` {report['version']} (MuJoCo {report['mujoco']}) with seed"
-        f" {config['seed']}. {_holds(report)}"
+        f" {config['seed']}. {_holds(report, demonstrated)}"
         " `gallery.png` shows all states, `manifest.json` lists checksums, configuration and"
         " counts. `knotgym dataset verify` recomputes every label and replays every trajectory.",
         "",
@@ -101,7 +102,7 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         _made(report),
         "",
         *table(
-            ("nx", "reason", "candidates"),
+            ("nx", "reason", "rejected"),
             [
                 (nx, plain(reason), count)
                 for nx, reasons in report["rejected"].items()
@@ -143,20 +144,15 @@ def _made(report: Mapping[str, Any]) -> str:
             f"{report['attempts']} ropes walked, {report['actions']} environment steps in all. A"
             " configuration can be rejected for several reasons."
         )
-    if report.get("source") == DRAWING:
-        passed = sum(len(codes) for codes in report["passed_over"].values())
-        return (
-            f"{report['attempts']} drawings were made. One can be rejected for several reasons."
-            f" {passed} codes of those begun have fewer states than wanted (`passed_over` in"
-            " `manifest.json`)."
-        )
+    passed = sum(len(codes) for codes in report["passed_over"].values())
     return (
-        f"{report['attempts']} candidates were made, in {report['actions']} environment steps with"
-        " the search. One can be rejected for several reasons."
+        f"{report['attempts']} drawings were made, and {report['actions']} actions were simulated"
+        " to find action sequences and follow them. A drawing can be rejected for several reasons."
+        f" {passed} codes were passed over (`passed_over` in `manifest.json`)."
     )
 
 
-def _holds(report: Mapping[str, Any]) -> str:
+def _holds(report: Mapping[str, Any], demonstrated: bool) -> str:
     """Where the states come from, and what else is in the folder."""
     if report.get("source") == RANDOM_WALK:
         return (
@@ -164,18 +160,18 @@ def _holds(report: Mapping[str, Any]) -> str:
             " opened up, only over-twisted ones were left out; a row's actions are drawn from its"
             " stream. A state is laid at rest."
         )
-    if report.get("source") == DRAWING:
-        return (
-            "`states.h5` holds one row a state, drawn from its code: a row's drawing is made again"
-            " from its seed, laid in the simulator, stirred and left to rest by the row's actions."
-            " There are no ways from the plain loop."
-        )
+    states = (
+        "`states.h5` holds one row a state. Most are drawn from their codes: a row's drawing is"
+        " made again from its seed, laid in the simulator, stirred and left to rest by the row's"
+        " actions. Those of policy `play` are where an action sequence ended, at rest."
+    )
+    if not demonstrated:
+        return states
     return (
-        "`states.h5` holds one row a state, `minari/` the trajectories that lead from the start to"
-        " each of them (train and test are datasets of their own): `knotgym.loaders.arrays(FOLDER)`"
-        " loads those of the train split, and Minari finds all with"
-        " `MINARI_DATASETS_PATH=FOLDER/minari`; `archive.h5` holds what the search"
-        " found (`--archive` goes on from it)."
+        f"{states} `minari/` holds for each state an action sequence from the start to its Gauss"
+        " code (train and test are datasets of their own): `knotgym.loaders.arrays(FOLDER)` loads"
+        " those of the train split, and Minari finds all with `MINARI_DATASETS_PATH=FOLDER/minari`;"
+        " `archive.h5` holds the action sequences found (`--archive` goes on from it)."
     )
 
 
@@ -215,7 +211,7 @@ def _growth_section(report: Mapping[str, Any]) -> list[str]:
     return [
         "## Growth",
         "",
-        "Codes known to the search, and states accepted, by environment steps.",
+        "Codes with an action sequence, and states accepted, by simulated actions.",
         "",
         *table(
             ("steps", *(f"nx {nx}: known / accepted" for nx in rows[-1]["known"])),

@@ -120,8 +120,8 @@ def _run(file: Path, notices: list[str]) -> dict[str, Any]:
         "states": len(states),
         "codes": len(set(states.gauss_code.tolist())),
         "train / test": f"{(states.split == 'train').sum()} / {(states.split == 'test').sum()}",
-        "candidates made": report.get("attempts"),
-        "environment steps": report.get("actions"),
+        "drawings made": report.get("attempts"),
+        "simulated actions": report.get("actions"),
         **_versions(states.attributes),
         "configuration": _cut(states.attributes.get("config", "")),
     }

@@ -1,108 +1,109 @@
-"""Closed curves that begin a rope: knots, a few by formula, any other from a file; and plain loops
-of any shape.
-"""
+"""Where action sequences begin: the plain loop, the least diagram of a knot, or a user's curve."""
 
 from __future__ import annotations
 
-import os
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from knotgym.common.configuration import check_numbers
 from knotgym.common.errors import KnotgymError
+from knotgym.common.streams import Stream, generator
+from knotgym.drawing.drawn_curve import UndrawnCode, drawn_curve
 from knotgym.quality.measures import Limits, measure
-from knotgym.rope.model import Array, InvalidCurve, Rope
+from knotgym.rope.model import Array, Rope
 from knotgym.topology.crossings import label
-from knotgym.topology.knots import knot_type
+from knotgym.topology.gauss import GaussCode
+from knotgym.topology.knot_table import UNKNOT, UnknownKnot, diagram_of, type_of
+from knotgym.topology.knots import UNKNOWN, knot_type, shows
 
-_SAMPLES = 600
+# Drawings tried for a start: of the 249 prime knots all but 10_26 can be laid within _DRAWINGS.
+# After _ENOUGH the most legible one so far will do.
+_DRAWINGS, _ENOUGH = 400, 40
 
 
 class InvalidCurveFile(KnotgymError, ValueError):
-    """A file that holds no closed curve, or a name that no formula is known for."""
+    """A file that holds no closed curve of a known knot."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class LoopConfig:
-    """How plain loops are shaped: as sums of waves round the loop, drawn at random.
+class Start(NamedTuple):
+    """Where action sequences begin.
 
     Attributes:
-        waves: the shortest of which goes so often round the loop.
-        falling: power by which a shorter wave is weaker, from and to; one draw a loop. The weaker,
-            the rounder.
-        height: of waves along z, of those along x and y, from and to; one draw a loop.
-        draws: at most; then it is a circle.
+        knot: its name in the knot table, hand included.
+        points: float64 (beads, 3), metres.
+        code: that it shows, with chirality.
     """
 
-    waves: int = 3
-    falling: tuple[float, float] = (0.0, 3.0)
-    height: tuple[float, float] = (0.0, 0.5)
-    draws: int = 400
-
-    def __post_init__(self) -> None:
-        check_numbers(self, counts=("waves", "draws"), ranges=("falling", "height"))
+    knot: str
+    points: Array
+    code: GaussCode
 
 
-def plain_loop(rope: Rope, config: LoopConfig, limits: Limits, rng: np.random.Generator) -> Array:
-    """A bent, long, folded or tilted loop without crossings, legible: float64 (beads, 3)."""
-    turn = np.linspace(0, 2 * np.pi, _SAMPLES, endpoint=False)
-    wave = np.arange(1, config.waves + 1)
-    phase = wave[:, None] * turn
-    falling, height = rng.uniform(*config.falling), rng.uniform(*config.height)
-    scale = wave[:, None] ** -falling * np.array([1.0, 1.0, height])
-    for _ in range(config.draws):
-        cosines, sines = rng.normal(size=(2, config.waves, 3)) * scale
-        try:
-            points = rope.from_curve(np.cos(phase).T @ cosines + np.sin(phase).T @ sines)
-        except InvalidCurve:
-            continue
-        if not label(points).nx and not limits.faults(measure(points), 0):
-            return points
-    return rope.loop()
-
-
-def torus_knot(p: int, q: int) -> Array:
-    """The (p, q) torus knot, p times round the axis: float64 (n, 3), closed by its first point."""
-    t = np.linspace(0, 2 * np.pi, _SAMPLES, endpoint=False)
-    radius = 2 + 0.9 * np.cos(q * t)
-    return np.stack([radius * np.cos(p * t), radius * np.sin(p * t), 0.9 * np.sin(q * t)], axis=1)
-
-
-def figure_eight_knot() -> Array:
-    """The figure-eight knot, 4_1: float64 (n, 3)."""
-    t = np.linspace(0, 2 * np.pi, _SAMPLES, endpoint=False)
-    radius = 2 + np.cos(2 * t)
-    return np.stack([radius * np.cos(3 * t), radius * np.sin(3 * t), np.sin(4 * t)], axis=1)
-
-
-KNOTS: dict[str, Callable[[], Array]] = {
-    "3_1": lambda: torus_knot(2, 3),
-    "4_1": figure_eight_knot,
-    "5_1": lambda: torus_knot(2, 5),
-}
-
-
-def knot_curve(knot: str) -> Array:
-    """A closed curve (n, 3) of a knot type.
+def start_of(knot: str) -> Start:
+    """Where the action sequences of a knot begin; the same in every run, whatever its seed.
 
     Args:
-        knot: its name ("3_1"), or a file: .npy, or text with three numbers a line.
+        knot: a name of the table ("8_19", "m3_1", "3_1#4_1"), or a file with a closed curve: .npy,
+            or text with three numbers a line.
 
     Raises:
-        InvalidCurveFile: neither.
+        UnknownKnot: neither a name of the table nor a file.
+        InvalidCurveFile, InvalidCurve: the file can't be a rope of a known knot.
+        UndrawnCode: no drawing of the knot could be laid.
     """
-    if knot in KNOTS:
-        return KNOTS[knot]()
-    path = Path(knot)
-    if not path.is_file():
+    rope = Rope()
+    try:
+        diagram = diagram_of(knot)
+    except UnknownKnot as error:
+        path = Path(knot)
+        if not path.is_file():
+            raise InvalidCurveFile(f"{error}; or a file with a closed curve") from error
+        points = rope.from_curve(_curve_in(path))
+        code = label(points)
+        return Start(_name_of(code, path), points, code)
+    if type_of(knot) == UNKNOT:
+        return Start(UNKNOT, rope.loop(), label(rope.loop()))
+    rng = generator(Stream.START, 0)
+    tightest: UndrawnCode | None = None
+    best: tuple[float, Array] | None = None
+    for number in range(_DRAWINGS):
+        if best is not None and number >= _ENOUGH:
+            break
+        try:
+            points = drawn_curve(diagram, rng, rope)
+        except UndrawnCode as error:
+            tightest = error
+            continue
+        quality = measure(points, quick=True)
+        objective = Limits().objective(quality, diagram.nx)
+        best = min(best or (np.inf, points), (objective, points), key=lambda one: one[0])
+        if not Limits().faults(quality, diagram.nx):
+            break
+    if best is None:
+        raise UndrawnCode(f"no drawing of {knot} can be laid as a rope: {tightest}")
+    return Start(knot, best[1], diagram)
+
+
+def _name_of(code: GaussCode, path: Path) -> str:
+    """The table's name of the knot that a curve's code shows."""
+    kind = knot_type(code)
+    if kind == UNKNOWN:
         raise InvalidCurveFile(
-            f"no knot {knot!r}; there is 0_1, {', '.join(KNOTS)}, or a file with a closed curve,"
-            " three numbers a line or .npy; more knots go with --source drawing"
+            f"the knot of {path} can't be certified: knots of up to 10 crossings can"
         )
+    summands = kind.split("#")
+    for hands in product(("", "m"), repeat=len(summands)):
+        name = "#".join(map("".join, zip(hands, summands, strict=True)))
+        if shows(code, name):
+            return name
+    raise InvalidCurveFile(f"the hand of {kind}, the knot of {path}, can't be told")
+
+
+def _curve_in(path: Path) -> Array:
+    """The closed curve in a file, float64 (n, 3)."""
     try:
         with warnings.catch_warnings(action="error"):  # NumPy only warns of a text without numbers
             if path.suffix == ".npy":
@@ -114,12 +115,3 @@ def knot_curve(knot: str) -> Array:
     if not isinstance(curve, np.ndarray) or curve.dtype.kind not in "fiu":
         raise InvalidCurveFile(f"{path} holds no curve: it isn't one array of real numbers")
     return np.asarray(curve, dtype=np.float64)
-
-
-def knot_of(knot: str | os.PathLike[str]) -> str:
-    """The certified type of a named knot or a file's curve, "unknown" if it isn't certified.
-
-    Raises:
-        InvalidCurveFile, InvalidCurve: it can't be a rope.
-    """
-    return knot_type(label(Rope().from_curve(knot_curve(os.fspath(knot)))))

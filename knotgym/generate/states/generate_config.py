@@ -1,16 +1,18 @@
-"""What states are wanted: the configuration of `knotgym generate`."""
+"""The configuration of `knotgym generate`: which rope states are wanted, and how they are made."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from knotgym.common.configuration import as_json, differences
+from knotgym.common.configuration import check_numbers
 from knotgym.common.errors import KnotgymError
 from knotgym.control.planner_config import PlannerConfig
-from knotgym.generate.states.candidates import CandidateConfig
-from knotgym.generate.states.code_frequencies import FrequencyConfig
+from knotgym.drawing.drawn_curve import DrawingConfig
+from knotgym.envs.tasks import MAX_NX
 from knotgym.generate.states.search import SearchSettings
-from knotgym.rope.model import RopeConfig
+from knotgym.quality.measures import Limits
+from knotgym.topology.diagrams import NotPlanar, is_planar
+from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import LISTED_NX
 
 
@@ -18,90 +20,106 @@ class InvalidGenerateConfig(KnotgymError, ValueError):
     """States that cannot be made as asked."""
 
 
+def check_nx(nx: tuple[int, ...], most: int) -> None:
+    """Refuse crossing numbers that repeat or lie outside [0, most].
+
+    Raises:
+        InvalidGenerateConfig: they do, or there are none.
+    """
+    if not nx or any(not 0 <= one <= most for one in nx) or len(set(nx)) != len(nx):
+        raise InvalidGenerateConfig(
+            f"nx takes different numbers of crossings from 0 to {most}, got"
+            f" {', '.join(map(str, nx)) or 'none'}"
+        )
+
+
 @dataclass(frozen=True, kw_only=True)
 class GenerateConfig:
-    """What states are wanted.
+    """Which states are wanted, and how they are made.
 
     Attributes:
-        nx: crossing numbers, each curated on its own.
-        count: states for each of them, as many distinct codes among them as there are.
-        every_code: instead of count, so many states of every code; 0 for count.
-        balance: "even" over codes and chirality, or "empirical": codes as often as a random policy
-            meets them.
+        nx: crossing numbers.
+        codes: Gauss codes to make instead of all those of `knot`, with or without chirality; `nx`
+            must list their crossing numbers.
+        count: states for each crossing number, of as many distinct codes as there are.
+        every_code: states of every code, instead of count; 0 for count.
         split_by: "state", or "code" for splits that share no code.
-        train_share: of the states (or codes) that are for training.
-        knot: type of the rope's knot; "0_1" starts from the plain loop, any other name or file as
-            `curves.knot_curve`.
+        train_share: share of the states (or codes) that are for training.
+        knot: the rope's knot: a name of `topology.knot_table.diagram_of`, or a file with a curve.
+        demonstrations: find an action sequence to every code and write the demonstrations.
         seed: of everything.
-        choice: accepted states, for each state wanted, that a code has to choose the most unlike
-            from (`curation.most_unlike`). A code wanted once gets no candidates for that.
-        most_spare: of them, beyond those wanted, in each crossing number.
-        attempts: candidates tried, for each state wanted, before giving up.
-        cycles: of search and a wave of candidates, after which what there is is enough; 0 to go on
-            until all wanted is there.
-        wave: candidates made in a cycle.
-        candidate: how they are made and judged.
-        planner: what is spent on a targeted search.
-        search: how codes are searched for.
-        frequencies: how codes are counted for the empirical balance.
-        more_rounds: of search in a cycle, at most, while none of what lacks is known.
-        targets: codes that a cycle searches for with the planner, where its search found fewer new
-            classes than that.
-        stuck: candidates of a code, none of them accepted, after which it is a target again.
+        attempts: drawings for each state wanted of a code before the code is passed over.
+        searches: planner searches for a code before it is passed over; each may simulate twice as
+            many actions as the one before, the first `planner.budget`.
+        cycles: waves of work after which the run ends with what it has; 0 for no limit.
+        wave: codes worked on between two checkpoints.
+        planned: codes that one wave of the planner searches for.
+        batch: drawings of a code in a wave.
+        stalled: play ends once a round adds fewer codes than this, and the planner takes over; 0 to
+            play on until all are known.
+        search: how play searches for codes.
+        planner: how the planner searches for the codes that play has not met.
+        drawing: how codes are drawn.
+        stir: most actions with which a drawing is stirred.
+        loop_stir: the same for plain loops, which are all drawn alike.
+        force: of such an action, from and to, in units of the largest force.
+        rest: actions of no force at the end.
+        limits: that accepted states keep.
     """
 
     nx: tuple[int, ...] = (3,)
+    codes: tuple[str, ...] = ()
     count: int = 40
     every_code: int = 0
-    balance: str = "even"
     split_by: str = "state"
     train_share: float = 0.5
     knot: str = "0_1"
+    demonstrations: bool = True
     seed: int = 0
-    choice: int = 6
-    most_spare: int = 80
     attempts: int = 100
+    searches: int = 6
     cycles: int = 0
-    wave: int = 48
-    candidate: CandidateConfig = CandidateConfig()
-    planner: PlannerConfig = PlannerConfig(budget=3000)
+    wave: int = 64
+    planned: int = 8
+    batch: int = 10
+    stalled: int = 3
     search: SearchSettings = SearchSettings()
-    frequencies: FrequencyConfig = FrequencyConfig()
-    more_rounds: int = 4
-    targets: int = 8
-    stuck: int = 48
+    planner: PlannerConfig = PlannerConfig(budget=400)
+    drawing: DrawingConfig = DrawingConfig()
+    stir: int = 2
+    loop_stir: int = 12
+    force: tuple[float, float] = (0.05, 0.3)
+    rest: int = 3
+    limits: Limits = Limits()
 
     def __post_init__(self) -> None:
-        if (
-            not self.nx
-            or any(not 0 <= nx <= LISTED_NX for nx in self.nx)
-            or len(set(self.nx)) != len(self.nx)
-        ):
-            raise InvalidGenerateConfig(
-                f"nx takes different numbers of crossings from 0 to {LISTED_NX}, got"
-                f" {', '.join(map(str, self.nx)) or 'none'}"
-            )
-        for name in ("count", "choice", "attempts", "wave", "stuck"):
-            if getattr(self, name) < 1:
-                raise InvalidGenerateConfig(f"{name} must be at least 1, got {getattr(self, name)}")
-        for name in ("every_code", "most_spare", "cycles", "more_rounds", "targets"):
-            if getattr(self, name) < 0:
-                raise InvalidGenerateConfig(f"{name} must be at least 0, got {getattr(self, name)}")
-        if self.balance not in ("even", "empirical"):
-            raise InvalidGenerateConfig(
-                f'balance must be "even" or "empirical", got {self.balance!r}'
-            )
+        check_numbers(
+            self,
+            counts=("count", "attempts", "searches", "wave", "planned", "batch", "rest"),
+            whole=("every_code", "seed", "cycles", "stalled", "stir", "loop_stir"),
+            shares=("train_share",),
+            ranges=("force",),
+            error=InvalidGenerateConfig,
+        )
+        check_nx(self.nx, MAX_NX)
         if self.split_by not in ("state", "code"):
             raise InvalidGenerateConfig(
                 f'split_by must be "state" or "code", got {self.split_by!r}'
             )
-        if not 0 <= self.train_share <= 1:
-            raise InvalidGenerateConfig(f"train_share must be in [0, 1], got {self.train_share}")
-        if self.seed < 0:
-            raise InvalidGenerateConfig(f"seed must be at least 0, got {self.seed}")
-        if self.candidate.rope != RopeConfig():
-            changed = ", ".join(differences(as_json(RopeConfig()), as_json(self.candidate.rope)))
+        if self.every_code and max(self.nx) > LISTED_NX and not self.codes:
             raise InvalidGenerateConfig(
-                "states are made of the rope that environments reset and verify replays, so"
-                f" candidate.rope must be RopeConfig(); got one whose {changed}"
+                f"the codes of {max(self.nx)} crossings are too many to be listed, so every_code"
+                f" takes nx to {LISTED_NX}; give a count"
             )
+        for code in self.parsed:
+            if not is_planar(code):
+                raise NotPlanar(code)
+            if code.nx not in self.nx:
+                raise InvalidGenerateConfig(
+                    f"nx must name the crossings of all codes, got {self.nx} and {str(code)!r}"
+                )
+
+    @property
+    def parsed(self) -> list[GaussCode]:
+        """The codes asked for by name."""
+        return [GaussCode.parse(text) for text in self.codes]

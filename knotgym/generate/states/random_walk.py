@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from knotgym.common.configuration import check_numbers
 from knotgym.common.streams import Stream, generator, key
-from knotgym.generate.states.generate_config import InvalidGenerateConfig
+from knotgym.generate.states.generate_config import InvalidGenerateConfig, check_nx
 from knotgym.quality.measures import Quality, measure, noise_survival
 from knotgym.rope.actions import drawn_actions
 from knotgym.rope.model import Array, Rope, RopeConfig
@@ -108,15 +108,7 @@ class RandomWalkConfig:
             shares=("train_share",),
             error=InvalidGenerateConfig,
         )
-        if (
-            not self.nx
-            or any(not 0 <= nx <= LISTED_NX for nx in self.nx)
-            or len(set(self.nx)) != len(self.nx)
-        ):
-            raise InvalidGenerateConfig(
-                f"nx takes different numbers of crossings from 0 to {LISTED_NX}, got"
-                f" {', '.join(map(str, self.nx)) or 'none'}"
-            )
+        check_nx(self.nx, LISTED_NX)
         if self.start not in STARTS:
             raise InvalidGenerateConfig(f"no start {self.start!r}; there is {', '.join(STARTS)}")
         if self.longest < self.burn_in + 1:

@@ -9,7 +9,7 @@ the same on any workers.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from dataclasses import asdict, dataclass, replace
 from typing import NamedTuple
 
@@ -50,7 +50,7 @@ class SearchSettings:
         macro_actions: how they are drawn and carried out.
     """
 
-    batch_size: int = 64
+    batch_size: int = 32
     steps: int = 12
     longest: int = 48
     room: int = 4
@@ -154,24 +154,23 @@ def advance(archive: Archive, config: SearchConfig, pool: Pool) -> int:
     return len(archive.niches) - known
 
 
-def search_round(archive: Archive, config: SearchConfig, chunk: int = 16) -> Iterator[Batch]:
+def search_round(
+    archive: Archive,
+    config: SearchConfig,
+    chunk: int = 8,
+    wanted: Container[GaussCode] | None = None,
+) -> Iterator[Batch]:
     """One round, which grows the archive as its work is absorbed.
-
-    Action sequences to codes that are known only with the walk starting at another sub-chain, or
-    running the other way, are replayed on the rope so renumbered; the round proper follows.
 
     Args:
         archive: changed in place.
         config: the same for every round of an archive.
         chunk: ropes in a unit; does not change the result.
+        wanted: of `replays`.
     """
     number = len(archive.growth)
     actions = archive.growth[-1]["actions"] if archive.growth else 0
-    renumbered = _unconfirmed(archive, config, number)
-    replays = [
-        Replay(config, tuple(renumbered[first : first + chunk]))
-        for first in range(0, len(renumbered), chunk)
-    ]
+    replayed = replays(archive, config, number, 0, chunk, wanted)
     parents = _parents(archive, config, number)
     units = [
         SearchUnit(
@@ -182,13 +181,6 @@ def search_round(archive: Archive, config: SearchConfig, chunk: int = 16) -> Ite
         )
         for first in range(0, config.batch_size, chunk)
     ]
-
-    def absorb_replay(replay: Replay, discoveries: list[Discovery]) -> None:
-        nonlocal actions
-        actions += sum(len(sequence) for sequence in replay.sequences)
-        for discovery in discoveries:
-            sequence = replay.sequences[discovery.batch_index]
-            archive.offer(discovery.reading.elite(sequence, discovery.state), config.archive)
 
     def absorb_unit(unit: SearchUnit, played: Played) -> None:
         nonlocal actions
@@ -202,9 +194,44 @@ def search_round(archive: Archive, config: SearchConfig, chunk: int = 16) -> Ite
             if len(sequence) <= config.longest:
                 archive.offer(discovery.reading.elite(sequence, discovery.state), config.archive)
 
-    yield Batch(confirm, replays, absorb_replay, "searching, what was found acted out again")
-    yield Batch(play, units, absorb_unit, "searching")
+    yield replayed
+    actions += sum(len(sequence) for unit in replayed.units for sequence in unit.sequences)
+    yield Batch(play, units, absorb_unit, "playing")
     archive.growth.append({"round": number, "actions": actions, "classes": len(archive.niches)})
+
+
+def replays(
+    archive: Archive,
+    config: SearchConfig,
+    round: int,
+    wave: int,
+    chunk: int = 8,
+    wanted: Container[GaussCode] | None = None,
+) -> Batch:
+    """Replay sequences to codes that no elite shows as the rope is numbered, the rope renumbered.
+
+    Such a code is known only with the walk starting at another sub-chain, or running the other way.
+    The sequence so renumbered leads to it in about every second case.
+
+    Args:
+        archive: changed as the work is absorbed.
+        config: of the search.
+        round, wave: key the random draws.
+        chunk: ropes in a unit; does not change the result.
+        wanted: codes, without chirality, to replay sequences for; None for all.
+    """
+    sequences = _unconfirmed(archive, config, (round, wave), wanted)
+    units = [
+        Replay(config, tuple(sequences[first : first + chunk]))
+        for first in range(0, len(sequences), chunk)
+    ]
+
+    def absorb(replay: Replay, discoveries: list[Discovery]) -> None:
+        for discovery in discoveries:
+            sequence = replay.sequences[discovery.batch_index]
+            archive.offer(discovery.reading.elite(sequence, discovery.state), config.archive)
+
+    return Batch(confirm, units, absorb, "repeating what play found")
 
 
 def confirm(replay: Replay) -> list[Discovery]:
@@ -323,7 +350,12 @@ def readings(points: Array, limits: Limits, rope: RopeConfig) -> list[Reading]:
     return list(best.values())
 
 
-def _unconfirmed(archive: Archive, config: SearchConfig, number: int) -> list[ActionSequence]:
+def _unconfirmed(
+    archive: Archive,
+    config: SearchConfig,
+    number: tuple[int, int],
+    wanted: Container[GaussCode] | None,
+) -> list[ActionSequence]:
     """Sequences for the rope renumbered, to codes that no elite shows as it is numbered.
 
     Codes of which no chirality is shown so come first. The plain loop, renumbered, is the plain
@@ -331,7 +363,7 @@ def _unconfirmed(archive: Archive, config: SearchConfig, number: int) -> list[Ac
     """
     if archive.settings["start"] != "loop":
         return []
-    rng = generator(Stream.SEARCH_REPLAYS, config.seed, number)
+    rng = generator(Stream.SEARCH_REPLAYS, config.seed, *number)
     sure = {
         image.plain
         for niche in archive.niches
@@ -341,7 +373,9 @@ def _unconfirmed(archive: Archive, config: SearchConfig, number: int) -> list[Ac
     near = [
         niche
         for niche in archive.niches
-        if 0 < niche.nx <= config.max_nx and not archive.sure(niche)
+        if 0 < niche.nx <= config.max_nx
+        and not archive.sure(niche)
+        and (wanted is None or any(image.plain in wanted for image in mirror_images(niche)))
     ]
     drawn = [near[pick] for pick in rng.permutation(len(near))]
     drawn.sort(key=lambda niche: niche.plain in sure)

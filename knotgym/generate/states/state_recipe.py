@@ -1,44 +1,76 @@
-"""The recipe of curated states: a run of `CurationRun`, saved after every cycle.
+"""The recipe of `knotgym generate`: play for the action sequences, drawing for the states.
 
-In the staging folder stand, until it is finished,
+A run goes in waves, each decided by what is there when it begins:
 
-    run.json                counters, and the names of the files below; written last
-    archive-{cycle}.h5      the search's archive after that cycle
-    accepted/{nx}-{k}.npz   an accepted candidate each, written once
+1. Rounds of play (`search`), while they add enough of the codes wanted to the archive.
+2. The planner searches for the codes that play has not met (`planned_sequences`).
+3. The sequence to every state wanted is followed again (`demonstrations`). Where it ends in a state
+   that keeps all limits, that is the state.
+4. The other states are drawn from their codes (`drawn_states`).
+
+A code that no sequence is found to, or no drawing accepted of, is passed over for the next one.
+In the staging folder stand, until the run is finished,
+
+    run.json            counters, and the names of the files below; written last
+    archive-{cycle}.h5  the archive of play
+    wave-{cycle}.npz    the states and demonstrations made since the wave before
 """
 
 from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile
 
+import mujoco
 import numpy as np
 
+import knotgym
 from knotgym.common.atomic_files import atomic_write, sha256
 from knotgym.common.configuration import as_json
 from knotgym.common.errors import KnotgymError, MissingFile
+from knotgym.common.streams import Stream, derived_seed, key
 from knotgym.generate.states import state_folder
-from knotgym.generate.states.archive import Archive
-from knotgym.generate.states.candidates import Candidate
-from knotgym.generate.states.curation_run import CurationRun
-from knotgym.generate.states.generate_config import GenerateConfig
+from knotgym.generate.states.archive import Archive, Elite
+from knotgym.generate.states.code_order import CodeOrder
+from knotgym.generate.states.curves import Start, start_of
+from knotgym.generate.states.demonstrations import (
+    Demonstrated,
+    Demonstration,
+    DemonstrationTask,
+    acted_out,
+    carried_over,
+    demonstrate,
+)
+from knotgym.generate.states.drawn_states import DrawnOnes, DrawnUnit, MadeState, draw_states
+from knotgym.generate.states.generate_config import GenerateConfig, InvalidGenerateConfig
+from knotgym.generate.states.planned_sequences import Found, Target, reach
+from knotgym.generate.states.search import SearchConfig, new_archive, replays, search_round
 from knotgym.quality.measures import Quality
-from knotgym.runs.engine import Batch, run
+from knotgym.rope.model import Rope, RopeConfig
+from knotgym.rope.simulation_pool import simulation_of
+from knotgym.runs.engine import CHECKPOINT, Batch, run
 from knotgym.runs.progress import Progress, Status, tell_if_long
-from knotgym.runs.run_options import RunOptions
+from knotgym.runs.run_options import NotEnough, RunOptions
 from knotgym.runs.sealed_json import read_sealed, write_sealed
+from knotgym.runs.shards import Shard
+from knotgym.states.near_duplicates import pairs_within
+from knotgym.states.schema import DRAWING
 from knotgym.topology.gauss import GaussCode
-from knotgym.topology.knots import codes_of
+from knotgym.topology.knot_table import UNKNOT, UnknownKnot, diagram_of, type_of
+from knotgym.topology.knots import LISTED_NX, knot_type, shows
+from knotgym.topology.symmetry import mirror_images
 
 _RUN = "run.json"
-CORE_SECONDS = (
-    8.0  # a state, as all 57 codes up to nx 3 took 4 minutes on two cores; more from nx 4
-)
+FIRST_ROUNDS = 3  # of play, at least: the first ones find what later ones set out from
+CORE_SECONDS = (0.3, 3.0)  # for a state, without its demonstration and with it, up to nx 4
+SEQUENCE_WORTH = 6  # states that take as long as finding and following one action sequence
+
+Slot = tuple[int, int, int]  # nx, index of the code, copy
 
 
 class SpoiltCheckpoint(KnotgymError, ValueError):
@@ -57,13 +89,13 @@ def generate(
     archive: Path | None = None,
     progress: Progress | None = None,
 ) -> Path:
-    """Make curated states in the new folder `out`, or in that of the shard, and return it.
+    """Make states in the new folder `out`, or in that of the shard, and return it.
 
     Args:
         config: what is wanted.
         out: the folder of the whole run.
         options: how it is done.
-        archive: of another run, to go on from.
+        archive: of another run, whose action sequences this one begins with.
         progress: to show it on.
 
     Raises:
@@ -71,69 +103,363 @@ def generate(
         InvalidGenerateConfig: nothing of the kind can be made.
         NotEnough: the attempts allowed were spent.
     """
-    recipe = StateRecipe(config, options, archive)
+    recipe = StateRecipe(config, options.shard, archive)
     if progress is not None:
-        wanted = sum(
-            config.every_code * len(codes_of("0_1", nx)) if config.every_code else config.count
-            for nx in config.nx
-        )
-        tell_if_long(progress, CORE_SECONDS * wanted / options.shard.of, options.workers)
+        seconds = CORE_SECONDS[config.demonstrations] * recipe.wanted
+        tell_if_long(progress, seconds, options.workers)
     return run(recipe, options.shard.folder(out), options, progress)
 
 
 class StateRecipe:
-    """Curated states, see `runs.engine.Recipe`."""
+    """States with their demonstrations, see `runs.engine.Recipe`.
 
-    flexible: tuple[str, ...] = ("attempts", "cycles")
+    Attributes:
+        config, shard: of the run.
+        knot: its name in the knot table.
+        codes: nx -> the codes, by index.
+        archive: of play.
+        states: slot -> the accepted state.
+        demonstrations: slot -> the demonstration that ends in its code.
+        drawings: (nx, index) -> drawings made.
+        searches: (nx, index) -> planner searches that failed.
+        missed: (nx, index) of codes that no sequence in the archive leads to when followed again.
+        rejected: nx -> reason -> drawings.
+        actions: simulated by the planner and by demonstrations; the archive counts play's.
+        play_over: play adds too little.
+        cycle: waves done.
+    """
 
-    def __init__(self, config: GenerateConfig, options: RunOptions, archive: Path | None) -> None:
+    flexible: tuple[str, ...] = ("attempts", "cycles", "searches")
+
+    def __init__(
+        self, config: GenerateConfig, shard: Shard | None = None, archive: Path | None = None
+    ) -> None:
         if archive is not None and not archive.is_file():
             raise MissingFile(f"no archive at {archive}")
-        self.config, self.shard, self.archive = config, options.shard, archive
-        self.run: CurationRun
+        self.config, self.shard, self.given = config, shard or Shard(), archive
+        self._start: Start | None = None
+        self.knot = config.knot if _is_tabled(config.knot) else self.start.knot
+        if type_of(self.knot) == UNKNOT:
+            self.knot = UNKNOT
+        self.least = diagram_of(self.knot).nx
+        _require_possible(config, self.knot)
+        self.codes = {nx: CodeOrder(config, self.knot, self.shard, nx) for nx in config.nx}
+        self.wanted = sum(codes.wanted for codes in self.codes.values())
+        if not self.wanted:
+            raise InvalidGenerateConfig(
+                f"shard {self.shard} has no state to make: cut the run into fewer shards"
+            )
+        self.archive = Archive()
+        self.states: dict[Slot, MadeState] = {}
+        self.demonstrations: dict[Slot, Demonstration] = {}
+        self.drawings: Counter[tuple[int, int]] = Counter()
+        self.searches: Counter[tuple[int, int]] = Counter()
+        self.missed: set[tuple[int, int]] = set()
+        self.rejected: dict[int, Counter[str]] = {nx: Counter() for nx in config.nx}
+        self.actions, self.cycle, self.play_over = 0, 0, False
+        self.growth: list[dict[str, Any]] = []
+        self._files: dict[str, str] = {}  # saved waves -> SHA-256
+        self._saved: set[Slot] = set()  # in them, of states and of demonstrations
+        self._saved_ways: set[Slot] = set()
+
+    @property
+    def start(self) -> Start:
+        """Where action sequences begin."""
+        if self._start is None:
+            self._start = start_of(self.config.knot)
+        return self._start
+
+    @property
+    def search(self) -> SearchConfig:
+        """The settings of play."""
+        seed = self.config.seed
+        if not self.shard.is_whole:
+            seed = derived_seed(Stream.SHARD, seed, self.shard.number)
+        most = max(*self.config.nx, self.start.code.nx)
+        return SearchConfig(**vars(self.config.search), max_nx=most, seed=seed)
 
     def request(self) -> dict[str, Any]:
         curve = Path(self.config.knot)
         source = {
-            "archive": sha256(self.archive) if self.archive else None,
+            "archive": sha256(self.given) if self.given else None,
             "knot": sha256(curve) if curve.is_file() else None,
         }
         return {"config": as_json(self.config), "source": source}
 
     def begin(self) -> None:
-        archive = Archive.load(self.archive) if self.archive else None
-        self.run = CurationRun.begin(self.config, self.shard, archive)
+        if not any(map(self.has_ways, self.config.nx)):
+            return
+        is_loop = np.array_equal(self.start.points, Rope().loop())
+        fresh = new_archive(self.search, None if is_loop else self.start.points)
+        self.archive = Archive.load(self.given) if self.given else fresh
+        if _origin(self.archive) != _origin(fresh):
+            raise InvalidGenerateConfig(
+                f"the action sequences of {self.given} begin at another curve or move another rope"
+                f" than those of knot {self.config.knot} here"
+            )
+
+    def has_ways(self, nx: int) -> bool:
+        """Whether states with nx crossings get action sequences from the start: those with as few
+        as the knot can have need none, they are starts themselves.
+        """
+        return self.config.demonstrations and nx > self.least
 
     def batches(self, folder: Path) -> Iterator[Batch]:
-        return self.run.batches()
+        while not self.config.cycles or self.cycle < self.config.cycles:
+            wave = self._wave()
+            if wave is None:
+                break
+            yield from wave
+            self.cycle += 1
+            self._note_growth()
+            yield CHECKPOINT
+        lacking = {nx: self.codes[nx].wanted - len(self._made(nx)) for nx in self.config.nx}
+        if any(lacking.values()) and not self.config.cycles:
+            said = ", ".join(f"{count} with nx = {nx}" for nx, count in lacking.items() if count)
+            raise NotEnough(
+                f"states lack: {said}; use --resume and more --attempts, or --cycles {self.cycle}"
+                " to keep what there is"
+            )
+        if not self.states:
+            raise NotEnough(f"no state accepted in {self.cycle} cycles; allow more --cycles")
+
+    def _wave(self) -> Iterator[Batch] | None:
+        """The next wave of work; None if there is nothing left that could be done."""
+        known = self._known() if any(map(self.has_ways, self.config.nx)) else {}
+        lacking, unknown = list[Slot](), list[Slot]()
+        for nx in self.config.nx:
+            ready, rest = self._window(nx, known)
+            if len(ready) < self.codes[nx].wanted:
+                unknown += rest
+            lacking += [slot for slot in ready if slot not in self.states]
+        if unknown:
+            codes = list(dict.fromkeys(slot[:2] for slot in unknown))
+            return self._plan(codes) if self.play_over else self._play(codes)
+        pending = [
+            slot for slot in lacking if self.has_ways(slot[0]) and slot not in self.demonstrations
+        ]
+        if pending:
+            return self._demonstrate(pending[: self.config.wave], known)
+        return self._draw(lacking) if lacking else None
+
+    def _window(
+        self, nx: int, known: Mapping[GaussCode, list[Elite]]
+    ) -> tuple[list[Slot], list[Slot]]:
+        """The slots with nx crossings that are worked on, but for those of codes passed over.
+
+        Of more codes than states are wanted, sequences are looked for to a quarter more: the last
+        few of a fixed choice would take as long as all others.
+
+        Returns:
+            Those that have a state, or need only be followed or drawn, at most as many as states
+            are wanted; and those to whose codes no sequence is known.
+        """
+        codes, ways = self.codes[nx], self.has_ways(nx)
+        most = int((1.25 if ways else 1) * codes.wanted)
+        made, ready, unknown = list[Slot](), list[Slot](), list[Slot]()
+        for index, copy in codes.slots():
+            slot = nx, index, copy
+            if len(made) + len(ready) + len(unknown) == most:
+                break
+            if slot in self.states:
+                made.append(slot)
+            elif self._is_passed_over(nx, index):
+                continue
+            elif not ways or slot in self.demonstrations or self._ways(slot, known):
+                ready.append(slot)
+            else:
+                unknown.append(slot)
+        return (made + ready)[: codes.wanted], unknown
+
+    def _is_passed_over(self, nx: int, index: int) -> bool:
+        """Whether what may be spent on a code is spent."""
+        config, code = self.config, (nx, index)
+        drawn_out = self.drawings[code] >= config.attempts * self.codes[nx].share(index)
+        return drawn_out or self.searches[code] >= config.searches
+
+    def _known(self) -> dict[GaussCode, list[Elite]]:
+        """Codes, without chirality, and the elites whose sequences or mirror images lead there."""
+        longest, known = self.config.search.longest, dict[GaussCode, list[Elite]]()
+        for niche, elites in self.archive.niches.items():
+            exact = [one for one in elites if one.exact and len(one.sequence) <= longest]
+            for code in {image.plain for image in mirror_images(niche)} if exact else ():
+                known.setdefault(code, []).extend(exact)
+        if self.knot != UNKNOT:  # the mirror image of a sequence may tie the other hand
+            for code, elites in known.items():
+                known[code] = [one for one in elites if carried_over(one, code, self.knot)]
+        return known
+
+    def _ways(self, slot: Slot, known: Mapping[GaussCode, list[Elite]]) -> list[Elite]:
+        """The elites whose sequences lead to the code of a slot."""
+        nx, index, _ = slot
+        if (nx, index) in self.missed:
+            return []
+        return known.get(self.codes[nx][index].plain, [])
+
+    def _play(self, unknown: list[tuple[int, int]]) -> Iterator[Batch]:
+        """A round of play, and whether the next is worth it: not if it added fewer codes than the
+        planner finds in the same time.
+        """
+        wanted = {self.codes[nx][index].plain for nx, index in unknown}
+        yield from search_round(self.archive, self.search, wanted=wanted)
+        known = self._known()
+        gained = sum(bool(self._ways((*code, 0), known)) for code in unknown)
+        self.play_over = len(self.archive.growth) >= FIRST_ROUNDS and gained < self.config.stalled
+
+    def _plan(self, unknown: list[tuple[int, int]]) -> Iterator[Batch]:
+        """Search for the codes searched for least, once each with its mirror image."""
+        wanted = frozenset(self.codes[nx][index].plain for nx, index in unknown)
+        repeated = replays(
+            self.archive, self.search, len(self.archive.growth), 1 + self.cycle, wanted=wanted
+        )
+        yield repeated
+        self.actions += sum(len(one) for unit in repeated.units for one in unit.sequences)
+        known = self._known()
+        unknown = [code for code in unknown if not self._ways((*code, 0), known)]
+        unknown.sort(key=lambda code: self.searches[code])
+        shortest = [
+            next((one for one in elites if one.exact), None)
+            for elites in self.archive.niches.values()
+        ]
+        elites = tuple(
+            one for one in shortest if one and len(one.sequence) < self.config.search.longest
+        )
+        targets: dict[tuple[int, int], Target] = {}
+        goals: set[GaussCode] = set()
+        for nx, index in unknown:
+            goal, number = self.codes[nx][index].plain, self.searches[nx, index]
+            if len(targets) == self.config.planned or goal in goals:
+                continue
+            seed = key(Stream.TARGETED_SEARCH, self.search.seed, nx, index, number)
+            mirrored = self.knot == UNKNOT and (nx, index) not in self.missed
+            goals |= {goal, goal.mirrored()} if mirrored else {goal}
+            targets[nx, index] = Target(
+                self.search, self.config.planner, elites, goal, mirrored, wanted, number, seed
+            )
+        codes = iter(targets)
+
+        def absorb(target: Target, found: Found) -> None:
+            code, failed = next(codes), True
+            self.actions += found.spent
+            goals = (target.goal, target.goal.mirrored())[: 1 + target.mirrored]
+            for elite in found.elites:
+                self.archive.offer(elite, self.config.search.archive)
+                failed &= not elite.exact or elite.code.plain not in goals
+            self.searches[code] += failed
+            if not failed:
+                self.missed.discard(code)
+
+        yield Batch(reach, list(targets.values()), absorb, "planning for codes that play missed")
+
+    def _demonstrate(
+        self, pending: list[Slot], known: Mapping[GaussCode, list[Elite]]
+    ) -> Iterator[Batch]:
+        """Follow the sequences to the codes of some slots."""
+        tasks = []
+        for slot in pending:
+            nx, index, copy = slot
+            seed = key(Stream.CANDIDATE, self.config.seed, nx, index, self.shard.first + copy)
+            ways = tuple(self._ways(slot, known))
+            code, start = self.codes[nx][index].plain, self.start.points
+            tasks.append(DemonstrationTask(self.config, self.knot, code, index, start, ways, seed))
+        slots = iter(pending)
+
+        def absorb(task: DemonstrationTask, made: Demonstrated) -> None:
+            slot = next(slots)
+            self.actions += made.spent
+            if made.demonstration is None:
+                self.missed.add(slot[:2])
+                self.searches[slot[:2]] += 1
+                return
+            self.demonstrations[slot] = made.demonstration
+            if made.state is not None and not self._is_near(made.state):
+                self.states[slot] = made.state
+
+        yield Batch(demonstrate, tasks, absorb, "following action sequences")
+
+    def _draw(self, lacking: list[Slot]) -> Iterator[Batch]:
+        """Draw the first codes that lack states."""
+        config = self.config
+        units = []
+        for (nx, index), wanted in Counter(slot[:2] for slot in lacking).items():
+            drawn = self.drawings[nx, index]
+            most = min(config.batch, config.attempts * self.codes[nx].share(index) - drawn)
+            code, first = self.codes[nx][index], self.shard.first + drawn
+            units.append(DrawnUnit(config, self.knot, code, index, first, most, wanted))
+
+        def absorb(unit: DrawnUnit, made: DrawnOnes) -> None:
+            nx, index = unit.code.nx, unit.which
+            self.drawings[nx, index] += made.drawings
+            self.rejected[nx].update(made.rejected)
+            open_slots = (slot for slot in lacking if slot[:2] == (nx, index))
+            for one in made.states:
+                if self._is_near(one):
+                    self.rejected[nx]["near-duplicate"] += 1
+                else:
+                    self.states[next(open_slots)] = one
+
+        yield Batch(draw_states, units[: config.wave], absorb, "drawing")
+
+    def _is_near(self, state: MadeState) -> bool:
+        """Whether a symmetry brings a state near an accepted one with as many crossings."""
+        others = [one.points for one in self._made(state.code.nx).values()]
+        return bool(others) and bool(pairs_within(state.points[None], np.stack(others)))
+
+    def _made(self, nx: int) -> dict[Slot, MadeState]:
+        """The accepted states with nx crossings, in the order of their slots."""
+        return {slot: self.states[slot] for slot in sorted(self.states) if slot[0] == nx}
+
+    def demonstration(self, slot: Slot) -> Demonstration | None:
+        """The demonstration of a slot whose state there is; a plain loop's is its own actions."""
+        if slot[0] == 0 and self.config.demonstrations:
+            state = self.states[slot]
+            return acted_out(simulation_of(1, RopeConfig()), state.start_qpos, state.actions)
+        return self.demonstrations.get(slot)
+
+    def steps(self) -> int:
+        """Actions simulated so far to find and follow action sequences."""
+        return self.actions + (self.archive.growth[-1]["actions"] if self.archive.growth else 0)
+
+    def _note_growth(self) -> None:
+        if not self.config.demonstrations:
+            return
+        known = self._known()
+        self.growth.append(
+            {
+                "steps": self.steps(),
+                "known": {str(nx): sum(c.nx == nx for c in known) for nx in self.config.nx},
+                "accepted": {str(nx): len(self._made(nx)) for nx in self.config.nx},
+            }
+        )
 
     def save(self, folder: Path) -> None:
-        state = self.run
-        accepted = [
-            f"{nx}-{index:06d}.npz"
-            for nx, candidates in state.accepted.items()
-            for index in range(len(candidates))
-        ]
-        for name in accepted:
-            if not (folder / "accepted" / name).is_file():
-                nx, index = map(int, name.removesuffix(".npz").split("-"))
-                _save_candidate(folder / "accepted" / name, state.accepted[nx][index])
-        archive = folder / f"archive-{state.cycle:06d}.h5"
-        state.archive.save(archive, compress=False)
+        fresh = {slot: one for slot, one in self.states.items() if slot not in self._saved}
+        ways = {
+            slot: one for slot, one in self.demonstrations.items() if slot not in self._saved_ways
+        }
+        if fresh or ways:
+            name = f"wave-{self.cycle:06d}.npz"
+            with atomic_write(folder / name) as temporary, open(temporary, "wb") as file:
+                np.savez(file, **_columns(fresh, ways))
+            self._files[name] = sha256(folder / name)
+            self._saved |= fresh.keys()
+            self._saved_ways |= ways.keys()
+        archive = folder / f"archive-{self.cycle:06d}.h5"
+        kept = {}
+        if self.archive.niches:
+            self.archive.save(archive, compress=False)
+            kept = {archive.name: sha256(archive)}
         counters = {
-            "cycle": state.cycle,
-            "knot": state.knot,
-            "actions": state.actions,
-            "growth": state.growth,
-            "rejected": {str(nx): dict(reasons) for nx, reasons in state.rejected.items()},
-            "tried": {
-                str(nx): [[str(code), count] for code, count in tried.items()]
-                for nx, tried in state.tried.items()
-            },
-            "targeted": [[str(code), count] for code, count in state.targeted.items()],
-            "archive": archive.name,
-            "accepted": {name: sha256(folder / "accepted" / name) for name in accepted},
-            "sha256": sha256(archive),
+            "cycle": self.cycle,
+            "actions": self.actions,
+            "play_over": self.play_over,
+            "growth": self.growth,
+            "drawings": [[*code, count] for code, count in self.drawings.items()],
+            "searches": [[*code, count] for code, count in self.searches.items()],
+            "missed": sorted(self.missed),
+            "rejected": {str(nx): dict(reasons) for nx, reasons in self.rejected.items()},
+            "archive": kept,
+            "waves": self._files,
         }
         write_sealed(folder / _RUN, counters)
         for old in folder.glob("archive-*.h5"):
@@ -145,88 +471,180 @@ class StateRecipe:
             return False
         try:
             said = read_sealed(folder / _RUN)
-            for name, digest in {
-                said["archive"]: said["sha256"],
-                **{f"accepted/{name}": digest for name, digest in said["accepted"].items()},
-            }.items():
+            for name, digest in {**said["archive"], **said["waves"]}.items():
                 if sha256(folder / name) != digest:
-                    raise SpoiltCheckpoint(folder, f"SHA-256 of {name} differs")
-            state = CurationRun.begin(
-                self.config, self.shard, Archive.load(folder / said["archive"])
-            )
-            state.cycle, state.actions = int(said["cycle"]), int(said["actions"])
-            state.growth = said["growth"]
-            for nx in self.config.nx:
-                state.rejected[nx] = Counter(said["rejected"][str(nx)])
-                state.tried[nx] = _counted(said["tried"][str(nx)])
-            state.targeted = _counted(said["targeted"])
-            for name in said["accepted"]:
-                nx = int(name.split("-")[0])
-                state.accepted[nx].append(_load_candidate(folder / "accepted" / name))
+                    raise ValueError(f"SHA-256 of {name} differs")
+            for name in said["archive"]:
+                self.archive = Archive.load(folder / name)
+            for name in said["waves"]:
+                with np.load(folder / name, allow_pickle=False) as file:
+                    self.states.update(_states_in(file))
+                    self.demonstrations.update(_demonstrations_in(file))
+            self._files = said["waves"]
+            self._saved, self._saved_ways = set(self.states), set(self.demonstrations)
+            self.cycle, self.actions = int(said["cycle"]), int(said["actions"])
+            self.play_over, self.growth = bool(said["play_over"]), said["growth"]
+            for counts, name in ((self.drawings, "drawings"), (self.searches, "searches")):
+                counts.update({(nx, index): count for nx, index, count in said[name]})
+            self.missed = {(nx, index) for nx, index in said["missed"]}
+            self.rejected = {nx: Counter(said["rejected"][str(nx)]) for nx in self.config.nx}
         except (OSError, ValueError, KeyError, TypeError, AttributeError, BadZipFile) as error:
-            if isinstance(error, SpoiltCheckpoint):
-                raise
             raise SpoiltCheckpoint(folder, error) from error
-        self.run = state
         return True
 
     def status(self) -> Status:
-        state, config = self.run, self.config
-        accepted = [one for candidates in state.accepted.values() for one in candidates]
-        rejected: Counter[str] = sum(state.rejected.values(), Counter())
-        known = ", ".join(
-            f"nx {nx}: {len(state.archive.codes(nx))} of {state.existing[nx]}" for nx in config.nx
-        )
+        rejected: Counter[str] = sum(self.rejected.values(), Counter())
         common = ", ".join(f"{reason} {count}" for reason, count in rejected.most_common(4))
-        facts = {
-            "distinct codes": f"{len({one.code.plain for one in accepted})}",
-            "codes the search knows": known,
-            "rejected": common or "none",
-            "environment steps": f"{state.steps()}",
-        }
-        total = len(accepted) + sum(
-            0 if state.has_enough(nx) else state.lacking(nx) for nx in config.nx
-        )
-        return Status(len(accepted), total, "states accepted", facts)
+        tied = sum(codes.wanted for nx, codes in self.codes.items() if self.has_ways(nx))
+        known = self._known() if tied else {}
+        ways = sum(len(self._window(nx, known)[0]) for nx in self.config.nx if self.has_ways(nx))
+        facts = {"action sequences": f"{ways} of {tied}"} if tied else {}
+        facts["simulated actions"] = f"{self.steps()}"
+        facts["drawings"] = f"{self.drawings.total()}, rejected: {common or 'none'}"
+        work = SEQUENCE_WORTH * tied + self.wanted
+        share = (SEQUENCE_WORTH * ways + len(self.states)) / work
+        return Status(len(self.states), self.wanted, "states", facts, share=share)
 
     def finish(self, folder: Path, request: dict[str, Any]) -> Path:
-        state_folder.write(self.run, folder, request)
+        state_folder.write(self, folder, request)
         return folder
 
     def summary(self) -> str:
-        chosen = [one for nx in self.config.nx for one in self.run.chosen(nx)]
-        return f"{len(chosen)} states of {len({one.code.plain for one in chosen})} codes"
+        codes = {one.code.plain for one in self.states.values()}
+        ways = sum(slot in self.demonstrations for slot in self.states)
+        tied = f", {ways} demonstrations" if ways else ""
+        return f"{len(self.states)} states of {len(codes)} codes{tied}"
+
+    def report(self) -> dict[str, Any]:
+        """What the run did, JSON-able and the same for the same configuration."""
+        return {
+            "version": knotgym.__version__,
+            "mujoco": mujoco.__version__,
+            "source": DRAWING,
+            "knot": type_of(self.knot),
+            "existing_codes": {str(nx): codes.existing for nx, codes in self.codes.items()},
+            "attempts": self.drawings.total(),
+            "actions": self.steps(),
+            "rejected": {str(nx): dict(sorted(each.items())) for nx, each in self.rejected.items()},
+            "passed_over": {
+                str(nx): [
+                    str(codes[index])
+                    for index in sorted(i for n, i in {*self.drawings, *self.searches} if n == nx)
+                    if self._is_passed_over(nx, index)
+                ]
+                for nx, codes in self.codes.items()
+            },
+            "growth": self.growth,
+        }
 
 
-def _counted(pairs: list[list[Any]]) -> Counter[GaussCode]:
-    return Counter({GaussCode.parse(code).plain: int(count) for code, count in pairs})
+def _is_tabled(knot: str) -> bool:
+    """Whether the knot table has a knot of this name."""
+    try:
+        diagram_of(knot)
+    except UnknownKnot:
+        return False
+    return True
 
 
-def _save_candidate(path: Path, candidate: Candidate) -> None:
-    with atomic_write(path) as temporary, open(temporary, "wb") as file:
-        np.savez(
-            file,
-            code=np.array(candidate.code.chiral),
-            seed=np.array(candidate.seed, dtype=np.int64),
-            start_qpos=candidate.start_qpos,
-            actions=candidate.actions,
-            points=candidate.points,
-            qpos=candidate.qpos,
-            steps=np.array(candidate.steps),
-            quality=np.array(json.dumps(asdict(candidate.quality))),
+def _require_possible(config: GenerateConfig, knot: str) -> None:
+    """Refuse crossings and codes that the knot can't show, and sequences that nobody finds."""
+    least = diagram_of(knot).nx
+    for nx in config.nx:
+        if nx < least:
+            raise InvalidGenerateConfig(
+                f"no diagram of {config.knot} has {nx} crossings; it takes {least}"
+            )
+        if config.demonstrations and nx > max(LISTED_NX, least):
+            raise InvalidGenerateConfig(
+                f"action sequences are found to codes of up to {LISTED_NX} crossings, got nx {nx};"
+                " --no-demonstrations makes states without them"
+            )
+    for code in config.parsed:
+        if not shows(code, knot):
+            seen = knot_type(code)
+            other_hand = " of this hand" if seen == type_of(knot) else ""
+            raise InvalidGenerateConfig(
+                f"the code {str(code)!r} shows the knot {seen}, not {config.knot}{other_hand}"
+            )
+
+
+def _origin(archive: Archive) -> str:
+    """Where the sequences of an archive begin and what they move, as text: a file has lists where
+    a search has tuples.
+    """
+    return json.dumps([archive.settings.get("start"), archive.settings.get("rope")], sort_keys=True)
+
+
+def _columns(
+    states: Mapping[Slot, MadeState], ways: Mapping[Slot, Demonstration]
+) -> dict[str, Any]:
+    """States and demonstrations as arrays by name, those of different lengths one after another.
+
+    Splitting an empty array gives one empty part, so that readers follow the rows of the slots.
+    """
+    made, nq, beads = list(states.values()), Rope().nq, len(Rope().loop())
+
+    def joined(parts: list[Any], *each: int) -> Any:
+        return np.concatenate([np.empty((0, *each)), *parts])
+
+    return {
+        "slot": np.array(list(states), dtype=np.int64).reshape(-1, 3),
+        "policy": np.array([one.policy for one in made], dtype=np.str_),
+        "code": np.array([one.code.chiral for one in made], dtype=np.str_),
+        "seed": np.array([one.seed for one in made], dtype=np.int64),
+        "start_qpos": joined([one.start_qpos[None] for one in made], nq),
+        "steps": np.array([len(one.actions) for one in made], dtype=np.int64),
+        "actions": joined([one.actions for one in made], 6).astype(np.float32),
+        "qpos": joined([one.qpos[None] for one in made], nq),
+        "points": joined([one.points[None] for one in made], beads, 3),
+        "quality": np.array([json.dumps(asdict(one.quality)) for one in made], dtype=np.str_),
+        "way_slot": np.array(list(ways), dtype=np.int64).reshape(-1, 3),
+        "way_start_qpos": joined([one.start_qpos[None] for one in ways.values()], nq),
+        "way_steps": np.array([len(one) for one in ways.values()], dtype=np.int64),
+        "way_actions": joined([one.actions for one in ways.values()], 6).astype(np.float32),
+        "way_points": joined([one.points for one in ways.values()], beads, 3),
+        "way_shares": joined([one.shares for one in ways.values()]),
+    }
+
+
+def _states_in(columns: Any) -> Iterator[tuple[Slot, MadeState]]:
+    """The states that `_columns` made arrays of."""
+    actions = np.split(columns["actions"], np.cumsum(columns["steps"])[:-1])
+    names = ("slot", "policy", "code", "seed", "start_qpos", "qpos", "points", "quality")
+    rows = zip(*(columns[name] for name in names), strict=True)
+    for (slot, policy, code, seed, start_qpos, qpos, points, quality), taken in zip(
+        rows, actions, strict=False
+    ):
+        nx, index, copy = slot.tolist()
+        yield (
+            (nx, index, copy),
+            MadeState(
+                policy=str(policy),
+                code=GaussCode.parse(str(code)),
+                index=index,
+                seed=tuple(seed.tolist()),
+                start_qpos=start_qpos,
+                actions=taken,
+                qpos=qpos,
+                points=points,
+                quality=Quality(**json.loads(str(quality))),
+            ),
         )
 
 
-def _load_candidate(path: Path) -> Candidate:
-    with np.load(path, allow_pickle=False) as file:
-        return Candidate(
-            code=GaussCode.parse(str(file["code"])),
-            faults=(),
-            seed=tuple(file["seed"].tolist()),
-            start_qpos=file["start_qpos"],
-            actions=file["actions"],
-            points=file["points"],
-            qpos=file["qpos"],
-            quality=Quality(**json.loads(str(file["quality"]))),
-            steps=int(file["steps"]),
-        )
+def _demonstrations_in(columns: Any) -> Iterator[tuple[Slot, Demonstration]]:
+    """The demonstrations that `_columns` made arrays of."""
+    ends = np.cumsum(columns["way_steps"])
+    actions = np.split(columns["way_actions"], ends[:-1])
+    # T + 1 states around T actions
+    states = ends + np.arange(1, len(ends) + 1)
+    points, shares = (
+        np.split(columns[f"way_{name}"], states[:-1]) for name in ("points", "shares")
+    )
+    rows = zip(
+        columns["way_slot"], columns["way_start_qpos"], actions, points, shares, strict=False
+    )
+    for slot, start_qpos, taken, seen, applied in rows:
+        nx, index, copy = slot.tolist()
+        yield (nx, index, copy), Demonstration(start_qpos, taken, seen, applied)
