@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -14,7 +13,7 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike
 
-from knotgym.quality.limits import FACE, UNITS, Limits, Quality
+from knotgym.quality.limits import UNITS, Limits, Quality
 from knotgym.rendering.picture import DEFAULT, PictureConfig, project
 from knotgym.rope.model import Array
 from knotgym.rope.reset_noise import noised
@@ -23,18 +22,14 @@ from knotgym.topology.diagrams import faces
 from knotgym.topology.gauss import GaussCode
 
 __all__ = [
-    "FACE",
     "NOISE_DRAWS",
     "UNITS",
     "WALK",
     "Limits",
     "Quality",
-    "Spots",
     "base_spacing",
     "measure",
     "noise_survival",
-    "spots_of",
-    "tightest_spot",
 ]
 
 # Two points of the drawn rope belong to different strands if the shortest path between them along
@@ -43,51 +38,11 @@ WALK = 12.0
 NOISE_DRAWS = 64
 
 
-@dataclass(frozen=True, eq=False)
-class Spots:
-    """All quantities of a picture whose smallest value may limit its quality.
-
-    Attributes:
-        angles: angles of the crossings, degrees (nx,).
-        apart: distances of all pairs of crossings, pixels.
-        faces: areas of the faces, the outer one included, square pixels (nx + 2,).
-    """
-
-    angles: Array
-    apart: Array
-    faces: Array
-
-    def crampedness(self, limits: Limits) -> float:
-        """Return a penalty summed over all spots, on the scale of `Limits.objective`.
-
-        `Limits.objective` sees only the worst spot; this penalty falls when any tight spot opens.
-        It is 0 for a roomy picture.
-        """
-        if not len(self.angles):
-            return 0.0
-        shares = (
-            self.faces / FACE,
-            self.apart / limits.crossing_spacing,
-            self.angles / limits.crossing_angle,
-        )
-        return float(sum((np.maximum(0.0, 2 - share) ** 2).sum() for share in shares))
-
-
-def spots_of(points: Array, crossings: Crossings, config: PictureConfig = DEFAULT) -> Spots:
-    """Return the spots of a configuration, float64 (beads, 3), metres."""
-    at = crossings.position * config.pixels_per_metre
-    apart = np.linalg.norm(at[:, None] - at[None, :], axis=2)[np.triu_indices(crossings.nx, 1)]
-    visits = zip(crossings.over_place, crossings.under_place, strict=True)
-    angles = np.array([_angle(points, over, under) for over, under in visits])
-    return Spots(angles, apart, _faces(project(points, config), crossings))
-
-
 def measure(
     points: ArrayLike,
     crossings: Crossings | None = None,
     config: PictureConfig = DEFAULT,
     *,
-    spots: Spots | None = None,
     quick: bool = False,
 ) -> Quality:
     """Measure a configuration, float64 (beads, 3), metres.
@@ -96,7 +51,6 @@ def measure(
         points: not modified.
         crossings: crossings of the points, if already known.
         config: picture in which to measure.
-        spots: spots of the points, if already known.
         quick: leave out excess_crossing_number, which takes half of the time.
 
     Returns:
@@ -112,18 +66,21 @@ def measure(
     unit = chord / np.linalg.norm(chord, axis=1)[:, None]
     bends = np.arccos(np.clip((unit * np.roll(unit, -1, axis=0)).sum(axis=1), -1, 1))
     radius = config.rope_radius * config.pixels_per_metre
-    regions = _regions(pixels, 2 * radius)[0]
-    spots = spots_of(p, crossings, config) if spots is None else spots
+    regions = _regions(pixels, 2 * radius)
+    at = crossings.position * config.pixels_per_metre
+    apart = np.linalg.norm(at[:, None] - at[None, :], axis=2)[np.triu_indices(crossings.nx, 1)]
+    visits = zip(crossings.over_place, crossings.under_place, strict=True)
+    angles = np.array([_angle(p, over, under) for over, under in visits])
     strand_spacing = _strand_spacing(pixels, crossings.over_place, crossings.under_place, WALK)
     excess = float("nan") if quick else _average_crossing_number(p) - crossings.nx
     clearance = 1000 * float((crossings.over_z - crossings.under_z).min(initial=np.inf))
     return Quality(
-        crossing_angle=float(spots.angles.min(initial=90.0)),
-        crossing_spacing=float(spots.apart.min(initial=size)),
+        crossing_angle=float(angles.min(initial=90.0)),
+        crossing_spacing=float(apart.min(initial=size)),
         base_spacing=base_spacing(p, crossings, 0, config),
         strand_spacing=min(size, strand_spacing),
         smallest_region=float(regions.min()) if len(regions) == crossings.nx + 2 else 0.0,
-        smallest_face=float(spots.faces.min()),
+        smallest_face=float(_faces(pixels, crossings).min()),
         margin=float(min(pixels.min(), size - pixels.max()) - radius),
         clearance=min(clearance, 1000.0 * config.rope_radius * 4),
         excess_crossing_number=excess,
@@ -148,14 +105,6 @@ def base_spacing(
     at = np.interp(visits, np.arange(len(walked)), walked)
     # forwards from the end of the base bead, and backwards from its start
     return float(min(config.size, max(0.0, min((at - walked[1]).min(), walked[-1] - at.max()))))
-
-
-def tightest_spot(points: Array, config: PictureConfig = DEFAULT) -> Array:
-    """Return the middle of the smallest region that the drawn rope encloses: (2,), metres."""
-    pixels = np.ascontiguousarray(project(points, config))
-    areas, centres = _regions(pixels, 2 * config.rope_radius * config.pixels_per_metre)
-    offset = (centres[np.argmin(areas)] - config.size / 2) / config.pixels_per_metre
-    return np.asarray(points[:, :2].mean(axis=0) + offset * (1, -1))
 
 
 def noise_survival(
@@ -219,11 +168,10 @@ def _borders(code: GaussCode) -> Array:
     return incidence
 
 
-def _regions(pixels: Array, width: float, fine: int = 3) -> tuple[Array, Array]:
-    """Draw the rope as a closed band, `fine` dots per pixel, and find the regions of background.
+def _regions(pixels: Array, width: float, fine: int = 3) -> Array:
+    """Return the areas of the background's connected regions, square pixels.
 
-    Returns:
-        areas (n,), square pixels, and centres (n, 2), pixels, of the connected components.
+    The rope is drawn as a closed band of the given width, pixels, with `fine` dots per pixel.
     """
     # a border of 4 pixels keeps the outside connected
     low = np.floor(pixels.min(axis=0)) - 4
@@ -232,10 +180,10 @@ def _regions(pixels: Array, width: float, fine: int = 3) -> tuple[Array, Array]:
     corners = np.round((pixels - low) * fine * 16).astype(np.int32)  # 4 fractional bits
     # Background is 8-connected, so that a line of one dot would leak diagonally; two dots don't.
     cv2.polylines(canvas, [corners[:, None]], True, 0, max(2, round(width * fine)), cv2.LINE_8, 4)
-    _, _, stats, centres = cv2.connectedComponentsWithStatsWithAlgorithm(
+    _, _, stats, _ = cv2.connectedComponentsWithStatsWithAlgorithm(
         canvas, 8, cv2.CV_16U, cv2.CCL_BBDT
     )
-    return stats[1:, cv2.CC_STAT_AREA] / fine**2, centres[1:] / fine + low
+    return np.asarray(stats[1:, cv2.CC_STAT_AREA] / fine**2)
 
 
 @numba.njit(cache=True, nogil=True)

@@ -14,7 +14,6 @@ from knotgym.quality.measures import (
     base_spacing,
     measure,
     noise_survival,
-    tightest_spot,
 )
 from knotgym.rendering.picture import DEFAULT
 from knotgym.rope.model import Rope
@@ -202,12 +201,6 @@ def test_the_smallest_region_is_the_background_left_beside_the_rope() -> None:
 
 def test_an_eye_that_the_rope_fills_is_no_region() -> None:
     assert measure(drawn([(-40, 30, 0), (1, -1, 0), (-1, -1, 3), (40, 30, 3)])).smallest_region == 0
-
-
-def test_the_tightest_spot_is_in_the_smallest_region() -> None:
-    points = zigzag() + [0.1, 0.2, 0.0]
-    spot = (tightest_spot(points) - [0.1, 0.2]) / PIXEL
-    assert abs(spot[1]) < 1 and 24 < abs(spot[0]) < 40
 
 
 def test_a_loop_measures_as_perfect_where_it_has_no_crossing() -> None:
