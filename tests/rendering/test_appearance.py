@@ -14,11 +14,11 @@ from knotgym.rendering.appearance import (
     render,
 )
 from knotgym.rendering.picture import PictureError, crossing_pixels, draw
-from knotgym.rendering.picture_check import shown_strands
 from knotgym.rope.model import Array, Rope
 from knotgym.topology.crossings import find_crossings, label
 
 from ..conftest import curled
+from .test_picture import shown_strands
 
 ALL = AppearanceConfig(vary=VARIED, sizes=(64, 128, 256))
 

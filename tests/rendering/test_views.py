@@ -16,11 +16,10 @@ from knotgym.rendering.picture import (
     draw,
     draw_many,
 )
-from knotgym.rendering.picture_check import shown_strands
 from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.crossings import find_crossings
 
-from .test_picture import curves
+from .test_picture import curves, shown_strands
 
 ALL = ("top", "left", "front")
 # view -> the world's directions that go right and up in the picture, and towards the camera
