@@ -15,11 +15,11 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
+from picture_check import shown_strands
 from rope_states import tangled
 
 from knotgym.common.errors import KnotgymError
 from knotgym.rendering.picture import PictureConfig, draw
-from knotgym.rendering.picture_check import shown_strands
 from knotgym.topology.crossings import find_crossings
 
 

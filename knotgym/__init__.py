@@ -1,8 +1,8 @@
-"""knotgym: a closed rope in MuJoCo, goals that are Gauss codes, and the data to learn to tie them.
+"""knotgym: tie and untie a simulated closed rope; goals are Gauss codes.
 
-Importing this registers the environments knotgym/Unknot-v0, knotgym/Tie-v0 and knotgym/Convert-v0
-with Gymnasium, and for OGBench knotgym/tie-nx2-v0 and the like (`adapters.ogbench_environment`).
-The names below are imported when they are first used.
+Importing this package registers the environments knotgym/Unknot-v0, knotgym/Tie-v0 and
+knotgym/Convert-v0 with Gymnasium, and knotgym/tie-nx2-v0 and the like for OGBench
+(`adapters.ogbench_environment`). All names below are imported on first use.
 """
 
 import os
@@ -83,31 +83,32 @@ __all__ = [
 
 
 def _is_writable(folder: Path) -> bool:
-    """Return whether a folder, or the nearest one above it that is there, can be written to."""
-    there = next(one for one in (folder, *folder.parents) if one.exists())
-    return there.is_dir() and os.access(there, os.W_OK)
+    """Return whether a folder, or its nearest existing parent, is writable."""
+    existing = next(one for one in (folder, *folder.parents) if one.exists())
+    return existing.is_dir() and os.access(existing, os.W_OK)
 
 
 def _require_kernel_cache() -> None:
-    """Give numba a temporary folder for its machine code where it has no other.
+    """Give numba a temporary cache folder if it has no other.
 
-    Numba caches beside the package or in the user's cache folder, and where it can write to neither
-    it refuses to import a cached function. The folder goes when the process ends.
+    Numba caches compiled functions in the package's folder or in the user's cache folder. If it can
+    write to neither, importing a cached function fails. The temporary folder is deleted when the
+    process ends.
     """
     user = (
         Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")).absolute()
         / "numba"
     )
-    beside = Path(__file__).parent / "__pycache__"
-    # Numba would take the folder, whose files are unpickled, from a .numba_config.yaml in the
-    # current folder unless the variable is set; "" stands for its own default
-    if os.environ.setdefault("NUMBA_CACHE_DIR", "") or any(map(_is_writable, (beside, user))):
+    package = Path(__file__).parent / "__pycache__"
+    # Numba unpickles the files in its cache folder. Unless the variable is set, a
+    # .numba_config.yaml in the current folder could choose that folder; "" means the default.
+    if os.environ.setdefault("NUMBA_CACHE_DIR", "") or any(map(_is_writable, (package, user))):
         return
     import atexit
     import shutil
     import tempfile
 
-    folder = tempfile.mkdtemp(prefix="knotgym-numba-")  # of this user alone: the cache is code
+    folder = tempfile.mkdtemp(prefix="knotgym-numba-")  # only this user can write: it holds code
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     os.environ["NUMBA_CACHE_DIR"] = folder  # worker processes inherit it
 
@@ -122,9 +123,9 @@ for _task in ("unknot", "tie", "convert"):
         kwargs={"task": _task},
     )
     for _nx in (2, 3, 4):
-        for _look, _seen in (("", "state"), ("visual-", "pixels")):  # OGBench goes by the name
+        for _prefix, _observation in (("", "state"), ("visual-", "pixels")):  # OGBench's prefix
             gymnasium.register(
-                id=f"knotgym/{_look}{_task}-nx{_nx}-v0",
+                id=f"knotgym/{_prefix}{_task}-nx{_nx}-v0",
                 entry_point="knotgym.adapters.ogbench_environment:OGBenchEnv",
-                kwargs={"task": _task, "nx": _nx, "split": "test", "observation": _seen},
+                kwargs={"task": _task, "nx": _nx, "split": "test", "observation": _observation},
             )

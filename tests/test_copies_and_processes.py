@@ -14,8 +14,8 @@ from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 
 from knotgym.envs.environment import KnotEnv, KnotVectorEnv
 
-from .test_env import same
-from .test_vector_env import actions
+from .envs.test_env import same
+from .envs.test_vector_env import actions
 
 STEPS = 3
 Settings = dict[str, Any]

@@ -1,8 +1,8 @@
-"""Environments turned into what trainers expect.
+"""Adapters of the environments to other libraries.
 
-`sb3_vec_env` is a Stable-Baselines3 `VecEnv` over one batched simulation, `goal_env` an environment
-whose goals hindsight may change, `OGBenchEnv` what the ids `knotgym/tie-nx2-v0` and the like make
-for OGBench's agents. The names below are imported when they are first used.
+`sb3_vec_env` makes a Stable-Baselines3 `VecEnv` over one batched simulation, `goal_env` an
+environment for hindsight experience replay. `OGBenchEnv` is the environment behind the ids
+`knotgym/tie-nx2-v0` and the like, for OGBench's agents. All names are imported on first use.
 """
 
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""A Stable-Baselines3 VecEnv over one batched simulation; imported only by who has that library."""
+"""A Stable-Baselines3 VecEnv over one batched simulation; importing it needs that library."""
 
 from __future__ import annotations
 
@@ -10,7 +10,12 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 
 from knotgym.adapters.goal_environment import Goals
-from knotgym.envs.environment import action_space, observation_space, task_config
+from knotgym.envs.environment import (
+    action_space,
+    observation_space,
+    stack_observations,
+    task_config,
+)
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import InvalidSetting
 
@@ -18,18 +23,16 @@ Indices = int | Iterable[int] | None
 
 
 class BatchedVecEnv(VecEnv):
-    """See `sb3_vec_env`.
+    """A VecEnv of ropes that are stepped together; see `sb3_vec_env`.
 
     Attributes:
-        episodes: the ropes.
-        goals: what they achieved and shall achieve, or None.
+        episodes: the batch of episodes.
+        goals: achieved and desired goals, or None without `goals=True`.
     """
 
     def __init__(
         self, task: str, num_envs: int, threads: int, goals: bool, settings: dict[str, Any]
     ) -> None:
-        if num_envs < 1:
-            raise InvalidSetting(f"num_envs must be at least 1, got {num_envs}")
         config = task_config(task, {**({"failure_reward": 0.0} if goals else {}), **settings})
         self.render_mode = "rgb_array"
         self.num_envs = num_envs
@@ -42,24 +45,24 @@ class BatchedVecEnv(VecEnv):
         super().__init__(num_envs, space, action_space())
 
     def reset(self) -> Any:
-        """Start every episode over, with the seeds and options given before."""
+        """Restart every episode, with the seeds and options that were set."""
         for i, (seed, options) in enumerate(zip(self._seeds, self._options, strict=True)):
             if seed is not None:
                 self._rngs[i] = np.random.default_rng(seed)
             self._begin(i, options)
         self._reset_seeds()
         self._reset_options()
-        return self._stacked([self._observation(i) for i in range(self.num_envs)])
+        return stack_observations([self._observation(i) for i in range(self.num_envs)])
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
-        """Take note of the actions."""
+        """Store the actions for `step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
-        """Take them."""
+        """Take the stored actions; episodes that end are restarted at once."""
         rewards, terminated, truncated = self.episodes.step(self._actions, np.arange(self.num_envs))
         dones = terminated | truncated
-        seen, infos = [], []
+        observations, infos = [], []
         for i in range(self.num_envs):
             info = {
                 **self.episodes.info(i),
@@ -69,22 +72,22 @@ class BatchedVecEnv(VecEnv):
                 info["terminal_observation"] = self._observation(i)
                 self._begin(i)
             infos.append(info)
-            seen.append(self._observation(i))
-        return self._stacked(seen), rewards.astype(np.float32), dones, infos
+            observations.append(self._observation(i))
+        return stack_observations(observations), rewards.astype(np.float32), dones, infos
 
     def close(self) -> None:
-        """There is nothing to close."""
+        """Do nothing; there are no resources to release."""
 
     def get_images(self) -> Sequence[NDArray[np.uint8]]:
-        """One picture a rope, uint8 (size, 2 size, 3)."""
+        """Return one picture per rope, uint8 (size, 2 size, 3)."""
         return [self.episodes.rgb(i) for i in range(self.num_envs)]
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """An attribute of the ropes, the same for all."""
+        """Return an attribute, which is the same for all ropes."""
         return [getattr(self, attr_name)] * len(self._which(indices))
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Set an attribute of all ropes; they have none of their own."""
+        """Set an attribute of all ropes; setting it for some of them is not supported."""
         if len(self._which(indices)) < self.num_envs:
             raise InvalidSetting(f"{attr_name} is the same for all ropes: set it without indices")
         setattr(self, attr_name, value)
@@ -92,18 +95,18 @@ class BatchedVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call `compute_reward`, the one method there is, as `HerReplayBuffer` does."""
+        """Call a method once per index; `HerReplayBuffer` calls `compute_reward` this way."""
         method = getattr(self, method_name)
         return [method(*method_args, **method_kwargs) for _ in self._which(indices)]
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Indices = None) -> list[bool]:
-        """No rope is in any wrapper."""
+        """Return False for every rope; ropes are not wrapped individually."""
         return [False] * len(self._which(indices))
 
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
-        """As `Goals.reward`; `info` isn't asked."""
+        """Compute rewards as `Goals.reward`; `info` is not used."""
         if self.goals is None:
-            raise InvalidSetting("there are no goals to compute rewards of: ask for goals=True")
+            raise InvalidSetting("compute_reward needs goals: create the VecEnv with goals=True")
         return self.goals.reward(achieved_goal, desired_goal)
 
     def _begin(self, index: int, options: dict[str, Any] | None = None) -> None:
@@ -116,11 +119,6 @@ class BatchedVecEnv(VecEnv):
         if self.goals is not None:
             return self.goals.observation(index)
         return self.episodes.observation(index)
-
-    def _stacked(self, each: list[Any]) -> Any:
-        if isinstance(each[0], dict):
-            return {name: np.stack([seen[name] for seen in each]) for name in each[0]}
-        return np.stack(each)
 
     def _which(self, indices: Indices) -> Sequence[int]:
         return list(self._get_indices(indices))

@@ -1,10 +1,10 @@
-"""Environments whose goal is told apart from what is seen, so that hindsight may change it.
+"""Goal-conditioned environments for hindsight experience replay.
 
 A goal is a Gauss code, int16 (1 + SYMBOLS,): a 1, then its visits as in a "symbolic" observation.
-What a rope has achieved is written alike, but begins with 0 where it can be nobody's success: the
-rope shows the code that the episode began with, lies beyond `tow_limit`, or shows more crossings
-than there is room for. Half of all states show the code that their episode began with; hindsight
-that took them for goals would hand out success for nothing.
+An achieved goal has the same format, but starts with 0 if it must not count as a success: because
+the rope shows the code with which the episode started, is beyond `tow_limit`, or shows more
+crossings than fit. Half of all states show their episode's first code; relabelling them as goals
+would reward doing nothing.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from knotgym.topology.gauss import GaussCode
 
 
 class GoalEnv(KnotEnv):
-    """As `KnotEnv`; an observation is a dict of what hindsight needs, see `goal_env`."""
+    """A `KnotEnv` whose observation is a dict for hindsight relabelling, see `goal_env`."""
 
     def __init__(self, task: str, render_mode: str | None = "rgb_array", **settings: Any) -> None:
         settings = {"failure_reward": 0.0, **settings}
@@ -35,18 +35,18 @@ class GoalEnv(KnotEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """As `KnotEnv.reset`."""
+        """Start an episode, as `KnotEnv.reset`."""
         info = super().reset(seed=seed, options=options)[1]
         self.goals.begin(0)
         return self.goals.observation(0), info
 
     def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """As `KnotEnv.step`."""
+        """Take one action, as `KnotEnv.step`."""
         _, *outcome = super().step(action)
         return self.goals.observation(0), *outcome  # type: ignore[return-value]
 
     def compute_reward(self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any) -> Any:
-        """As `Goals.reward`; `info` isn't asked."""
+        """Compute rewards as `Goals.reward`; `info` is not used."""
         return self.goals.reward(achieved_goal, desired_goal)
 
 
@@ -57,29 +57,29 @@ def goal_env(task: str, **settings: Any) -> GoalEnv:
 
         observation     uint8 (size, size, 3), float32 (3 beads,) or int16 (SYMBOLS,): the rope
         achieved_goal   int16 (1 + SYMBOLS,): the code that the rope shows, see this module
-        desired_goal    the same, of the goal
+        desired_goal    int16 (1 + SYMBOLS,): the code of the goal
 
-    and `compute_reward(achieved_goal, desired_goal, info)` is what `step` pays: `success_reward`
-    for the goal's code, else 0.
+    and `compute_reward(achieved_goal, desired_goal, info)` equals the reward of `step`:
+    `success_reward` if the rope shows the goal's code, else 0.
 
     Args:
         task: "unknot", "tie" or "convert".
-        settings: as `KnotEnv`; `observation` is "pixels", "state" or "symbolic". A goal that
-            anyone may change can't be asked for how long it was held, nor how many steps are left:
-            `hold` is 1, and `failure_reward` 0.
+        settings: keywords of `KnotEnv`. `observation` must be "pixels", "state" or "symbolic".
+            `hold` must be 1 and `failure_reward` 0, because a relabelled goal determines neither
+            how long it was held nor how many steps are left.
 
     Raises:
-        InvalidSetting: another setting.
+        InvalidSetting: a setting is invalid.
     """
     return GoalEnv(task, **settings)
 
 
 class Goals:
-    """What the episodes of a batch achieved and shall achieve.
+    """Achieved and desired goals of a batch of episodes.
 
     Attributes:
-        episodes: the batch; `begin` is to be called after its own.
-        space: of `observation`.
+        episodes: the batch; call `begin` after `EpisodeBatch.begin`.
+        space: observation space.
     """
 
     def __init__(self, episodes: EpisodeBatch) -> None:
@@ -87,8 +87,8 @@ class Goals:
         require_one_side(config)
         if config.hold != 1 or config.failure_reward:
             raise InvalidSetting(
-                "a goal that hindsight may change is paid for at once and costs nothing: hold must"
-                f" be 1 and failure_reward 0, got {config.hold} and {config.failure_reward}"
+                "with goals that may be relabelled, hold must be 1 and failure_reward 0, got"
+                f" {config.hold} and {config.failure_reward}"
             )
         self.episodes = episodes
         self._began: list[GaussCode] = [GaussCode(())] * episodes.count
@@ -98,26 +98,27 @@ class Goals:
         )
 
     def begin(self, index: int) -> None:
-        """Episode `index` has just begun: remember with which code."""
+        """Store the first code of episode `index`, which has just begun."""
         self._began[index] = self.episodes.codes[index]
 
     def observation(self, index: int) -> dict[str, NDArray[Any]]:
-        """What the agent of episode `index` sees."""
+        """Return the observation of episode `index`."""
         code = self.episodes.codes[index]
         return {
             "observation": halves(self.episodes.observation(index))[0],
-            "achieved_goal": _written(code, self._counts(index)),
-            "desired_goal": _written(self.episodes.goals[index], True),
+            "achieved_goal": _encoded(code, self._counts(index)),
+            "desired_goal": _encoded(self.episodes.goals[index], True),
         }
 
     def reward(self, achieved_goal: ArrayLike, desired_goal: ArrayLike) -> Any:
-        """What goals (..., 1 + SYMBOLS) pay: `success_reward` where they are equal and count."""
+        """Return `success_reward` where goals (..., 1 + SYMBOLS) are equal and count, else 0."""
         achieved, desired = np.asarray(achieved_goal), np.asarray(desired_goal)
         reached = (achieved == desired).all(axis=-1) & (desired[..., 0] == 1)
-        paid = np.where(reached, self.episodes.config.success_reward, 0.0)
-        return paid if paid.ndim else float(paid)
+        rewards = np.where(reached, self.episodes.config.success_reward, 0.0)
+        return rewards if rewards.ndim else float(rewards)
 
     def _counts(self, index: int) -> bool:
+        """Return whether the code that rope `index` shows may count as a success."""
         episodes, code = self.episodes, self.episodes.codes[index]
         limit = episodes.config.tow_limit
         if code.matches(self._began[index]) or len(code.visits) > SYMBOLS:
@@ -128,25 +129,26 @@ class Goals:
 
 
 def rope_space(config: TaskConfig) -> spaces.Box:
-    """The space of what is seen of the rope alone."""
+    """Return the space of the rope's half of an observation."""
     whole: Any = observation_space(config)
     return spaces.Box(halves(whole.low)[0], halves(whole.high)[0], dtype=whole.dtype)
 
 
-def halves(seen: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """What is seen of the rope, and of its goal; of a picture, a state or symbols."""
-    rope, goal = np.split(seen, 2, axis=1 if seen.ndim == 3 else 0)
-    return (rope[0], goal[0]) if seen.ndim == 2 else (rope, goal)
+def halves(observation: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Split an observation (picture, state or symbols) into the rope's and the goal's half."""
+    rope, goal = np.split(observation, 2, axis=1 if observation.ndim == 3 else 0)
+    return (rope[0], goal[0]) if observation.ndim == 2 else (rope, goal)
 
 
 def require_one_side(config: TaskConfig) -> None:
-    """Refuse settings of what is shown that mean nothing where the rope is shown alone."""
+    """Raise InvalidSetting if observations of the task can't be split by `halves`."""
     if config.observation == "both" or config.layout != "beside":
         raise InvalidSetting(
-            "where the rope is shown without its goal, observation is pixels, state or symbolic,"
-            f" and layout beside; got {config.observation!r} and {config.layout!r}"
+            "an environment that shows the rope without its goal needs observation 'pixels',"
+            " 'state' or 'symbolic', and layout 'beside';"
+            f" got {config.observation!r} and {config.layout!r}"
         )
 
 
-def _written(code: GaussCode, counts: bool) -> NDArray[np.int16]:
+def _encoded(code: GaussCode, counts: bool) -> NDArray[np.int16]:
     return np.concatenate([np.array([counts], np.int16), numbers(code.visits)])

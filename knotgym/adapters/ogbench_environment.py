@@ -1,7 +1,8 @@
-"""A goal-conditioned environment as OGBench's agents evaluate in.
+"""A goal-conditioned environment for the evaluation of OGBench's agents.
 
-The ids `knotgym/tie-nx2-v0`, `knotgym/visual-tie-nx2-v0` and the like make it. OGBench makes an id
-of a dataset's name, `knotgym/tie-nx2-expert-v0`, less the policy's; "visual" asks for pictures.
+Its ids are `knotgym/tie-nx2-v0`, `knotgym/visual-tie-nx2-v0` and the like. OGBench derives an id
+from the name of a dataset, such as `knotgym/tie-nx2-expert-v0`, by removing the policy's name;
+"visual" stands for pictures.
 """
 
 from __future__ import annotations
@@ -15,20 +16,20 @@ from knotgym.adapters.goal_environment import halves, require_one_side, rope_spa
 from knotgym.envs.environment import KnotEnv
 from knotgym.envs.tasks import InvalidSetting
 
-TASKS = 5  # evaluation goals, as OGBench has
+TASKS = 5  # number of evaluation goals, as in OGBench
 
 
 class OGBenchEnv(KnotEnv):
-    """As `KnotEnv`; an observation is the rope alone, its goal is in `info` of `reset`.
+    """A `KnotEnv` whose observation is the rope alone; the goal is in `info`.
 
-    `reset(options={"task_id": k})` is the k-th of `task_infos`; without it start and goal are
-    drawn. `render_goal` puts a picture of the goal into `info["goal_rendered"]`. `info` holds
-    numbers alone (`numeric_infos`), `info["goal"]` the goal as an observation (its row is
-    `info["goal_row"]`), `info["success"]` what `is_success` says.
+    `reset(options={"task_id": k})` starts the k-th of `task_infos`; without it, start and goal are
+    sampled. The option `render_goal` adds a picture of the goal as `info["goal_rendered"]`. `info`
+    holds numbers only (`numeric_infos`); `info["goal"]` is the goal as an observation, its row
+    `info["goal_row"]`, and `info["success"]` equals `info["is_success"]`.
 
     Attributes:
-        task_infos: five pairs of a start and a goal, spread evenly over the rows of the split:
-            `task_name`, and the rows `start` and `goal`.
+        task_infos: five pairs of a start and a goal, spread evenly over the rows of the split, as
+            dicts of `task_name` and the rows `start` and `goal`.
     """
 
     def __init__(self, task: str, render_mode: str | None = "rgb_array", **settings: Any) -> None:
@@ -50,32 +51,32 @@ class OGBenchEnv(KnotEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """As `KnotEnv.reset`; options also `task_id`, 1 to 5, and `render_goal`."""
-        wanted = dict(options or {})
-        task_id, render_goal = wanted.pop("task_id", None), wanted.pop("render_goal", False)
+        """Start an episode; options as in `KnotEnv`, and `task_id`, 1 to 5, and `render_goal`."""
+        options = dict(options or {})
+        task_id, render_goal = options.pop("task_id", None), options.pop("render_goal", False)
         if task_id is not None:
             if task_id not in range(1, TASKS + 1):
-                raise InvalidSetting(f"task_id is a number from 1 to {TASKS}, got {task_id!r}")
+                raise InvalidSetting(f"task_id must be a number from 1 to {TASKS}, got {task_id!r}")
             chosen = self.task_infos[task_id - 1]
-            wanted = {"start": chosen["start"], "goal": chosen["goal"], **wanted}
-        seen, info = super().reset(seed=seed, options=wanted)
+            options = {"start": chosen["start"], "goal": chosen["goal"], **options}
+        both, info = super().reset(seed=seed, options=options)
         if render_goal:
             info["goal_rendered"] = halves(self.episodes.rgb(0))[1]
-        return _told(seen, info)
+        return _goal_to_info(both, info)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """As `KnotEnv.step`."""
-        whole, reward, terminated, truncated, info = super().step(action)
-        seen, info = _told(whole, info)
-        return seen, reward, terminated, truncated, info
+        """Take one action, as `KnotEnv.step`."""
+        both, reward, terminated, truncated, info = super().step(action)
+        rope, info = _goal_to_info(both, info)
+        return rope, reward, terminated, truncated, info
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The rope alone, uint8 (size, size, 3)."""
-        seen = super().render()
-        return None if seen is None else halves(seen)[0]
+        """Return the rope alone, uint8 (size, size, 3)."""
+        picture = super().render()
+        return None if picture is None else halves(picture)[0]
 
 
-def _told(seen: NDArray[Any], info: dict[str, Any]) -> tuple[NDArray[Any], dict[str, Any]]:
-    """The rope alone, and what OGBench looks for in `info`."""
-    rope, goal = halves(seen)
+def _goal_to_info(both: NDArray[Any], info: dict[str, Any]) -> tuple[NDArray[Any], dict[str, Any]]:
+    """Move the goal's half of an observation to `info`, under the keys that OGBench expects."""
+    rope, goal = halves(both)
     return rope, {**info, "goal_row": info["goal"], "goal": goal, "success": info["is_success"]}

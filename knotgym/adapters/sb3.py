@@ -1,4 +1,4 @@
-"""Stable-Baselines3's trainers over one batched simulation."""
+"""Adapter to Stable-Baselines3."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ def sb3_vec_env(
 ) -> Any:
     """Make a `stable_baselines3.common.vec_env.VecEnv` of ropes that are stepped together.
 
-    Rope i of a VecEnv seeded with s does what `KnotEnv` seeded with s + i does. An episode that
-    ends starts over at once, as in Stable-Baselines3's own classes: its last observation is in
-    `infos[i]["terminal_observation"]`, `infos[i]["TimeLimit.truncated"]` says whether it was cut
-    off. Wrap it in `VecMonitor` for returns and lengths.
+    Rope i of a VecEnv seeded with s behaves as `KnotEnv` seeded with s + i. As in
+    Stable-Baselines3's own classes, an episode that ends is restarted at once: its last observation
+    is `infos[i]["terminal_observation"]`, and `infos[i]["TimeLimit.truncated"]` says whether it was
+    truncated. Wrap the VecEnv in `VecMonitor` for returns and lengths.
 
     Args:
         task: "unknot", "tie" or "convert".
-        num_envs: ropes.
-        threads: of the simulation, 0 for every core.
-        goals: observations as `goal_env`'s, for `HerReplayBuffer`.
-        settings: as `KnotEnv`.
+        num_envs: number of ropes.
+        threads: threads of the simulation, 0 for every core.
+        goals: whether observations are those of `goal_env`, for `HerReplayBuffer`.
+        settings: keywords of `KnotEnv`.
 
     Raises:
         MissingExtra: Stable-Baselines3 isn't installed.
-        InvalidSetting: a setting that can't be had.
+        InvalidSetting: a setting is invalid.
     """
     try:
         from knotgym.adapters.batched_vec_env import BatchedVecEnv

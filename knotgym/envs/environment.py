@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 
 _FPS = 5  # an action lasts 0.192 s
 _NEXT_STEP, _SAME_STEP, _DISABLED = "NextStep", "SameStep", "Disabled"  # Gymnasium's values
-_MODE: Any = getattr(gym.vector, "AutoresetMode", str)  # before 1.1 Gymnasium had no class for it
+_MODE: Any = getattr(gym.vector, "AutoresetMode", str)  # Gymnasium before 1.1 has no such class
 
 
 def observation_space(config: TaskConfig, beads: int = 100) -> spaces.Space[Any]:
-    """What one agent sees."""
+    """Return the observation space of one rope."""
     height, width, channels = len(config.views) * config.image_size, config.image_size, 3
     channels += config.depth
     beside = config.layout == "beside"
@@ -46,12 +46,12 @@ def observation_space(config: TaskConfig, beads: int = 100) -> spaces.Space[Any]
 
 
 def action_space() -> spaces.Space[NDArray[np.float32]]:
-    """(x, y, z, fx, fy, fz), see `knotgym.rope.actions`."""
+    """Return the action space of one rope, (x, y, z, fx, fy, fz); see `knotgym.rope.actions`."""
     return cast("spaces.Space[NDArray[np.float32]]", spaces.Box(-1.0, 1.0, (6,), np.float32))
 
 
 class KnotEnv(gym.Env[Any, NDArray[np.float32]]):
-    """One rope; see `TaskConfig` for the keywords and `EpisodeBatch.info` for what `info` holds."""
+    """Environment with one rope; see `TaskConfig` for keywords and `EpisodeBatch.info` for info."""
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": _FPS}
 
@@ -61,7 +61,7 @@ class KnotEnv(gym.Env[Any, NDArray[np.float32]]):
         self.render_mode = _checked(render_mode, "rgb_array", "human")
         self._window: Window | None = None
         if render_mode == "human":
-            from knotgym.rendering.window import Window  # pygame is needed for this mode alone
+            from knotgym.rendering.window import Window  # only this mode needs pygame
 
             self._window = Window(_FPS)
         self.episodes = EpisodeBatch(self.config)
@@ -73,7 +73,7 @@ class KnotEnv(gym.Env[Any, NDArray[np.float32]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Start over; options `start` and `goal` pick rows of the state file."""
+        """Start a new episode; options `start` and `goal` choose rows of the state file."""
         super().reset(seed=seed)
         self.episodes.begin(0, self.np_random, options)
         self._show()
@@ -83,8 +83,8 @@ class KnotEnv(gym.Env[Any, NDArray[np.float32]]):
         """Take one action.
 
         Raises:
-            InvalidAction: NaN or a number outside [-1, 1]; nothing has moved.
-            gymnasium.error.ResetNeeded: before the first reset.
+            InvalidAction: a number is NaN or outside [-1, 1]; the rope has not moved.
+            gymnasium.error.ResetNeeded: the environment was never reset.
         """
         _require_reset(self.episodes)
         reward, terminated, truncated = self.episodes.step(np.asarray(action)[None], np.array([0]))
@@ -100,7 +100,7 @@ class KnotEnv(gym.Env[Any, NDArray[np.float32]]):
         )
 
     def render(self) -> NDArray[np.uint8] | None:
-        """The rope and its goal, uint8 (views * size, 2 size, 3); None unless "rgb_array"."""
+        """Return the rope and its goal, uint8 (views * size, 2 size, 3), in mode "rgb_array"."""
         return self.episodes.rgb(0) if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
@@ -122,14 +122,15 @@ class KnotEnv(gym.Env[Any, NDArray[np.float32]]):
 
 
 class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]):
-    """Many ropes, stepped together; rope i with seed s does what `KnotEnv` does with seed s + i.
+    """Environment with many ropes; with seed s, rope i behaves as `KnotEnv` with seed s + i.
 
     Args:
-        task: as KnotEnv.
-        num_envs: ropes.
-        threads: of the simulation, 0 for every core.
-        autoreset_mode: Gymnasium's, or "next_step", "same_step", "disabled".
-        settings: as KnotEnv.
+        task: "unknot", "tie" or "convert".
+        num_envs: number of ropes.
+        threads: threads of the simulation, 0 for every core.
+        autoreset_mode: "next_step", "same_step" or "disabled", or Gymnasium's constants.
+        render_mode: "rgb_array" or None.
+        settings: keywords, see `TaskConfig`.
     """
 
     metadata = {
@@ -150,8 +151,6 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         warn_of_compilation()
         self.config = task_config(task, settings)
         self.render_mode = _checked(render_mode, "rgb_array")
-        if num_envs < 1:
-            raise InvalidSetting(f"num_envs must be at least 1, got {num_envs}")
         self.num_envs = num_envs
         self._autoreset, self.autoreset_mode = _autoreset(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
@@ -166,7 +165,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         self._done = np.zeros(num_envs, dtype=bool)
 
     def __len__(self) -> int:
-        """The ropes."""
+        """Return the number of ropes."""
         return self.num_envs
 
     def reset(
@@ -175,9 +174,9 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Any, dict[str, Any]]:
-        """Start over; options as KnotEnv's, and Gymnasium's `reset_mask`, bool (num_envs,)."""
-        wanted = dict(options or {})
-        mask = np.asarray(wanted.pop("reset_mask", np.ones(self.num_envs, dtype=bool)))
+        """Start new episodes; options as in `KnotEnv`, and `reset_mask`, bool (num_envs,)."""
+        options = dict(options or {})
+        mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, dtype=bool)))
         if mask.shape != (self.num_envs,) or mask.dtype != bool:
             raise InvalidSetting(
                 f"reset_mask must be {self.num_envs} booleans, got {mask.dtype} of shape"
@@ -193,7 +192,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         for i in np.flatnonzero(mask):
             if seeds[i] is not None:
                 self._rngs[i] = np.random.default_rng(seeds[i])
-            self.episodes.begin(int(i), self._rngs[i], wanted)
+            self.episodes.begin(int(i), self._rngs[i], options)
         self._done[mask] = False
         return self._observations(), self._infos(
             {int(i): self.episodes.info(int(i)) for i in np.flatnonzero(mask)}
@@ -202,7 +201,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
     def step(
         self, actions: NDArray[np.float32]
     ) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Take one action with every rope; ended episodes start over as `autoreset_mode` says."""
+        """Take one action with every rope; `autoreset_mode` says when ended episodes restart."""
         _require_reset(self.episodes)
         done = self._done.copy()
         actions = np.asarray(actions)
@@ -218,11 +217,12 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         rewards = np.zeros(self.num_envs)
         terminated = np.zeros(self.num_envs, dtype=bool)
         truncated = np.zeros(self.num_envs, dtype=bool)
-        go_on = np.flatnonzero(~done)
-        if len(go_on):
-            rewards[go_on], terminated[go_on], truncated[go_on] = self.episodes.step(
-                actions[go_on], go_on
+        running = np.flatnonzero(~done)
+        if len(running):
+            rewards[running], terminated[running], truncated[running] = self.episodes.step(
+                actions[running], running
             )
+        # next_step: what ended in the step before is reset in this one, and its action ignored
         for i in np.flatnonzero(done):
             self.episodes.begin(int(i), self._rngs[i])
         self._done = terminated | truncated
@@ -241,16 +241,13 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         return self._observations(), rewards, terminated, truncated, infos
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """One picture a rope, uint8 (views * size, 2 size, 3) each."""
+        """Return one picture per rope, uint8 (views * size, 2 size, 3) each."""
         if self.render_mode != "rgb_array":
             return None
         return tuple(self.episodes.rgb(i) for i in range(self.num_envs))
 
     def _observations(self) -> Any:
-        each = [self.episodes.observation(i) for i in range(self.num_envs)]
-        if isinstance(each[0], dict):
-            return {name: np.stack([seen[name] for seen in each]) for name in each[0]}
-        return np.stack(each)
+        return stack_observations([self.episodes.observation(i) for i in range(self.num_envs)])
 
     def _infos(self, each: dict[int, dict[str, Any]]) -> dict[str, Any]:
         infos: dict[str, Any] = {}
@@ -259,12 +256,19 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         return infos
 
 
+def stack_observations(each: list[Any]) -> Any:
+    """Stack the observations of ropes, arrays or dicts of arrays, along a new first axis."""
+    if isinstance(each[0], dict):
+        return {name: np.stack([one[name] for one in each]) for name in each[0]}
+    return np.stack(each)
+
+
 def task_config(task: str, settings: dict[str, Any]) -> TaskConfig:
-    """What keywords ask for.
+    """Return the settings that keywords specify.
 
     Raises:
-        UnknownKeyword: there is no such keyword.
-        InvalidSetting: it can't be had.
+        UnknownKeyword: a keyword is unknown.
+        InvalidSetting: a value is invalid.
     """
     known = TaskConfig.__dataclass_fields__
     unknown = [name for name in settings if name not in known]
@@ -277,7 +281,7 @@ def task_config(task: str, settings: dict[str, Any]) -> TaskConfig:
 
 
 def _autoreset(mode: str | AutoresetMode) -> tuple[str, str | AutoresetMode]:
-    """What a mode is called, and as what Gymnasium knows it."""
+    """Return the name of an autoreset mode and Gymnasium's constant for it."""
     known = {"next_step": _NEXT_STEP, "same_step": _SAME_STEP, "disabled": _DISABLED}
     given = str(getattr(mode, "value", mode))
     name = known.get(given, given)

@@ -1,7 +1,7 @@
-"""Episodes of one task, many at once: what the single and the vector environment share.
+"""Batches of episodes of one task, shared by the single and the vector environment.
 
-Rows are drawn from the state file, laid with noise that keeps their Gauss code, stepped, labelled,
-rewarded and shown here; `env.py` only dresses this in Gymnasium's two interfaces.
+Sampling of starts and goals, reset noise, stepping, Gauss codes, rewards and observations are
+implemented here; `environment` wraps them in Gymnasium's two interfaces.
 """
 
 from __future__ import annotations
@@ -37,27 +37,30 @@ from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import UNKNOT
 
-OWN, SHIPPED = "own", "shipped"  # the state file asked for, or the one that ships
+OWN, SHIPPED = "own", "shipped"  # origin of states: the user's file, or a set that ships
 
 
 class EpisodeBatch:
-    """`count` episodes side by side; episode i is never touched by what the others do.
+    """A batch of `count` independent episodes.
 
     Attributes:
-        config: the task.
+        config: settings of the task.
         simulation: the ropes.
-        codes: the Gauss code each rope shows now, with chirality.
-        goals: the code each rope shall show.
+        codes: the current Gauss code of each rope, with chirality.
+        goals: the goal code of each rope.
         steps: int (count,), actions taken since the reset.
-        held: int (count,), consecutive steps the goal has been shown.
-        failed: bool (count,), the simulation blew up in the last step.
-        origins: float64 (count, 3), metres, where each rope's centre was at reset.
-        beads: int (count,), pulled in the last step; -1 at reset.
-        forces: float64 (count, 3), newtons, applied to them in the last step.
-        applied_shares: float64 (count,), of the forces asked for, see `Simulation.step`.
+        held: int (count,), consecutive steps for which the goal has been shown.
+        failed: bool (count,), whether the simulation blew up in the last step.
+        origins: float64 (count, 3), each rope's centre at reset, metres.
+        beads: int (count,), bead pulled in the last step; -1 at reset.
+        forces: float64 (count, 3), force applied to it in the last step, newtons.
+        applied_shares: float64 (count,), fraction of the requested force that was applied, see
+            `Simulation.step`.
     """
 
     def __init__(self, config: TaskConfig, count: int = 1, threads: int = 1) -> None:
+        if count < 1:
+            raise InvalidSetting(f"num_envs must be at least 1, got {count}")
         self.config = config
         self.count = count
         self.simulation = Simulation(count, Rope(config.rope), threads)
@@ -84,12 +87,13 @@ class EpisodeBatch:
         self.applied_shares = np.ones(count)
 
     def rows(self, side: str) -> NDArray[np.int64]:
-        """The rows of the state file that the "start" or the "goal" is drawn from."""
+        """Return the rows of the state file from which the "start" or the "goal" is sampled."""
         return self._rows[side]
 
     def goal_rows(self, start: int) -> NDArray[np.int64]:
-        """The rows that the goal of an episode from a start row is drawn from: no goal shows the
-        start's code.
+        """Return the goal rows for an episode that starts in row `start`.
+
+        Goals that show the start's code already are left out.
         """
         rows = self._rows["goal"]
         if self._start_nx != self.config.goal_nx:
@@ -99,20 +103,22 @@ class EpisodeBatch:
     def begin(
         self, index: int, rng: np.random.Generator, options: dict[str, Any] | None = None
     ) -> None:
-        """Start episode `index` over: draw a start and a goal, lay the rope.
+        """Restart episode `index`: sample a start and a goal, and lay the rope.
 
         Args:
             index: which episode.
-            rng: every draw comes from it.
-            options: `start` and `goal` name rows of the state file each comes from; others are
-                refused.
+            rng: source of every draw.
+            options: `start` and `goal` choose rows of the respective state files.
+
+        Raises:
+            InvalidSetting: an option is unknown, or a row doesn't belong to the task.
         """
-        wanted = dict(options or {})
-        start = self._choose(wanted.pop("start", None), self.rows("start"), "start", rng)
-        goal = self._choose(wanted.pop("goal", None), self.goal_rows(start), "goal", rng)
-        if wanted:
+        options = dict(options or {})
+        start = self._choose(options.pop("start", None), self.rows("start"), "start", rng)
+        goal = self._choose(options.pop("goal", None), self.goal_rows(start), "goal", rng)
+        if options:
             raise InvalidSetting(
-                f"no reset option {', '.join(map(repr, wanted))}; there is start, goal"
+                f"no reset option {', '.join(map(repr, options))}; there is start, goal"
             )
         self.start_row[index], self.goal_row[index] = start, goal
         code = GaussCode.parse(str(self._starts.gauss_code_chiral[start]))
@@ -135,15 +141,15 @@ class EpisodeBatch:
         self.beads[index], self.forces[index], self.applied_shares[index] = -1, 0.0, 1.0
 
     def step(self, actions: ArrayLike, ids: NDArray[np.int64]) -> Outcome:
-        """Take one action in each episode of `ids`; see `reward` for what it pays.
+        """Take one action in each episode of `ids`; see `reward` for the outcome.
 
-        A rope whose simulation blew up stays where it was, is truncated, and `failed` says so.
+        If a simulation blows up, its rope doesn't move, its episode is truncated and `failed` set.
         """
         simulation = self.simulation
-        self.beads[ids], asked = simulation.read_actions(actions, ids)
-        self.failed[ids] = ~simulation.step(self.beads[ids], asked, ids)
+        self.beads[ids], requested = simulation.read_actions(actions, ids)
+        self.failed[ids] = ~simulation.step(self.beads[ids], requested, ids)
         self.applied_shares[ids] = simulation.applied_shares[ids]
-        self.forces[ids] = self.applied_shares[ids, None] * asked
+        self.forces[ids] = self.applied_shares[ids, None] * requested
         for index, code in zip(ids, label_many(simulation.points[ids]), strict=True):
             self.codes[index] = code
         reached = np.array(
@@ -151,8 +157,9 @@ class EpisodeBatch:
         )
         towed = np.zeros(len(ids), dtype=bool)
         if self.config.tow_limit is not None:
-            far = distances_towed(self.simulation.points[ids], self.origins[ids])
-            towed = far > self.config.tow_limit
+            towed = (
+                distances_towed(simulation.points[ids], self.origins[ids]) > self.config.tow_limit
+            )
         self.steps[ids] += 1
         self.held[ids] = np.where(reached & ~towed, self.held[ids] + 1, 0)
         return self.config.reward_rule.outcome(
@@ -160,13 +167,13 @@ class EpisodeBatch:
         )
 
     def tow_bound(self, index: int) -> TowBound | None:
-        """Where the centre of rope `index` may be; None where it may be anywhere."""
+        """Return the bound on towing of rope `index`; None without a `tow_limit`."""
         if self.config.tow_limit is None:
             return None
         return TowBound(self.origins[index].copy(), self.config.tow_limit)
 
     def picture(self, index: int) -> NDArray[np.uint8]:
-        """The rope now, left, and its goal, right: uint8 (views * size, 2 size, 3 or 4)."""
+        """Draw the rope on the left and its goal on the right: (views * size, 2 size, 3 or 4)."""
         goal = int(self.goal_row[index])
         if goal not in self._goal_images:
             self._goal_images[goal] = draw(self._goals.points[goal], self._picture)
@@ -176,27 +183,27 @@ class EpisodeBatch:
         return seen
 
     def rgb(self, index: int) -> NDArray[np.uint8]:
-        """The picture without its depth: uint8 (views * size, 2 size, 3)."""
+        """Return the picture without depth: uint8 (views * size, 2 size, 3)."""
         return np.ascontiguousarray(self.picture(index)[..., :3])
 
     def state(self, index: int) -> NDArray[np.float32]:
-        """Vertices of the rope now, then of its goal, metres: float32 (6 beads,)."""
+        """Return the vertices of the rope, then of its goal: float32 (6 beads,), metres."""
         seen: NDArray[np.float32] = state(
             self.simulation.points[index][None], self._goals.points[self.goal_row[index]]
         )[0]
         return seen
 
     def symbols(self, index: int) -> NDArray[np.int16]:
-        """Gauss codes of the rope now, and of its goal: int16 (2, SYMBOLS)."""
-        told: NDArray[np.int16] = symbols([self.codes[index]], self.goals[index])[0]
-        return told
+        """Return the encoded Gauss codes of the rope and of its goal: int16 (2, SYMBOLS)."""
+        encoded: NDArray[np.int16] = symbols([self.codes[index]], self.goals[index])[0]
+        return encoded
 
     def goal_points(self, index: int) -> Array:
-        """The goal's exemplar, float64 (beads, 3), metres; a copy."""
+        """Return a copy of the goal configuration, float64 (beads, 3), metres."""
         return self._goals.points[self.goal_row[index]].copy()
 
     def observation(self, index: int) -> Any:
-        """What the agent of episode `index` sees, as `config.observation` says."""
+        """Return the observation of episode `index`, of the kind `config.observation`."""
         if self.config.observation == "pixels":
             return self._pixels(index)
         if self.config.observation == "state":
@@ -206,14 +213,14 @@ class EpisodeBatch:
         return {"pixels": self._pixels(index), "state": self.state(index)}
 
     def info(self, index: int) -> dict[str, Any]:
-        """Labels and counts of episode `index`, the same keys at every step; arrays are copies.
+        """Return the `info` of episode `index`, the same keys at every step; arrays are copies.
 
         With `numeric_infos` every value is a NumPy array. Codes are int16 (SYMBOLS,), see
-        `observations.numbers`; the chiral one is int16 (SYMBOLS // 2,), a sign a crossing; whose
-        states they are is True for SHIPPED.
+        `observations.numbers`; chirality is int16 (SYMBOLS // 2,), one sign per crossing; the
+        origins of states are True for SHIPPED.
         """
         code, goal = self.codes[index], self.goals[index]
-        told = {
+        info = {
             "gauss_code": str(code),
             "gauss_code_chiral": code.chiral,
             "goal_gauss_code": str(goal),
@@ -228,14 +235,14 @@ class EpisodeBatch:
             "applied_share": float(self.applied_shares[index]),
         }
         if not self.config.numeric_infos:
-            return told
+            return info
         numeric = {
             "gauss_code": numbers(code.visits),
             "gauss_code_chiral": numbers(code.signs, SYMBOLS // 2),
             "goal_gauss_code": numbers(goal.visits),
             **{name: origin == SHIPPED for name, origin in self._came_from.items()},
         }
-        return {name: np.asarray(numeric.get(name, value)) for name, value in told.items()}
+        return {name: np.asarray(numeric.get(name, value)) for name, value in info.items()}
 
     def _pixels(self, index: int) -> NDArray[np.uint8]:
         seen = self.picture(index)
@@ -245,11 +252,11 @@ class EpisodeBatch:
         self, row: object, rows: NDArray[np.int64], name: str, rng: np.random.Generator
     ) -> int:
         nx = self._start_nx if name == "start" else self.config.goal_nx
-        # drawn even if unused: the noise that follows doesn't depend on options
+        # drawn even if unused, so that the noise that follows doesn't depend on options
         drawn = int(rows[rng.integers(len(rows))])
         if row is None:
             return drawn
-        if isinstance(row, np.ndarray) and not row.ndim:  # as numeric infos say it
+        if isinstance(row, np.ndarray) and not row.ndim:  # from numeric infos
             row = row.item()
         if isinstance(row, bool) or not isinstance(row, (int, np.integer)) or row not in rows:
             few = self.config.max_goals if name == "goal" else None
@@ -262,7 +269,7 @@ class EpisodeBatch:
 
 
 class _TaskSide(NamedTuple):
-    """What a side of a task draws from: states, whose they are (OWN or SHIPPED), and their nx."""
+    """States of a task's starts or goals, their origin (OWN or SHIPPED), and their nx."""
 
     states: States
     origin: str
@@ -270,23 +277,23 @@ class _TaskSide(NamedTuple):
 
 
 def state_origins(config: TaskConfig) -> dict[str, str]:
-    """Where the states of a task come from: OWN or SHIPPED for `start` and for `goal`.
+    """Return the origin of a task's states, OWN or SHIPPED, for `start` and for `goal`.
 
     Raises:
-        InvalidSetting: they cannot be had.
+        InvalidSetting: there are no such states.
     """
     starts, goals = _sides(config)
     return {"start": starts.origin, "goal": goals.origin}
 
 
 def _sides(config: TaskConfig) -> tuple[_TaskSide, _TaskSide]:
-    """The states that a task's starts, and those that its goals, are drawn from.
+    """Return the states from which a task's starts and goals are sampled.
 
-    They come from the file asked for; plain loops, and they alone, from the set that ships where
-    that file has none of either split.
+    They come from the requested file. Only plain loops come from the set that ships, if the file
+    has none in either split.
 
     Raises:
-        InvalidSetting: there are none, or no rope can be pulled from a start to a goal.
+        InvalidSetting: there are none, or starts and goals are of different knot types.
     """
     path = states_file(config.states)
     own = _of_our_rope(path)
@@ -298,19 +305,20 @@ def _sides(config: TaskConfig) -> tuple[_TaskSide, _TaskSide]:
     if len({*knots[0], *knots[1]}) > 1:
         raise InvalidSetting(
             f"task {config.task!r} with nx = {config.nx} would start as {', '.join(knots[0])} and"
-            f" end as {', '.join(knots[1])}, and no pull changes the knot type; {_fit(config, own)}"
+            f" end as {', '.join(knots[1])}, and no action changes the knot type;"
+            f" {_fit(config, own)}"
         )
     codes = goals.states.gauss_code[goals.states.rows(goals.nx, config.split)[: config.max_goals]]
     if starts.nx == goals.nx and len(set(codes.tolist())) < 2:
         raise InvalidSetting(
-            f"a tie to nx = {goals.nx} starts at the least diagram of {knots[0][0]} in {path},"
+            f"a tie to nx = {goals.nx} starts at the simplest diagram of {knots[0][0]} in {path},"
             f" which shows its only goal's code already; {_fit(config, own)}"
         )
     return starts, goals
 
 
 def _side(config: TaskConfig, path: Path, own: States, nx: int) -> _TaskSide:
-    """The states with nx crossings that a side of the task draws from."""
+    """Return the states with nx crossings from which a side of the task is sampled."""
     states, origin = own, SHIPPED if ships(config.states) else OWN
     if nx == 0 and not (states.nx == 0).any():
         path, origin = shipped(), SHIPPED
@@ -318,17 +326,17 @@ def _side(config: TaskConfig, path: Path, own: States, nx: int) -> _TaskSide:
     if not len(states.rows(nx, config.split)):
         if config.split in CODE_SPLITS and len(states.rows(nx, config.split[:-5])):
             raise InvalidSetting(
-                f"split {config.split!r} has no state with nx = {nx} of {path}: too few diagrams"
-                " are shown to hold one out; give split 'train' or 'test'"
+                f"split {config.split!r} has no state with nx = {nx} in {path}: there are too few"
+                " diagrams to hold one out; use split 'train' or 'test'"
             )
         if set(own.knot.tolist()) not in (set(), {UNKNOT}):
             advice = _fit(config, own)
         elif there := sorted(set(states.split[states.nx == nx].tolist())):
-            advice = f"Give split {' or '.join(map(repr, there))}"
+            advice = f"Use split {' or '.join(map(repr, there))}"
         else:
-            advice = f"Make some: knotgym-generate --nx {nx}"
+            advice = f"Generate some: knotgym-generate --nx {nx}"
         raise InvalidSetting(
-            f"no states with nx = {nx} in split {config.split!r} of {path}, asked for by task"
+            f"no states with nx = {nx} in split {config.split!r} of {path}, needed by task"
             f" {config.task!r} with nx = {config.nx}; it has {_contents(states)}."
             f" {advice}"
         )
@@ -336,7 +344,7 @@ def _side(config: TaskConfig, path: Path, own: States, nx: int) -> _TaskSide:
 
 
 def _fit(config: TaskConfig, own: States) -> str:
-    """Which tasks go with the states of a file."""
+    """Return which tasks fit the states of a file, as text for errors."""
     knots = sorted(set(own.knot.tolist()))
     if len(knots) > 1:
         return f"these states are {', '.join(knots)}: keep one type, with knotgym dataset select"
@@ -344,9 +352,9 @@ def _fit(config: TaskConfig, own: States) -> str:
 
 
 def _of_our_rope(path: Path) -> States:
-    """The states of a file, refused if made for another rope."""
+    """Read the states of a file; raise InvalidSetting if they were made for another rope."""
     states = _read(path, path.stat().st_mtime_ns if path.exists() else 0)
-    # the usual rope's, however finely an action is integrated: a configuration at rest fits
+    # states at rest don't depend on the integrator's step, so the default rope is compared
     made_for, ours = states.attributes.get("rope"), RopeConfig().fingerprint
     if made_for != ours:
         raise InvalidSetting(f"{path} was made for rope model {made_for}, this version has {ours}")
@@ -359,7 +367,7 @@ def _of_our_rope(path: Path) -> States:
 
 
 def _contents(states: States) -> str:
-    """Which crossings and splits a file has, as "nx 0 (train, test), 3 (test)"."""
+    """List the crossings and splits of a file, as in "nx 0 (train, test), 3 (test)"."""
     splits = {
         nx: ", ".join(dict.fromkeys(states.split[states.nx == nx].tolist()))
         for nx in sorted(set(states.nx.tolist()))
@@ -369,7 +377,7 @@ def _contents(states: States) -> str:
 
 @lru_cache(maxsize=4)
 def _read(path: Path, written: int) -> States:
-    """States without pictures, read once a process, and again when the file was `written` anew."""
+    """Read states without pictures, cached by the time at which the file was `written`."""
     return read_states(path, images=False)
 
 

@@ -1,4 +1,4 @@
-"""Which tasks fit the knot types of a state file; no pull changes a rope's knot type."""
+"""Tasks that fit the knot types of a state file; no action changes a rope's knot type."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from knotgym.topology.knot_table import UNKNOT
 
 
 def start_nx(task: TaskConfig, states: States) -> int:
-    """Crossings that episodes of a task on a file's states begin with.
+    """Return the number of crossings with which episodes of a task start.
 
-    A tie begins at the least diagram of the knot that its goals are: the plain loop, or of another
-    knot the fewest crossings that the file has.
+    A tie starts at the simplest diagram of its goals' knot type: the plain loop for the unknot,
+    else the diagrams with the fewest crossings in the file.
     """
     knots = set(states.knot[states.nx == task.goal_nx].tolist())
     if task.task != "tie" or not knots or UNKNOT in knots:
@@ -22,7 +22,7 @@ def start_nx(task: TaskConfig, states: States) -> int:
 
 
 def fitting_tasks(states: States, split: str) -> str:
-    """The ties and conversions between states of a file's one knot, as a user is told them."""
+    """Return the ties and conversions that a file of one knot type allows, as text for errors."""
     there = [nx for nx in sorted(set(states.nx.tolist())) if len(states.rows(nx, split))]
     least = int(states.nx.min())
     ties = [nx for nx in there if nx > least and least in there]

@@ -1,8 +1,7 @@
-"""What the agent sees of a rope and its goal: both pictures side by side, or both's vertices, or
-both's Gauss codes.
+"""Observations of a rope and its goal: pictures side by side, vertices, or Gauss codes.
 
-The environment, the datasets and the loaders all observe through this one module, so that a stored
-observation is the environment's byte for byte.
+The environment, the datasets and the loaders all use this module, so that stored observations equal
+the environment's byte for byte.
 """
 
 from __future__ import annotations
@@ -18,11 +17,11 @@ from knotgym.rendering.picture import PictureConfig, draw, draw_many
 from knotgym.topology.crossings import label, label_many
 from knotgym.topology.gauss import GaussCode
 
-SYMBOLS = 64  # visits of a code that an agent is told, two a crossing
+SYMBOLS = 64  # visits of a code in an observation, two per crossing
 
 
 def picture_config(task: TaskConfig) -> PictureConfig:
-    """How a task's environment draws."""
+    """Return the picture settings of a task's environment."""
     drawn: dict[str, Any] = {"camera": task.camera, "renderer": task.renderer}
     return PictureConfig(size=task.image_size, views=task.views, depth=task.depth, **drawn)
 
@@ -30,27 +29,27 @@ def picture_config(task: TaskConfig) -> PictureConfig:
 def pixels(
     points: ArrayLike, goal_picture: NDArray[np.uint8], picture: PictureConfig
 ) -> NDArray[np.uint8]:
-    """Ropes left, their one goal right; views one below another.
+    """Draw ropes on the left and their common goal on the right; views are stacked vertically.
 
     Args:
         points: float64 (n, beads, 3), metres.
         goal_picture: uint8 (views * size, size, 3 or 4), the goal as `draw` draws it.
-        picture: how the ropes are drawn.
+        picture: settings of the pictures.
 
     Returns:
-        uint8 (n, views * size, 2 size, 3), with depth 4 channels.
+        uint8 (n, views * size, 2 size, 3); 4 channels with depth.
     """
     ropes = draw_many(points, picture)
     return np.concatenate([ropes, np.broadcast_to(goal_picture, ropes.shape)], axis=2)
 
 
 def stacked(pictures: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Pictures uint8 (..., size, 2 size, 3) as (..., size, size, 6), the goal's channels last."""
+    """Rearrange pictures (..., size, 2 size, 3) to (..., size, size, 6), goal channels last."""
     return np.concatenate(np.split(pictures, 2, axis=-2), axis=-1)
 
 
 def state(points: ArrayLike, goal_points: ArrayLike) -> NDArray[np.float32]:
-    """Vertices of ropes, then those of their one goal.
+    """Concatenate the vertices of each rope with those of their common goal.
 
     Args:
         points: float64 (n, beads, 3), metres.
@@ -66,10 +65,10 @@ def state(points: ArrayLike, goal_points: ArrayLike) -> NDArray[np.float32]:
 
 
 def symbols(codes: Sequence[GaussCode], goal: GaussCode) -> NDArray[np.int16]:
-    """Gauss codes of ropes, each above that of their one goal.
+    """Encode the Gauss codes of ropes, each with that of their common goal.
 
-    A visit is +label over and -label under, as in `GaussCode.visits`, and 0 after the last. Of a
-    code of more than SYMBOLS visits the first SYMBOLS are kept.
+    A visit is +label over and -label under, as in `GaussCode.visits`; codes are padded with 0 to
+    SYMBOLS visits, longer ones cut off there.
 
     Returns:
         int16 (n, 2, SYMBOLS), in [-SYMBOLS, SYMBOLS].
@@ -77,18 +76,18 @@ def symbols(codes: Sequence[GaussCode], goal: GaussCode) -> NDArray[np.int16]:
     >>> symbols([GaussCode((1, -1), "c")], GaussCode(()))[0, :, :3].tolist()
     [[1, -1, 0], [0, 0, 0]]
     """
-    told = np.zeros((len(codes), 2, SYMBOLS), dtype=np.int16)
+    encoded = np.zeros((len(codes), 2, SYMBOLS), dtype=np.int16)
     for row, code in enumerate(codes):
-        told[row] = numbers(code.visits), numbers(goal.visits)
-    return told
+        encoded[row] = numbers(code.visits), numbers(goal.visits)
+    return encoded
 
 
 def numbers(code: Iterable[int], length: int = SYMBOLS) -> NDArray[np.int16]:
-    """The first `length` of a code's visits or signs, then 0: int16 (length,)."""
-    told = np.zeros(length, dtype=np.int16)
+    """Cut or pad a code's visits or signs with 0 to `length`: int16 (length,)."""
+    padded = np.zeros(length, dtype=np.int16)
     first = tuple(code)[:length]
-    told[: len(first)] = first
-    return told
+    padded[: len(first)] = first
+    return padded
 
 
 def observe(
@@ -98,16 +97,17 @@ def observe(
     picture: PictureConfig,
     layout: str = "beside",
 ) -> Any:
-    """What an agent sees at each of n states.
+    """Return the observations of n states.
 
     Args:
         points: float64 (n, beads, 3), metres.
         goal_points: float64 (beads, 3), metres.
         observation: "pixels", "state", "both" or "symbolic".
-        picture, layout: how they are drawn and laid out, see `TaskConfig`; used for pixels alone.
+        picture, layout: settings of the pictures, see `TaskConfig`; used for pixels only.
 
     Returns:
-        `pixels`, perhaps `stacked`, `state`, a dict of the two, or `symbols`.
+        `pixels` (rearranged by `stacked` if layout is "stacked"), `state`, a dict of both, or
+        `symbols`.
     """
     if observation == "symbolic":
         return symbols(label_many(np.asarray(points)), label(np.asarray(goal_points)))

@@ -1,13 +1,13 @@
-"""The reward rule: what an episode pays, and when it ends.
+"""Rewards and ends of episodes.
 
-    the goal code shown `hold` steps running    success_reward, terminated
-    else, at step `horizon`                     failure_reward, truncated
-    else, where the rope was towed too far      failure_reward, truncated
-    else, where the simulation blew up          0, truncated
-    else                                        0, goes on
+    the goal code was shown for `hold` consecutive steps    success_reward, terminated
+    otherwise, at step `horizon`                            failure_reward, truncated
+    otherwise, if the rope was towed too far                failure_reward, truncated
+    otherwise, if the simulation blew up                    0, truncated
+    otherwise                                               0, the episode continues
 
-The code is compared without chirality (`GaussCode.matches`). A step in which the simulation blew up
-never succeeds, and pays 0 at the horizon too.
+Codes are compared without chirality (`GaussCode.matches`). A step in which the simulation blew up
+never succeeds, and its reward is 0 even at the horizon.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ FAILURE_REWARD = -5.0
 
 
 class Outcome(NamedTuple):
-    """What n steps pay, float64 (n,), and whether they end their episodes, bool (n,) each."""
+    """Rewards of n steps, float64 (n,), and whether they end their episodes, bool (n,) each."""
 
     rewards: NDArray[np.float64]
     terminated: NDArray[np.bool_]
@@ -32,12 +32,13 @@ class Outcome(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class RewardRule:
-    """The rule's numbers; a task's are `TaskConfig.reward_rule`.
+    """Parameters of the reward; for those of a task see `TaskConfig.reward_rule`.
 
     Attributes:
-        hold: consecutive steps the goal code must show.
+        hold: consecutive steps for which the goal code must be shown.
         horizon: steps until truncation.
-        success_reward, failure_reward: paid at success, and at the horizon without it.
+        success_reward: reward on success.
+        failure_reward: reward at the horizon, or beyond the bound on towing, without success.
     """
 
     hold: int = 1
@@ -48,14 +49,14 @@ class RewardRule:
     def outcome(
         self, held: ArrayLike, steps: ArrayLike, failed: ArrayLike, towed: ArrayLike = False
     ) -> Outcome:
-        """What steps pay.
+        """Return the rewards of n steps and whether they end their episodes.
 
         Args:
-            held: int (n,), consecutive steps that the goal has been shown by then.
-            steps: int (n,), taken by then since the reset.
-            failed: bool (n,), the simulation blew up in this step.
-            towed: bool (n,), the rope lies beyond the bound on towing; such states count as none
-                that show the goal.
+            held: int (n,), consecutive steps up to this one that showed the goal within the bound
+                on towing.
+            steps: int (n,), steps since the reset, this one included.
+            failed: bool (n,), whether the simulation blew up in this step.
+            towed: bool (n,), whether the rope is beyond the bound on towing.
 
         >>> RewardRule(hold=2, horizon=9).outcome([2, 1, 1], [4, 4, 9], [False] * 3).rewards
         array([ 5.,  0., -5.])
@@ -72,9 +73,10 @@ class RewardRule:
 
 
 def success_at_last(steps: int, success_reward: float = SUCCESS_REWARD) -> Outcome:
-    """The outcome of so many steps of which the last, and no other, succeeds.
+    """Return the outcome of an episode that succeeds in its last step only.
 
-    Such is an episode that was cut in hindsight where it reached the goal it now has.
+    An episode that is relabelled in hindsight, and cut where it reaches its new goal, has this
+    outcome.
 
     >>> success_at_last(3).rewards
     array([0., 0., 5.])
@@ -88,11 +90,11 @@ def success_at_last(steps: int, success_reward: float = SUCCESS_REWARD) -> Outco
 
 
 def consecutive(shown: ArrayLike) -> NDArray[np.int64]:
-    """How many states running, up to and with each, show the goal: int64 (n,).
+    """Count the consecutive states up to each one that show the goal: int64 (n,).
 
     >>> consecutive([True, True, False, True])
     array([1, 2, 0, 1])
     """
     seen = np.asarray(shown, dtype=bool)
-    place = np.arange(1, len(seen) + 1)
-    return place - np.maximum.accumulate(np.where(seen, 0, place))
+    index = np.arange(1, len(seen) + 1)
+    return index - np.maximum.accumulate(np.where(seen, 0, index))  # index - last state without it

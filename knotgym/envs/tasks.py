@@ -1,4 +1,4 @@
-"""The three tasks: where a rope starts, which Gauss code it shall show, and all other settings."""
+"""The three tasks, and the settings of their environments."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from knotgym.rope.model import RopeConfig
 
 OBSERVATIONS = ("pixels", "state", "both", "symbolic")
-LAYOUTS = ("beside", "stacked")  # of the two halves of a picture
-MAX_NX = 11  # the largest of the hard unknots; a rope has hardly room for more
+LAYOUTS = ("beside", "stacked")  # arrangement of the rope's and the goal's picture
+MAX_NX = 11  # crossings of the largest hard unknots; the rope hardly has room for more
 
 # task -> (crossings of the start, crossings of the goal) for a difficulty nx
 TASKS: dict[str, Callable[[int], tuple[int, int]]] = {
@@ -28,54 +28,53 @@ TASKS: dict[str, Callable[[int], tuple[int, int]]] = {
 
 
 class InvalidSetting(KnotgymError, ValueError):
-    """A keyword of an environment that cannot be had."""
+    """An invalid setting of an environment."""
 
 
 class UnknownKeyword(InvalidSetting, TypeError):
-    """There is no such keyword.
+    """An unknown keyword of an environment.
 
-    A TypeError in Python's own words, for TorchRL tries again without `frameskip` on no other.
+    A TypeError in Python's own words, because TorchRL retries without `frameskip` only on these.
     """
 
 
 @dataclass(frozen=True, kw_only=True)
 class TaskConfig:
-    """What an environment was asked for.
+    """Settings of an environment.
 
-    Every field is JSON-able and a keyword of `gymnasium.make`.
+    Every field is JSON-serializable and a keyword of `gymnasium.make`.
 
     Attributes:
         task: "unknot", "tie" or "convert".
         nx: crossings of the tangled side; convert starts at nx - 1.
-        split: rows of the state file to draw from: "train" or "test"; or "train-code" and
-            "test-code", parts of those two that share no code even up to symmetry.
-        states: "readable" (the same as None), "random-walk" or "hard-unknots", sets that ship,
-            see `datasets.states.shipped`; or path of a state file, or of the run that made it, or
-            id of a Minari dataset that carries one. Plain loops, and they alone, come from the
-            readable set where a file has none.
+        split: rows of the state file to sample from: "train" or "test"; or "train-code" or
+            "test-code", subsets of these two that share no code, even up to symmetry.
+        states: a set that ships, "readable" (the same as None), "random-walk" or "hard-unknots"; or
+            the path of a state file, or of the run that made it; or the id of a Minari dataset that
+            contains one. If a file has no plain loops, they come from the readable set.
         observation: "pixels", "state", "both" or "symbolic".
-        max_goals: so many goal configurations of the split at most are drawn from, the first by
-            row; None for all.
+        max_goals: sample goals from the first so many goal configurations of the split; None for
+            all.
         horizon: steps until truncation.
-        hold: consecutive steps the goal code must show.
-        tow_limit: metres that the rope's centre may be from where it was at reset; farther off no
-            state counts as the goal, and the episode is truncated. None for no bound. With 0.04
-            an action that is only repeated hardly ever unties a rope (`benchmarks/towing.py`).
+        hold: consecutive steps for which the goal code must be shown.
+        tow_limit: largest distance of the rope's centre from its position at reset, metres. Beyond
+            it no state counts as the goal, and the episode is truncated. None for no limit. With
+            0.04, repeating one action hardly ever unties a rope (`benchmarks/towing.py`).
         reset_noise: scale of the noise at reset, radians per joint and metres.
-        image_size: pixels, each half of the picture.
-        views: where the rope is seen from: "top", "left", "front", each at most once, one picture
-            below another.
-        depth: a fourth channel, how near to the camera the rope is, see `rendering.picture`.
+        image_size: side of each half of the picture, pixels.
+        views: "top", "left" and "front", each at most once; pictures are stacked vertically.
+        depth: whether pictures have depth as a fourth channel, see `rendering.picture`.
         layout: "beside", rope left and goal right, (size, 2 size, 3); or "stacked", the goal's
-            channels behind the rope's, (size, size, 6).
+            channels after the rope's, (size, size, 6).
         camera: "orthographic" or "perspective".
-        renderer: "auto", "opencv" or "mujoco"; depth is drawn by OpenCV alone.
-        integrator_steps: MuJoCo steps that the 0.192 s of an action are cut into; 24 as published.
-            With 20 an action takes five sixths of the time, and the bead furthest off ends 0.2 mm
-            from where 24 put it, 2 mm after ten actions (`benchmarks/physics.py`). With fewer,
+        renderer: "auto", "opencv" or "mujoco"; "mujoco" doesn't draw depth.
+        integrator_steps: MuJoCo steps into which an action's 0.192 s are divided; 24 as published.
+            20 steps take five sixths of the time; compared with 24, some bead ends up 0.2 mm away
+            after one action and 2 mm after ten (`benchmarks/physics.py`). With fewer than 20,
             ropes under large forces blow up; with 20, two in 100,000 random steps did.
-        success_reward, failure_reward: paid at success, and at the horizon without it.
-        numeric_infos: `info` holds integers where it else holds text, see `EpisodeBatch.info`.
+        success_reward: reward on success.
+        failure_reward: reward at the horizon, or beyond `tow_limit`, without success.
+        numeric_infos: whether `info` holds numbers instead of text, see `EpisodeBatch.info`.
     """
 
     task: str
@@ -128,8 +127,8 @@ class TaskConfig:
                 raise InvalidSetting(f"{name} must be a whole number {right}, got {value!r}")
         if self.split in CODE_SPLITS and self.nx < 2:
             raise InvalidSetting(
-                f"split {self.split!r} needs diagrams to hold out, and with nx = {self.nx} there is"
-                " one up to symmetry; give an nx of at least 2, or split 'train' or 'test'"
+                f"split {self.split!r} needs several diagrams, and with nx = {self.nx} there is"
+                " only one up to symmetry; use an nx of at least 2, or split 'train' or 'test'"
             )
         if self.hold > self.horizon:
             raise InvalidSetting(
@@ -166,7 +165,7 @@ class TaskConfig:
 
     @property
     def reward_rule(self) -> RewardRule:
-        """What an episode pays, and when it ends."""
+        """Parameters of the reward."""
         return RewardRule(
             hold=self.hold,
             horizon=self.horizon,
@@ -176,12 +175,12 @@ class TaskConfig:
 
     @property
     def rope(self) -> RopeConfig:
-        """The usual rope, an action's time cut into `integrator_steps`."""
+        """The default rope, with an action's time divided into `integrator_steps`."""
         from knotgym.rope.model import RopeConfig  # here, so that loaders need no simulator
 
-        usual = RopeConfig()
+        default = RopeConfig()
         return replace(
-            usual,
+            default,
             frame_skip=self.integrator_steps,
-            timestep=usual.timestep * usual.frame_skip / self.integrator_steps,
+            timestep=default.timestep * default.frame_skip / self.integrator_steps,
         )

@@ -1,1 +1,1 @@
-"""How good a state is: measures, limits, difficulty."""
+"""Quality of states: measures, limits and difficulty of reading."""

@@ -1,4 +1,4 @@
-"""What a picture's configuration keeps to, lest its label be in doubt or its picture untrue."""
+"""Margins that make the Gauss code of a configuration unambiguous and its picture true."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from knotgym.topology.crossings import Crossings, visit_spacing
 
 @dataclass(frozen=True, kw_only=True)
 class LabelLimits:
-    """How far a configuration stays from one with another label.
+    """Smallest distances from a configuration with another Gauss code.
 
     Attributes:
-        visits: beads along the rope between two visits; 0.25 are 3 mm, and rounding moves visits by
-            1e-12 of that.
-        base: beads from either end of the white base bead to the nearest visit outside it.
-        clearance: millimetres between the axes at a crossing, from which the order of painting is
-            true (see `rendering.rasterizer`).
+        visits: distance along the rope between two visits, beads; 0.25 is 3 mm, and rounding
+            errors are 1e-12 of that.
+        base: distance from either end of the white base bead to the nearest visit outside it,
+            beads.
+        clearance: distance between the axes at a crossing, millimetres, above which the strands are
+            painted in the right order (see `rendering.rasterizer`).
     """
 
     visits: float = 0.25
@@ -34,16 +35,16 @@ LABEL_LIMITS = LabelLimits()
 
 
 def visits_too_close(crossings: Crossings, beads: int, limits: LabelLimits = LABEL_LIMITS) -> bool:
-    """Whether two visits lie so close that either could be the first."""
+    """Return whether two visits are so close that their order is ambiguous."""
     return visit_spacing(crossings, beads) < limits.visits
 
 
 def at_base(crossings: Crossings, beads: int, limits: LabelLimits = LABEL_LIMITS) -> bool:
-    """Whether a crossing lies so near the white bead that it could be counted first or last."""
-    places = np.concatenate([crossings.over_place, crossings.under_place])
-    return bool(((places < 1 + limits.base) | (places > beads - limits.base)).any())
+    """Return whether a crossing is so close to the base bead that it could be first or last."""
+    visits = np.concatenate([crossings.over_place, crossings.under_place])
+    return bool(((visits < 1 + limits.base) | (visits > beads - limits.base)).any())
 
 
 def pressed_together(clearance: float, limits: LabelLimits = LABEL_LIMITS) -> bool:
-    """Whether strands that cross are so near, millimetres, that either could be painted on top."""
+    """Return whether a clearance, millimetres, is so small that either strand may be on top."""
     return clearance < limits.clearance

@@ -1,52 +1,53 @@
-"""The measures of a state's quality, their units, and what a curated state must have of them.
+"""Measures of a state's quality, their units, and the limits for curated states.
 
-Every unit is one that a person can check with a ruler: pixels are those of the 128 x 128 picture,
-5.2 mm each; the rope is two of them wide. `knotgym.quality.measures` takes the measures.
+Lengths are in pixels of the 128 x 128 picture, 5.2 mm each; the rope is two pixels wide.
+`knotgym.quality.measures` computes the measures.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 
-# square pixels inside the axes of an eye that shows some background; where none is shown it says
-# which way is better
+# Area of a face whose region, inside the drawn rope, shows some background, square pixels. The
+# region's own area is 0 when no background shows, and so gives a search no direction; the face's
+# area, between the axes, does.
 FACE = 20.0
 
-# scale of the reset noise, radians per joint and metres: the environment's default, and the noise
-# that `Quality.noise_survival` is measured at
+# Scale of the reset noise, radians per joint and metres: the environment's default, and the scale
+# at which `Quality.noise_survival` is measured.
 RESET_NOISE = 0.015
 
 
 @dataclass(frozen=True)
 class Quality:
-    """The measures of one state.
+    """Quality measures of one state.
 
-    Where there is no crossing, those about crossings have the value of a perfect one.
+    Without crossings, the measures of crossings have the best possible value.
 
     Attributes:
         crossing_angle: smallest angle at which two strands cross in the picture, degrees in [0,
             90].
         crossing_spacing: smallest distance between two crossings, pixels, at most the picture's
             side.
-        base_spacing: from the white base bead along the rope to the nearest crossing, pixels, at
-            most the picture's side.
-        strand_spacing: smallest distance in the picture between the axes of two places more than
-            `quality.WALK` pixels of walk apart.
-        smallest_region: background of the smallest region that the drawn rope encloses, square
-            pixels; 0 if the picture doesn't show the nx + 2 regions, the outside among them, that a
+        base_spacing: distance along the rope from the white base bead to the nearest crossing,
+            pixels, at most the picture's side.
+        strand_spacing: smallest distance in the picture between two points of the axis that are
+            more than `measures.WALK` pixels apart along the drawing, pixels.
+        smallest_region: background area of the smallest region enclosed by the drawn rope, square
+            pixels; 0 if the picture doesn't show the nx + 2 regions, outside included, that a
             diagram with nx crossings has.
-        smallest_face: of the regions that the rope's axis encloses, had the rope no width, square
-            pixels.
-        margin: from the rope's edge to the edge of the picture, pixels; negative if the rope leaves
-            it.
+        smallest_face: area of the smallest region enclosed by the rope's axis, ignoring the rope's
+            width, square pixels.
+        margin: distance from the rope to the edge of the picture, pixels; negative if the rope
+            leaves the picture.
         clearance: smallest height of an over strand's axis above the under strand's, millimetres;
             two beads that touch have 10.
         excess_crossing_number: average crossing number over all directions of view minus the
-            crossings seen from above: turns of the rope about itself that this picture doesn't
-            show.
-        total_curvature: total turning of the rope's direction, in full turns; a flat loop has 1.
+            crossings seen from above; it counts turns of the rope about itself that this picture
+            hides.
+        total_curvature: total turning of the rope's direction, full turns; a flat loop has 1.
         writhe: sum of the crossing signs.
-        noise_survival: share of `quality.NOISE_DRAWS` draws of reset noise that keep the Gauss
+        noise_survival: fraction of `measures.NOISE_DRAWS` draws of reset noise that keep the Gauss
             code; NaN until measured.
     """
 
@@ -69,26 +70,25 @@ UNITS = {measure.name: str(measure.metadata["unit"]) for measure in fields(Quali
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What an accepted state keeps to.
+    """Limits that an accepted state must meet, in the units of `Quality`.
 
     Attributes:
-        crossing_angle: at least; under 25 degrees the two strands share more than five pixels of
-            their width.
-        crossing_spacing: at least; three widths of the rope leave a rope's width of background
-            between two crossings.
-        base_spacing: at least; a crossing nearer to the base bead could be counted first or last.
-        strand_spacing: at least; half again the rope's width, so that a dark pixel parts two
+        crossing_angle: minimum; below 25 degrees the two strands overlap over more than five
+            pixels.
+        crossing_spacing: minimum; three widths of the rope leave one width of background between
+            two crossings.
+        base_spacing: minimum; a crossing closer to the base bead could be counted first or last.
+        strand_spacing: minimum; 1.5 widths of the rope, so that a dark pixel separates two
             strands.
-        smallest_region: at least; a kink's eye three pixels wide is the least that a person finds
-            without looking for it.
-        margin: at least; the rope stays in the picture after reset noise, which moves no bead by
-            more than three pixels as a rule.
-        clearance: at least, millimetres; beads that are pressed into each other spring apart when
-            the episode begins.
-        excess_crossing_number: at most; a coil seen end-on hides about one crossing a turn, and two
-            turns of it still read well.
-        total_curvature: at most, turns, per crossing and one more for the loop itself.
-        noise_survival: at least.
+        smallest_region: minimum; a kink's eye three pixels wide is the smallest that a person
+            notices without searching.
+        margin: minimum; reset noise usually moves no bead by more than three pixels, so the rope
+            stays in the picture.
+        clearance: minimum; beads that overlap deeply spring apart when the episode begins.
+        excess_crossing_number: maximum; a coil seen end-on hides about one crossing per turn, and
+            two turns are still readable.
+        total_curvature: maximum per crossing, with one more for the loop itself.
+        noise_survival: minimum.
     """
 
     crossing_angle: float = 25.0
@@ -103,25 +103,29 @@ class Limits:
     noise_survival: float = 0.95
 
     def faults(self, quality: Quality, nx: int) -> list[str]:
-        """Names of the measures that miss their limit; an unmeasured noise_survival passes."""
+        """Return the measures that fail their limit; an unmeasured noise_survival passes."""
         missed = []
         for limit in fields(self):
             value, bound = getattr(quality, limit.name), getattr(self, limit.name)
             if limit.name == "excess_crossing_number":
-                short = value > bound
+                fails = value > bound
             elif limit.name == "total_curvature":
-                short = value > bound * (nx + 1)
+                fails = value > bound * (nx + 1)
             else:
-                short = value < bound
-            if short:
+                fails = value < bound
+            if fails:
                 missed.append(limit.name)
         return missed
 
     def objective(self, quality: Quality, nx: int) -> float:
-        """How far from comfortable, to be made small.
+        """Return a penalty for searches to minimize.
 
-        Nothing for a measure twice as good as its limit, 1 for each one just at it, more beyond.
+        It is a sum over the measures: 0 for a measure twice as good as its limit, 1 for a measure
+        at its limit, more for a worse one.
         """
+        # Squared hinges for lower limits, whose slope grows with the violation; linear hinges for
+        # upper limits. Strands that touch have a clearance of 10 mm, so twice its limit would be
+        # too much to ask; its penalty is 1 at the limit and 0 from 1 mm above. NaN is unmeasured.
         total = max(0.0, 2 - quality.smallest_face / FACE) ** 2
         for limit in fields(self):
             value, bound = getattr(quality, limit.name), getattr(self, limit.name)

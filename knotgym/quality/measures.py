@@ -1,12 +1,10 @@
-"""How well a rope state can be read off its picture, and how far from over-twisted it is.
+"""Computation of quality measures: how readable a state's picture is, and how twisted the rope.
 
-What the measures are, their units, and the limits that curated states keep to stand in
-`quality_limits`.
+`limits` defines the measures, their units and the limits for curated states.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -15,7 +13,7 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike
 
-from knotgym.quality.limits import FACE, UNITS, Limits, Quality
+from knotgym.quality.limits import UNITS, Limits, Quality
 from knotgym.rendering.picture import DEFAULT, PictureConfig, project
 from knotgym.rope.model import Array
 from knotgym.rope.reset_noise import noised
@@ -24,63 +22,20 @@ from knotgym.topology.diagrams import faces
 from knotgym.topology.gauss import GaussCode
 
 __all__ = [
-    "FACE",
     "NOISE_DRAWS",
     "UNITS",
     "WALK",
     "Limits",
     "Quality",
-    "Spots",
     "base_spacing",
     "measure",
     "noise_survival",
-    "spots_of",
-    "tightest_spot",
 ]
 
-# pixels of walk along the drawn rope, crossings may be turned at, beyond which two places are
-# different strands
+# Two points of the drawn rope belong to different strands if the shortest path between them along
+# the drawing is longer than this many pixels; a path may turn at crossings.
 WALK = 12.0
 NOISE_DRAWS = 64
-
-
-@dataclass(frozen=True, eq=False)
-class Spots:
-    """All the places of a picture that may be tight.
-
-    Attributes:
-        angles: of the crossings, degrees (nx,).
-        apart: distances of all pairs of crossings, pixels.
-        faces: areas, the outer one's among them, square pixels (nx + 2,).
-    """
-
-    angles: Array
-    apart: Array
-    faces: Array
-
-    def crampedness(self, limits: Limits) -> float:
-        """How far all of them together are from comfortable; `Limits.objective` asks the worst.
-
-        A rope with several tight spots gets better as any of them opens. Same scale as
-        `Limits.objective`; 0 for a roomy picture.
-        """
-        if not len(self.angles):
-            return 0.0
-        shares = (
-            self.faces / FACE,
-            self.apart / limits.crossing_spacing,
-            self.angles / limits.crossing_angle,
-        )
-        return float(sum((np.maximum(0.0, 2 - share) ** 2).sum() for share in shares))
-
-
-def spots_of(points: Array, crossings: Crossings, config: PictureConfig = DEFAULT) -> Spots:
-    """The spots of a configuration, float64 (beads, 3), metres."""
-    at = crossings.position * config.pixels_per_metre
-    apart = np.linalg.norm(at[:, None] - at[None, :], axis=2)[np.triu_indices(crossings.nx, 1)]
-    places = zip(crossings.over_place, crossings.under_place, strict=True)
-    angles = np.array([_angle(points, over, under) for over, under in places])
-    return Spots(angles, apart, _faces(project(points, config), crossings))
 
 
 def measure(
@@ -88,45 +43,45 @@ def measure(
     crossings: Crossings | None = None,
     config: PictureConfig = DEFAULT,
     *,
-    spots: Spots | None = None,
     quick: bool = False,
 ) -> Quality:
     """Measure a configuration, float64 (beads, 3), metres.
 
     Args:
-        points: left alone.
-        crossings: of these points, if they are known already.
-        config: of the picture it is measured in.
-        spots: of all that, if they are known already.
-        quick: leave out excess_crossing_number, half of the time.
+        points: not modified.
+        crossings: crossings of the points, if already known.
+        config: picture in which to measure.
+        quick: leave out excess_crossing_number, which takes half of the time.
 
     Returns:
-        All but noise_survival, which has a function of its own; NaN where left out.
+        All measures but noise_survival, which is computed by the function of that name; NaN for
+        measures left out.
     """
-    p = np.array(points, dtype=np.float64, order="C")  # writable, as in _closed() of crossings
+    # a writable copy, because numba would compile the kernels again for a read-only array
+    p = np.array(points, dtype=np.float64, order="C")
     crossings = find_crossings(p) if crossings is None else crossings
-    scale = config.pixels_per_metre
     size = float(config.size)
-    seen = project(p, config)
-    pixels = np.ascontiguousarray(seen)
+    pixels = np.ascontiguousarray(project(p, config))
     chord = np.roll(p, -1, axis=0) - p
-    length = np.linalg.norm(chord, axis=1)
-    unit = chord / length[:, None]
+    unit = chord / np.linalg.norm(chord, axis=1)[:, None]
     bends = np.arccos(np.clip((unit * np.roll(unit, -1, axis=0)).sum(axis=1), -1, 1))
-    radius = config.rope_radius * scale
-    regions = _regions(pixels, 2 * radius)[0]
-    spots = spots_of(p, crossings, config) if spots is None else spots
+    radius = config.rope_radius * config.pixels_per_metre
+    regions = _regions(pixels, 2 * radius)
+    at = crossings.position * config.pixels_per_metre
+    apart = np.linalg.norm(at[:, None] - at[None, :], axis=2)[np.triu_indices(crossings.nx, 1)]
+    visits = zip(crossings.over_place, crossings.under_place, strict=True)
+    angles = np.array([_angle(p, over, under) for over, under in visits])
     strand_spacing = _strand_spacing(pixels, crossings.over_place, crossings.under_place, WALK)
     excess = float("nan") if quick else _average_crossing_number(p) - crossings.nx
     clearance = 1000 * float((crossings.over_z - crossings.under_z).min(initial=np.inf))
     return Quality(
-        crossing_angle=float(spots.angles.min(initial=90.0)),
-        crossing_spacing=float(spots.apart.min(initial=size)),
+        crossing_angle=float(angles.min(initial=90.0)),
+        crossing_spacing=float(apart.min(initial=size)),
         base_spacing=base_spacing(p, crossings, 0, config),
         strand_spacing=min(size, strand_spacing),
         smallest_region=float(regions.min()) if len(regions) == crossings.nx + 2 else 0.0,
-        smallest_face=float(spots.faces.min()),
-        margin=float(min(seen.min(), size - seen.max()) - radius),
+        smallest_face=float(_faces(pixels, crossings).min()),
+        margin=float(min(pixels.min(), size - pixels.max()) - radius),
         clearance=min(clearance, 1000.0 * config.rope_radius * 4),
         excess_crossing_number=excess,
         total_curvature=float(bends.sum() / (2 * np.pi)),
@@ -137,104 +92,108 @@ def measure(
 def base_spacing(
     points: Array, crossings: Crossings, base: int = 0, config: PictureConfig = DEFAULT
 ) -> float:
-    """Walk along the drawing from the base bead to the nearest crossing, pixels; 0 on that bead.
+    """Return the distance along the drawing from the base bead to the nearest crossing, pixels.
 
-    The base bead lies between the vertices `base` and `base + 1`.
+    The base bead is the one between the vertices `base` and `base + 1`; a crossing on it gives 0.
     """
     if not crossings.nx:
         return float(config.size)
     pixels = np.roll(project(points, config), -base, axis=0)
-    places = (np.concatenate([crossings.over_place, crossings.under_place]) - base) % len(points)
+    visits = (np.concatenate([crossings.over_place, crossings.under_place]) - base) % len(points)
     lengths = np.linalg.norm(np.roll(pixels, -1, axis=0) - pixels, axis=1)
     walked = np.concatenate([[0.0], np.cumsum(lengths)])
-    at = np.interp(places, np.arange(len(walked)), walked)
+    at = np.interp(visits, np.arange(len(walked)), walked)
+    # forwards from the end of the base bead, and backwards from its start
     return float(min(config.size, max(0.0, min((at - walked[1]).min(), walked[-1] - at.max()))))
-
-
-def tightest_spot(points: Array, config: PictureConfig = DEFAULT) -> Array:
-    """Middle of the smallest region that the drawn rope encloses, float64 (2,), metres."""
-    pixels = np.ascontiguousarray(project(points, config))
-    areas, centres = _regions(pixels, 2 * config.rope_radius * config.pixels_per_metre)
-    offset = (centres[np.argmin(areas)] - config.size / 2) / config.pixels_per_metre
-    return np.asarray(points[:, :2].mean(axis=0) + offset * (1, -1))
 
 
 def noise_survival(
     points: ArrayLike, scale: float, rng: np.random.Generator, draws: int = NOISE_DRAWS
 ) -> float:
-    """Share of reset-noise draws that keep the Gauss code and chirality; none is drawn again."""
+    """Return the fraction of draws of reset noise that keep the Gauss code and chirality."""
     p = np.asarray(points, dtype=np.float64)
     codes = label_many(np.stack([p, *(noised(p, scale, rng) for _ in range(draws))]))
     return float(np.mean([code == codes[0] for code in codes[1:]]))
 
 
 def _angle(points: Array, over: float, under: float) -> float:
-    """Angle in the picture between the strands at two places, degrees in [0, 90].
+    """Return the angle in the picture between two crossing strands, degrees in [0, 90].
 
-    Each direction is taken over two beads.
+    Args:
+        points: float64 (beads, 3), metres.
+        over, under: positions of the two strands along the rope, beads.
     """
     beads = len(points)
 
-    def at(place: float) -> Array:
-        bead = int(np.floor(place))
+    def at(visit: float) -> Array:
+        bead = int(np.floor(visit))
         here, after = points[bead % beads, :2], points[(bead + 1) % beads, :2]
-        return np.asarray(here + (place - bead) * (after - here))
+        return np.asarray(here + (visit - bead) * (after - here))
 
-    a, b = (at(place + 1) - at(place - 1) for place in (over, under))
+    # directions over two beads, because a single bead's direction jumps at joints
+    a, b = (at(visit + 1) - at(visit - 1) for visit in (over, under))
     return float(np.degrees(np.arctan2(abs(a[0] * b[1] - a[1] * b[0]), abs(a @ b))))
 
 
 def _faces(pixels: Array, crossings: Crossings) -> Array:
-    """Areas of the faces of the curve, the outer one among them, square pixels.
-
-    Each is half the sum of p x dp round it, edge by edge.
-    """
+    """Return the areas of all faces of the curve, the outer one included, square pixels."""
+    # Shoelace formula: a face's area is half the sum of p x dp round its boundary. The sum is taken
+    # once along the whole curve, and cut at the visits into the edges between them; inside a bead
+    # it grows linearly.
     after = np.roll(pixels, -1, axis=0)
     swept = pixels[:, 0] * after[:, 1] - pixels[:, 1] * after[:, 0]
     until = np.concatenate([[0.0], np.cumsum(swept)])
     if not crossings.nx:
         return np.full(2, abs(until[-1]) / 2)
-    places = np.sort(np.concatenate([crossings.over_place, crossings.under_place]))
-    bead = np.minimum(places.astype(np.int64), len(pixels) - 1)
-    at = until[bead] + (places - bead) * swept[bead]
+    visits = np.sort(np.concatenate([crossings.over_place, crossings.under_place]))
+    bead = np.minimum(visits.astype(np.int64), len(pixels) - 1)
+    at = until[bead] + (visits - bead) * swept[bead]
     edges = np.append(at[1:], at[0] + until[-1]) - at
     return np.asarray(np.abs(_borders(crossings.code) @ edges) / 2)
 
 
 @lru_cache(maxsize=10_000)
 def _borders(code: GaussCode) -> Array:
-    """Which way each edge is walked round each face, its left.
+    """Return the incidence of edges and faces of a code's diagram.
 
-    Returns float64 (nx + 2, 2 nx) of -1, 0, 1.
+    Returns:
+        float64 (nx + 2, 2 nx): 1 where the face is to the left of the edge, -1 where it is to the
+        right, 0 otherwise (or if both).
     """
-    walks = faces(code)
-    walked = np.zeros((len(walks), 2 * code.nx))
-    for row, darts in enumerate(walks):
+    boundaries = faces(code)
+    incidence = np.zeros((len(boundaries), 2 * code.nx))
+    for row, darts in enumerate(boundaries):
         for dart in darts:
-            walked[row, dart // 2] += -1 if dart % 2 else 1
-    return walked
+            incidence[row, dart // 2] += -1 if dart % 2 else 1
+    return incidence
 
 
-def _regions(pixels: Array, width: float, fine: int = 3) -> tuple[Array, Array]:
-    """Draw the rope as a closed band, `fine` dots a pixel, and measure the background left.
+def _regions(pixels: Array, width: float, fine: int = 3) -> Array:
+    """Return the areas of the background's connected regions, square pixels.
 
-    Returns areas (n,), square pixels, and centres (n, 2), pixels, of its connected pieces.
+    The rope is drawn as a closed band of the given width, pixels, with `fine` dots per pixel.
     """
+    # a border of 4 pixels keeps the outside connected
     low = np.floor(pixels.min(axis=0)) - 4
     high = np.ceil(pixels.max(axis=0)) + 4 - low
     canvas = np.ones((int(high[1] * fine), int(high[0] * fine)), dtype=np.uint8)
-    corners = np.round((pixels - low) * fine * 16).astype(np.int32)
-    # two dots keep what is 8-connected apart
+    corners = np.round((pixels - low) * fine * 16).astype(np.int32)  # 4 fractional bits
+    # Background is 8-connected, so that a line of one dot would leak diagonally; two dots don't.
     cv2.polylines(canvas, [corners[:, None]], True, 0, max(2, round(width * fine)), cv2.LINE_8, 4)
-    _, _, stats, centres = cv2.connectedComponentsWithStatsWithAlgorithm(
+    _, _, stats, _ = cv2.connectedComponentsWithStatsWithAlgorithm(
         canvas, 8, cv2.CV_16U, cv2.CCL_BBDT
     )
-    return stats[1:, cv2.CC_STAT_AREA] / fine**2, centres[1:] / fine + low
+    return np.asarray(stats[1:, cv2.CC_STAT_AREA] / fine**2)
 
 
 @numba.njit(cache=True, nogil=True)
 def _strand_spacing(pixels: Array, over: Array, under: Array, walk: float) -> float:
-    """Smallest distance, pixels, between beads more than `walk` pixels apart along the drawing."""
+    """Return the smallest distance in the picture, pixels, of vertices on different strands.
+
+    Two vertices are on different strands if every path between them along the drawing, straight on
+    or turning at crossings, is longer than `walk` pixels. Near a crossing the strands that cross
+    are connected by a short path, and don't count.
+    """
     beads = len(pixels)
     along = np.zeros(beads + 1)
     for i in range(beads):
@@ -243,6 +202,7 @@ def _strand_spacing(pixels: Array, over: Array, under: Array, walk: float) -> fl
     total = along[beads]
     to_visit, from_bead = _walks_to_visits(along, over, under)
     nearest = np.inf
+    # from cheap to expensive: along the rope, in the picture, then through any crossing
     for i in range(beads):
         for j in range(i + 1, beads):
             gap = along[j] - along[i]
@@ -262,14 +222,15 @@ def _strand_spacing(pixels: Array, over: Array, under: Array, walk: float) -> fl
 
 @numba.njit(cache=True, nogil=True)
 def _walks_to_visits(along: Array, over: Array, under: Array) -> tuple[Array, Array]:
-    """How far a bead is from a visit along the drawing, pixels.
+    """Return the distances from vertices to visits along the drawing, pixels.
 
     Args:
-        along: float64 (beads + 1,), walked until each bead, and until the first again.
-        over, under: float64 (nx,), places of the visits; visits 2k and 2k + 1 are crossing k's.
+        along: float64 (beads + 1,), arc length of the drawing at each vertex, and its total.
+        over, under: float64 (nx,), positions of the visits along the rope, beads; visits 2k and
+            2k + 1 belong to crossing k.
 
     Returns:
-        float64 (beads, 2 nx) twice: straight along the rope, and turning at any crossings.
+        float64 (beads, 2 nx) twice: straight along the rope, and with turns at crossings.
     """
     beads, visits = len(along) - 1, 2 * len(over)
     total = along[beads]
@@ -279,7 +240,8 @@ def _walks_to_visits(along: Array, over: Array, under: Array) -> tuple[Array, Ar
             place = over[k] if side == 0 else under[k]
             i = min(int(place), beads - 1)
             at[2 * k + side] = along[i] + (place - i) * (along[i + 1] - along[i])
-    # the shortest walks between visits (Floyd and Warshall); turning at a crossing costs nothing
+    # Shortest paths between visits (Floyd-Warshall). The two visits of a crossing are the same
+    # point of the picture, at distance 0.
     between = np.empty((visits, visits))
     for a in range(visits):
         for b in range(visits):
@@ -304,10 +266,12 @@ def _walks_to_visits(along: Array, over: Array, under: Array) -> tuple[Array, Ar
 
 @numba.njit(cache=True, nogil=True)
 def _average_crossing_number(points: Array) -> float:
-    """Crossings seen on average over all directions of view.
+    """Return the number of crossings averaged over all directions of view.
 
-    By the exact solid angles of Banchoff (Klenin and Langowski, 2000).
+    Source: Banchoff's solid angles, in the form of Klenin and Langowski, 2000 (method 1a).
     """
+    # Two segments cross in the picture for directions in a solid angle W and its opposite, which
+    # together are 2 W / (4 pi) of the sphere. Neighbours never cross.
     beads = len(points)
     total = 0.0
     for i in range(beads):
@@ -320,6 +284,10 @@ def _average_crossing_number(points: Array) -> float:
 
 @numba.njit(cache=True, nogil=True)
 def _solid_angle(a: Array, b: Array, c: Array, d: Array) -> float:
+    """Return the solid angle of directions in which segments ab and cd appear to cross."""
+    # The directions from ab to cd fill a spherical quadrilateral with the corners c - a, d - a,
+    # d - b, c - b; its sides have the normals n0 to n3, and its area is the sum of the arcsines of
+    # the products of successive normals (the angles less pi / 2 each).
     n0, n1 = _normal(c - a, d - a), _normal(d - a, d - b)
     n2, n3 = _normal(d - b, c - b), _normal(c - b, c - a)
     return abs(_arcsine(n0, n1) + _arcsine(n1, n2) + _arcsine(n2, n3) + _arcsine(n3, n0))
@@ -327,9 +295,10 @@ def _solid_angle(a: Array, b: Array, c: Array, d: Array) -> float:
 
 @numba.njit(cache=True, nogil=True)
 def _normal(a: Array, b: Array) -> tuple[float, float, float]:
+    """Return the unit vector along a x b, or zeros if a and b are parallel."""
     x, y, z = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
     size = np.sqrt(x * x + y * y + z * z)
-    # below it the direction is rounding: points in line count nothing
+    # below `least` the direction is rounding error; collinear points must add nothing
     aa, bb = a[0] * a[0] + a[1] * a[1] + a[2] * a[2], b[0] * b[0] + b[1] * b[1] + b[2] * b[2]
     least = 1e-12 * np.sqrt(aa * bb)
     return (x / size, y / size, z / size) if size > least else (0.0, 0.0, 0.0)

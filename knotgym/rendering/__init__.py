@@ -1,1 +1,1 @@
-"""What the rope looks like: the picture, its two renderers, its appearance, what an agent sees."""
+"""Pictures of the rope: camera, renderers, varied appearance, diagrams and videos."""

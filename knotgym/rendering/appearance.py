@@ -1,11 +1,9 @@
-"""What a perception picture may vary without its label becoming false.
+"""Varied appearance of perception pictures: colours, width, background, camera, noise, blur, size.
 
-Colours, width, background, camera, noise, blur and size may vary.
-
-A turn or a zoom moves the crossings' pixels (they are recomputed) and no code. Under colours
-"published" and "gradient" the picture shows which way the walk runs: towards red, or from the
-bright end to the dark one. Under "single" only the white base bead is shown, so the code and the
-code of the walk the other way fit the picture equally well.
+None of these changes the Gauss code. A turn or a zoom moves the crossings' pixels, which are
+recomputed. Under colours "published" and "gradient" the picture shows the direction in which the
+code is read: towards red, or from the bright end to the dark one. Under "single" only the white
+base bead is marked, so the code and the code of the reversed rope fit the picture equally well.
 """
 
 from __future__ import annotations
@@ -17,33 +15,28 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import KnotgymError
 from knotgym.common.streams import Stream, generator
-from knotgym.rendering.picture import RGB, PictureConfig, draw, project, rope_colours
+from knotgym.rendering.picture import RGB, PictureConfig, PictureError, draw, project, rope_colours
 
 Array = NDArray[np.float64]
 
 VARIED = ("colours", "width", "background", "turn", "zoom", "noise", "blur")
-SIZES = (64, 512)  # pixels, smallest and largest
-MARGIN = 2.0  # pixels of 128 that a zoomed rope keeps from the picture's edge
-
-
-class InvalidAppearance(KnotgymError, ValueError):
-    """Pictures can't be varied so."""
+SIZES = (64, 512)  # smallest and largest size of a picture, pixels
+MARGIN = 2.0  # smallest distance of a zoomed rope from the edge, pixels of a 128-pixel picture
 
 
 @dataclass(frozen=True, kw_only=True)
 class AppearanceConfig:
-    """What varies from picture to picture, and how far; all else is as published.
+    """Distribution of appearances; everything that doesn't vary is as published.
 
     Attributes:
-        vary: of VARIED; any subset, stored in that order.
-        sizes: pixels, drawn from evenly.
+        vary: any subset of VARIED, stored in that order.
+        sizes: sizes of pictures, pixels, sampled uniformly.
         width: range of the factor on the rope's width.
-        zoom: range of the magnification; never so large that the rope leaves the picture.
+        zoom: range of the magnification, limited so that the rope stays in the picture.
         noise: largest standard deviation of the Gaussian noise, levels of 255.
-        blur: largest standard deviation of the Gaussian blur, pixels of a picture of 128; larger
-            pictures take more.
+        blur: largest standard deviation of the Gaussian blur, pixels of a 128-pixel picture;
+            scaled with the size.
     """
 
     vary: tuple[str, ...] = ()
@@ -56,45 +49,44 @@ class AppearanceConfig:
     def __post_init__(self) -> None:
         for name in self.vary:
             if name not in VARIED:
-                raise InvalidAppearance(
-                    f"{name!r} can't be varied; these can: {', '.join(VARIED)}, or all, or none"
+                raise PictureError(
+                    f"{name!r} can't be varied; choose from {', '.join(VARIED)}, or all, or none"
                 )
         object.__setattr__(self, "vary", tuple(name for name in VARIED if name in self.vary))
         if not self.sizes or any(
             type(size) is not int or not SIZES[0] <= size <= SIZES[1] for size in self.sizes
         ):
-            raise InvalidAppearance(
-                f"sizes are whole pixels from {SIZES[0]} to {SIZES[1]}, got"
+            raise PictureError(
+                f"sizes must be whole pixels from {SIZES[0]} to {SIZES[1]}, got"
                 f" {', '.join(map(str, self.sizes)) or 'none'}"
             )
         for name in ("width", "zoom"):
             low, high = getattr(self, name)
             if not 0 < low <= high < math.inf:
-                raise InvalidAppearance(f"{name} is a range (low, high) above 0, got {(low, high)}")
+                raise PictureError(f"{name} must be a range (low, high) above 0, got {(low, high)}")
         for name in ("noise", "blur"):
             if not 0 <= getattr(self, name) < math.inf:
-                raise InvalidAppearance(
+                raise PictureError(
                     f"{name} must be at least 0 and finite, got {getattr(self, name)}"
                 )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Appearance:
-    """How one picture was drawn; together with the points it determines every byte of it.
+    """Appearance of one picture; with the points it determines every byte of the picture.
 
     Attributes:
-        size: pixels of a side.
-        turn: of the camera about z, radians, anticlockwise.
+        size: side of the picture, pixels.
+        turn: rotation of the camera about z, radians, anticlockwise.
         zoom: magnification.
         width: factor on the rope's width.
-        colours: "published"; "single", the rope in the RGB `first`; "gradient", from `first` at
-            bead 1 to `last`.
-        first, last: RGB; all 0 where not used.
+        colours: "published"; "single", the whole rope in the RGB `first`; or "gradient", from
+            `first` to `last` along the rope.
+        first, last: RGB; 0 where not used.
         background: RGB.
-        noise: standard deviation of the Gaussian noise, levels.
-        blur: standard deviation of the Gaussian blur, pixels of this picture; blurred first, noise
-            after.
-        seed: the noise is that of stream `IMAGE_GRAIN`.
+        noise: standard deviation of the Gaussian noise, levels; added after the blur.
+        blur: standard deviation of the Gaussian blur, pixels of this picture.
+        seed: seed of the noise, in stream `IMAGE_GRAIN`.
     """
 
     size: int = 128
@@ -110,7 +102,7 @@ class Appearance:
     seed: int = 0
 
     def picture(self) -> PictureConfig:
-        """The camera and the rope's width; colours are `bead_colours`."""
+        """Return the picture configuration; the rope's colours are in `bead_colours`."""
         return PictureConfig(
             size=self.size,
             turn=self.turn,
@@ -120,7 +112,7 @@ class Appearance:
         )
 
     def bead_colours(self, beads: int) -> NDArray[np.uint8]:
-        """RGB of every bead, uint8 (beads, 3); the base bead is white."""
+        """Return the RGB of every bead, uint8 (beads, 3); the base bead is white."""
         if self.colours == "published":
             return rope_colours(beads)
         last = self.first if self.colours == "single" else self.last
@@ -132,7 +124,7 @@ class Appearance:
 
 
 def appearance(points: Array, config: AppearanceConfig, rng: np.random.Generator) -> Appearance:
-    """Draw an appearance for a configuration (beads, 3), metres."""
+    """Sample an appearance for a configuration (beads, 3), metres."""
     vary, plain = set(config.vary), Appearance()
     size = config.sizes[int(rng.integers(len(config.sizes)))]
     turn = float(rng.uniform(-math.pi, math.pi)) if "turn" in vary else 0.0
@@ -147,7 +139,8 @@ def appearance(points: Array, config: AppearanceConfig, rng: np.random.Generator
         kind = ("published", "single", "gradient")[int(rng.integers(3))]
     background = _rgb(rng.integers(0, 81, 3)) if "background" in vary else plain.background
     first, last = _rgb(rng.integers(150, 256, 3)), plain.last
-    # from bright to dark, another hue at the end, never as dark as a background
+    # a gradient ends dark but with one channel of 150 or more, so that it differs in hue from the
+    # start and is brighter than any background (at most 80)
     if kind == "gradient":
         dark = rng.integers(20, 60, 3)
         dark[rng.integers(3)] = rng.integers(150, 200)
@@ -170,7 +163,7 @@ def appearance(points: Array, config: AppearanceConfig, rng: np.random.Generator
 
 
 def render(points: Array, look: Appearance) -> NDArray[np.uint8]:
-    """The picture of a configuration (beads, 3): uint8 (size, size, 3), RGB."""
+    """Draw a configuration (beads, 3): uint8 (size, size, 3), RGB."""
     image = draw(points, look.picture(), colours=look.bead_colours(len(points)))
     if look.blur > 0:
         image = np.asarray(cv2.GaussianBlur(image, (0, 0), look.blur), dtype=np.uint8)
@@ -181,7 +174,7 @@ def render(points: Array, look: Appearance) -> NDArray[np.uint8]:
 
 
 def _largest_zoom(points: Array, turn: float, width: float) -> float:
-    """The zoom at which the rope comes within MARGIN of the picture's edge."""
+    """Return the zoom at which the rope is MARGIN away from the picture's edge."""
     plain = PictureConfig(turn=turn, width=width)
     outermost = np.abs(project(points, plain) - plain.size / 2).max() / plain.pixels_per_metre
     outermost += plain.drawn_radius

@@ -1,15 +1,15 @@
-"""Where the camera of a picture stands, what it shows where, and how the beads are coloured.
+"""Camera and colours of pictures, and the projection of points to pixels.
 
-A camera looks straight at the rope's centre of mass, from the top, the left or the front:
+The camera looks straight at the rope's centre of mass, from the top, the left or the front:
 
-    view     stands at    image right    image up
+    view     camera at    image right    image up
     top      +z           +x             +y
     left     -x           -y             +z
     front    -y           +x             +z
 
-Every view is the top view of a rope laid otherwise (`seen_from`), so only the top view is spoken of
-below. Pixel coordinates are continuous, x to the right and y down: pixel (row, column) covers
-[column, column + 1) x [row, row + 1), so its centre lies at (column + 0.5, row + 0.5).
+Every view is drawn as the top view of a rotated rope (`seen_from`), so the rest of this module
+deals with the top view only. Pixel coordinates are continuous, x to the right and y down: pixel
+(row, column) covers [column, column + 1) x [row, row + 1); its centre is (column + 0.5, row + 0.5).
 Source: arXiv 2505.18028 (camera of the top view, colours).
 """
 
@@ -25,21 +25,21 @@ from knotgym.rendering.views import check_depth, checked_views
 
 RGB = tuple[int, int, int]
 
-# view -> which coordinates go right, up and towards the camera, and their signs
+# view -> world axes that point right, up and towards the camera, and their signs
 _AXES = {
     "top": ((0, 1, 2), (1.0, 1.0, 1.0)),
     "left": ((1, 2, 0), (-1.0, 1.0, -1.0)),
     "front": ((0, 2, 1), (1.0, 1.0, -1.0)),
 }
-_NEAR = 0.01  # metres; nothing nearer to the perspective camera is seen
+_NEAR = 0.01  # near plane of the perspective camera, metres
 
 
 class PictureError(KnotgymError, ValueError):
-    """A picture was asked for that cannot be drawn."""
+    """Invalid settings or points of a picture or video."""
 
 
 def require(met: bool, rule: str, given: object) -> None:
-    """Raise PictureError, with the rule and what was given, unless it is met."""
+    """Raise PictureError, with the rule and the given value, unless the rule is met."""
     if not met:
         raise PictureError(f"{rule}, got {given!r}")
 
@@ -60,29 +60,29 @@ def _rgb(name: str, value: Any) -> RGB:
 
 @dataclass(frozen=True, kw_only=True)
 class PictureConfig:
-    """What a picture shows; together with the points it determines every byte of it.
+    """Settings of a picture; with the points they determine every byte of it.
 
     Attributes:
-        size: pixels, both sides of each view, 16 to 4096.
-        views: "top", "left" and "front", each at most once, one below another in the picture.
-        depth: a fourth channel: 0 where no rope is, else from 1 to 255, the nearer to the camera
-            the more; 128 is the rope's centre of mass, and a level is view / 254, 2.6 mm. What is
-            more than view / 2 before or behind the centre has the last level.
-        view: metres that a side of the orthographic picture shows.
-        camera: "orthographic" (rays are parallel, so that the top view shows the crossings that the
-            Gauss code names) or "perspective" (published).
-        camera_height: metres of the perspective camera from the centre of mass.
+        size: side of each view, pixels, 16 to 4096.
+        views: "top", "left" and "front", each at most once; stacked vertically in the picture.
+        depth: whether to add a depth channel: 0 for background, else 1 to 255, larger values
+            nearer to the camera. 128 is the rope's centre of mass; one level is view / 254,
+            2.6 mm. Depths more than view / 2 from the centre are clipped.
+        view: side of the square that the orthographic picture shows, metres.
+        camera: "orthographic" (parallel rays, so that the top view shows exactly the crossings of
+            the Gauss code) or "perspective" (published).
+        camera_height: distance of the perspective camera from the centre of mass, metres.
         fovy: vertical field of view of the perspective camera, degrees.
-        turn: radians by which the camera is turned about its line of sight, anticlockwise seen from
-            behind it; the rope appears turned the other way.
+        turn: rotation of the camera about its line of sight, radians, anticlockwise seen from
+            behind it; the rope appears rotated the other way.
         zoom: magnification about the picture's centre.
-        rope_radius: metres.
-        width: factor on the rope's radius, in the picture alone.
+        rope_radius: radius of the rope, metres.
+        width: factor on the rope's radius, in the picture only.
         colours: "published" (see bead_colours) or one RGB for the whole rope, whose base bead stays
             white.
         background: RGB.
         renderer: "opencv" (needs no GL), "mujoco" (the same picture by OpenGL, without depth), or
-            "auto", which is "opencv".
+            "auto", the same as "opencv".
         supersampling: samples along each side of a pixel, averaged; 1 to 8.
 
     Raises:
@@ -122,7 +122,7 @@ class PictureConfig:
                 f"{name} must be positive and finite",
                 getattr(self, name),
             )
-        require(0.0 < self.fovy < 180.0, "fovy must lie between 0 and 180 degrees", self.fovy)
+        require(0.0 < self.fovy < 180.0, "fovy must be between 0 and 180 degrees", self.fovy)
         require(math.isfinite(self.turn), "turn must be finite", self.turn)
         require(
             self.camera in ("orthographic", "perspective"),
@@ -145,8 +145,8 @@ class PictureConfig:
         """Scale of the picture; in perspective, at the height of the centre of mass."""
         if self.camera == "orthographic":
             return self.zoom * self.size / self.view
-        shown = 2.0 * self.camera_height * math.tan(math.radians(self.fovy) / 2.0)  # metres
-        return self.zoom * self.size / shown
+        visible = 2.0 * self.camera_height * math.tan(math.radians(self.fovy) / 2.0)  # metres
+        return self.zoom * self.size / visible
 
     @property
     def channels(self) -> int:
@@ -163,24 +163,24 @@ DEFAULT = PictureConfig()
 
 
 def bead_colours(beads: int) -> NDArray[np.uint8]:
-    """Colour the beads round the colour circle, the base bead white.
+    """Return the published colours: a colour circle along the rope, with a white base bead.
 
     Returns:
-        uint8, shape (beads, 3), RGB: 0.5 + 0.5 sin(2 pi (i / beads + (0, 0.33, 0.67))) of 255, to
-        the nearest.
+        uint8, shape (beads, 3), RGB: 255 (0.5 + 0.5 sin(2 pi (i / beads + (0, 0.33, 0.67)))),
+        rounded.
 
     >>> bead_colours(100)[[0, 25]].tolist()  # the base bead; red, a quarter of the way along
     [[255, 255, 255], [255, 66, 66]]
     """
-    place = np.arange(beads)[:, None] / beads
-    wave = 0.5 + 0.5 * np.sin(2.0 * np.pi * (place + np.array([0.0, 0.33, 0.67])))
+    phase = np.arange(beads)[:, None] / beads
+    wave = 0.5 + 0.5 * np.sin(2.0 * np.pi * (phase + np.array([0.0, 0.33, 0.67])))
     colours: NDArray[np.uint8] = np.rint(255.0 * wave).astype(np.uint8)
     colours[:1] = 255
     return colours
 
 
 def rope_colours(beads: int, config: PictureConfig = DEFAULT) -> NDArray[np.uint8]:
-    """The colours that config gives to a rope: uint8, shape (beads, 3), RGB, the caller's."""
+    """Return the colours of a rope under config: uint8, shape (beads, 3), RGB, a new array."""
     if config.colours == "published":
         return bead_colours(beads)
     colours = np.tile(np.array(config.colours, dtype=np.uint8), (beads, 1))
@@ -189,7 +189,7 @@ def rope_colours(beads: int, config: PictureConfig = DEFAULT) -> NDArray[np.uint
 
 
 def seen_from(view: str, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Lay points (n, 3) so that their top view is what `view` shows; perhaps the same array.
+    """Rotate points (n, 3) so that their top view is `view`; "top" returns the same array.
 
     >>> seen_from("left", np.array([[1.0, 2.0, 3.0]])).tolist()
     [[-2.0, 3.0, -1.0]]
@@ -201,17 +201,17 @@ def seen_from(view: str, points: NDArray[np.float64]) -> NDArray[np.float64]:
 def project(
     points: ArrayLike, config: PictureConfig = DEFAULT, center: ArrayLike | None = None
 ) -> NDArray[np.float64]:
-    """Where points of the world appear in the top view.
+    """Project points of the world into the top view.
 
     Args:
         points: float, shape (n, 3), metres, world frame.
-        center: shape (3,), metres: the world point in the middle of the picture. By default the
-            mean of the points; for anything but the whole rope, hand in the rope's mean.
+        center: shape (3,), metres: the world point in the middle of the picture; by default the
+            mean of the points. If the points aren't the whole rope, pass the rope's mean.
 
     Returns:
-        float64, shape (n, 2): pixel coordinates (x right, y down; see the module). They may lie
-        outside the view; they are NaN for points less than 1 cm in front of the perspective
-        camera, or behind it.
+        float64, shape (n, 2): pixel coordinates (x right, y down; see the module), which may be
+        outside the view. They are NaN for points behind the perspective camera or less than 1 cm
+        in front of it.
     """
     points = np.asarray(points, dtype=np.float64)
     middle = points.mean(axis=0) if center is None else np.asarray(center, dtype=np.float64)
@@ -225,10 +225,10 @@ def project(
 
 
 def pixels_per_metre_at(offset: NDArray[np.float64], config: PictureConfig) -> NDArray[np.float64]:
-    """Scale of the picture at points (n, 3) given from the centre of mass.
+    """Return the scale of the picture at points (n, 3), relative to the centre of mass, metres.
 
     Returns:
-        float64, shape (n,), NaN where the camera sees nothing.
+        float64, shape (n,), NaN behind the near plane of the perspective camera.
     """
     if config.camera == "orthographic":
         return np.full(len(offset), config.pixels_per_metre)
@@ -237,7 +237,7 @@ def pixels_per_metre_at(offset: NDArray[np.float64], config: PictureConfig) -> N
 
 
 def checked_points(points: ArrayLike, axes: int) -> NDArray[np.float64]:
-    """One rope (axes 2) or many (axes 3) that can be drawn, float64; else raise PictureError."""
+    """Return one rope (axes 2) or many (axes 3) as float64, or raise PictureError."""
     points = np.asarray(points, dtype=np.float64)
     form = "(beads, 3)" if axes == 2 else "(m, beads, 3)"
     fits = points.ndim == axes and points.shape[-1] == 3 and points.shape[-2] >= 3

@@ -1,11 +1,12 @@
 """Knot diagrams of the rope for people: large, smooth, with a gap where a strand goes under.
 
-Galleries, films and the window of `render_mode="human"` are drawn here. What an agent observes is
-drawn by `picture` and doesn't depend on this module. Same points, same bytes.
+Used by galleries, videos and the window of `render_mode="human"`. Observations are drawn by
+`picture` and don't depend on this module. The same points always give the same bytes.
 
-The rope is painted as in `picture`, from the lowest piece to the highest. At each crossing two
-things are painted between the strands: a band of background along the over strand, wider than the
-rope, which cuts the gap, and the over strand itself once more, as the band covers it too.
+The rope is painted as in `picture`, from the lowest piece to the highest. At each crossing a band
+in the background colour, wider than the rope, is painted along the over strand before the over
+strand itself. It makes the gap in the under strand. The band covers parts of the over strand too,
+which are therefore painted once more.
 """
 
 from __future__ import annotations
@@ -23,11 +24,11 @@ Array = NDArray[np.float64]
 BACKGROUND = (7, 8, 12)  # RGB
 _PARTS = 4  # pieces of the smooth curve per bead
 _GAP = 1.8  # width of the band, in widths of the rope
-_REACH = 4  # beads on each side of a crossing that the band covers at most
-_MARGIN = 1.12  # what the picture shows, in extents of the rope
-_SMALLEST = 0.12  # metres that a side shows at least
-_RADIUS, _THINNEST = 0.005, 1 / 80  # of the rope, metres; and at least this share of a side
-_PULL, _ARROW = (255, 255, 255), 0.15  # RGB; share of a side that stands for the largest force
+_REACH = 4  # largest length of the band on each side of a crossing, beads
+_MARGIN = 1.12  # side of the picture, in extents of the rope
+_SMALLEST = 0.12  # smallest side of the picture, metres
+_RADIUS, _THINNEST = 0.005, 1 / 80  # drawn radius, metres, and its smallest fraction of a side
+_PULL, _ARROW = (255, 255, 255), 0.15  # RGB, and the largest force's length as a fraction of a side
 
 
 def draw_diagram(
@@ -42,16 +43,16 @@ def draw_diagram(
 
     Args:
         points: float64 (beads, 3), metres, finite; at least 3 beads.
-        size: pixels of a side.
-        side: metres that a side shows; by default the rope fills the picture.
-        view: "top", the one that Gauss codes are read in, "left" or "front".
-        pull: a bead, and the force on it in units of the largest there is, (3,): an arrow.
+        size: side of the picture, pixels.
+        side: side of the picture, metres; by default the rope fills it.
+        view: "top" (in which Gauss codes are read), "left" or "front".
+        pull: a bead and the force on it, (3,), in units of the largest force; drawn as an arrow.
 
     Returns:
         uint8 (size, size, 3), RGB.
 
     Raises:
-        PictureError: points have another shape or are not finite, or the size is out of range.
+        PictureError: points have the wrong shape or are not finite, or the size is out of range.
     """
     rope = seen_from(view, checked_points(points, 2))
     curve, crossings = _smooth(rope)
@@ -68,7 +69,7 @@ def draw_diagram(
 
 
 def side_of(points: ArrayLike) -> float:
-    """Metres of the smallest square picture that shows each of (..., beads, 3) whole, from above.
+    """Return the side, metres, of a square that shows each of (..., beads, 3) whole, from above.
 
     >>> side_of(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.5, 0.0]]))
     1.12
@@ -78,15 +79,16 @@ def side_of(points: ArrayLike) -> float:
 
 
 def _smooth(rope: Array) -> tuple[Array, Crossings]:
-    """A closed curve through the beads, _PARTS pieces each, and its crossings.
+    """Return a closed curve through the beads, _PARTS pieces per bead, and its crossings.
 
-    It is the Catmull-Rom spline, and where that has another Gauss code the polyline of the beads.
+    It is the Catmull-Rom spline, unless that has another Gauss code than the rope; then it is the
+    polyline of the beads.
     """
     code = find_crossings(rope).code
     before, after = np.roll(rope, 1, axis=0), np.roll(rope, -1, axis=0)
     beyond = np.roll(rope, -2, axis=0)
     t = (np.arange(_PARTS) / _PARTS)[:, None, None]
-    # through rope and after, with the tangents (after - before) / 2 and (beyond - rope) / 2
+    # the cubic from rope to after with the tangents (after - before) / 2 and (beyond - rope) / 2
     slope, bend = after - before, 2 * before - 5 * rope + 4 * after - beyond
     spline = rope + 0.5 * t * (slope + t * (bend + t * (3 * (rope - after) + beyond - before)))
     for curve in (spline, rope + t * (after - rope)):
@@ -100,14 +102,14 @@ def _smooth(rope: Array) -> tuple[Array, Crossings]:
 def _paint(
     curve: Array, crossings: Crossings, pixels: Array, config: PictureConfig
 ) -> NDArray[np.uint8]:
-    """Paint the curve, whose points appear at `pixels` (n, 2)."""
-    finer, count = config.supersampling, len(curve)
-    canvas = np.full((finer * config.size, finer * config.size, 3), BACKGROUND, dtype=np.uint8)
-    radius = finer * config.drawn_radius * config.pixels_per_metre
+    """Paint the curve, whose points project to `pixels` (n, 2)."""
+    factor, count = config.supersampling, len(curve)
+    canvas = np.full((factor * config.size, factor * config.size, 3), BACKGROUND, dtype=np.uint8)
+    radius = factor * config.drawn_radius * config.pixels_per_metre
 
     def outlines(radius: float) -> tuple[NDArray[np.int32], NDArray[np.intp], Array]:
-        wide = np.full(count, max(radius - EDGE, EDGE))
-        return polygons(finer * pixels - 0.5, curve[:, 2], wide, len(canvas))
+        radii = np.full(count, max(radius - EDGE, EDGE))
+        return polygons(factor * pixels - 0.5, curve[:, 2], radii, len(canvas))
 
     (core, owner, height), (band, band_owner, _) = outlines(radius), outlines(_GAP * radius)
     colours = np.repeat(bead_colours(count // _PARTS), _PARTS, axis=0)[owner].tolist()
@@ -116,17 +118,19 @@ def _paint(
     for over, under, reach in zip(
         crossings.over_place, crossings.under_place, reaches, strict=True
     ):
+        # The band goes right above the under strand near the crossing, the over strand again above
+        # the band: equal heights keep their order of insertion in the stable sort below.
         level = float(height[_near(owner, under, reach + 2, count)].max())
         cut, again = _near(band_owner, over, reach, count), _near(owner, over, reach + 1, count)
         strokes += [(level, band[k], BACKGROUND) for k in cut]
         strokes += [(level, core[k], colours[k]) for k in again]
-    for _, outline, colour in sorted(strokes, key=lambda stroke: stroke[0]):  # a stable sort
+    for _, outline, colour in sorted(strokes, key=lambda stroke: stroke[0]):
         cv2.fillConvexPoly(canvas, outline, colour, cv2.LINE_8, SHIFT)
-    return average(canvas, finer)
+    return average(canvas, factor)
 
 
 def _reaches(curve: Array, crossings: Crossings, radius: float) -> Array:
-    """How far the band of each crossing goes on either side, in pieces of the curve."""
+    """Return the length of each crossing's band on either side, in pieces of the curve."""
     step = (np.roll(curve, -1, axis=0) - curve)[:, :2]
     length = np.linalg.norm(step, axis=1)
     over, under = (
@@ -142,14 +146,14 @@ def _reaches(curve: Array, crossings: Crossings, radius: float) -> Array:
     return np.minimum(along / length.mean() + 0.5, _REACH * _PARTS)
 
 
-def _near(owner: NDArray[np.intp], place: float, reach: float, count: int) -> NDArray[np.intp]:
-    """Which pieces have their middle within `reach` of a place along the closed curve."""
-    apart = np.abs(owner + 0.5 - place)
-    return np.flatnonzero(np.minimum(apart, count - apart) <= reach)
+def _near(owner: NDArray[np.intp], position: float, reach: float, count: int) -> NDArray[np.intp]:
+    """Return the pieces whose middle is within `reach` of a position along the closed curve."""
+    distance = np.abs(owner + 0.5 - position)
+    return np.flatnonzero(np.minimum(distance, count - distance) <= reach)
 
 
 def _arrow(picture: NDArray[np.uint8], start: Array, end: Array) -> None:
-    """Draw an arrow, outlined so that it shows on the rope."""
+    """Draw an arrow with an outline, so that it is visible on the rope."""
     near, far = ((round(float(x)), round(float(y))) for x, y in (start, end))
     for colour, thick in ((BACKGROUND, 5), (_PULL, 2)):
         cv2.circle(picture, near, thick + 2, colour, cv2.FILLED, cv2.LINE_AA)

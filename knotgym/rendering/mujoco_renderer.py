@@ -1,11 +1,12 @@
-"""The picture of a rope by MuJoCo's classic renderer: what `picture` draws, through OpenGL.
+"""Pictures of a rope drawn by MuJoCo's classic renderer, through OpenGL.
 
-Imported only when a picture with renderer="mujoco" is asked for. OpenGL contexts are costly and
-belong to one thread of one process, so one is kept for each (process, thread, side of the canvas);
-nothing else holds them, so environments pickle. A process that has drawn may not be forked and draw
-in the child: the drivers hang, so that it is refused. The backend is the user's MUJOCO_GL; when
-that is unset, EGL where it is installed, otherwise OSMesa, otherwise a window system. The
-environment variable itself is never written.
+This module is imported only for pictures with renderer="mujoco". OpenGL contexts are expensive and
+belong to one thread of one process, so one is kept for each (process, thread, canvas size). They
+are held nowhere else, so environments can be pickled. Drawing in a child forked from a process that
+has drawn is refused, because drivers hang there.
+
+The backend is the user's MUJOCO_GL; if that is unset, EGL if installed, otherwise OSMesa, otherwise
+a window system. The environment variable itself is never written.
 """
 
 import atexit
@@ -25,8 +26,8 @@ from knotgym.common.errors import KnotgymError
 from knotgym.rendering.camera import PictureConfig
 from knotgym.rendering.rasterizer import average
 
-_NEAR = 0.01  # metres to the nearest thing the camera sees
-_MARGIN = 0.5  # metres of free space kept above and below the rope
+_NEAR = 0.01  # near plane of the camera, metres
+_MARGIN = 0.5  # free space above and below the rope, metres
 
 _STAGE = """
 <mujoco>
@@ -41,23 +42,23 @@ _STAGE = """
 
 
 _REMEDY = (
-    "install EGL (libegl1) or OSMesa (libosmesa6), name one in MUJOCO_GL, or use renderer='opencv',"
-    " which needs none"
+    "install EGL (libegl1) or OSMesa (libosmesa6), set MUJOCO_GL to one that works, or use"
+    " renderer='opencv', which needs no OpenGL"
 )
 
 
 class GraphicsUnavailable(KnotgymError):
-    """MuJoCo's renderer was asked for where no OpenGL context can be made."""
+    """No OpenGL context can be created for MuJoCo's renderer."""
 
 
 class Painter:
-    """An OpenGL canvas of one size and the scene drawn on it; for the thread that made it.
+    """An OpenGL canvas and its scene, usable only in the thread that created it.
 
     Args:
-        side: pixels of the canvas, both sides.
+        side: side of the canvas, pixels.
 
     Raises:
-        GraphicsUnavailable: no OpenGL context can be made.
+        GraphicsUnavailable: no OpenGL context can be created.
     """
 
     def __init__(self, side: int) -> None:
@@ -67,8 +68,7 @@ class Painter:
             self._gl: Any = importlib.import_module(f"mujoco.{backend}").GLContext(side, side)
             self._gl.make_current()
             self._context: Any = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
-        # each backend fails in its own way: ImportError, AttributeError, RuntimeError, GLError,
-        # FatalError
+        # backends raise ImportError, AttributeError, RuntimeError, GLError or FatalError
         except Exception as error:
             raise _unavailable(
                 f"{backend}: {(str(error).strip() or type(error).__name__).splitlines()[0]}"
@@ -84,10 +84,11 @@ class Painter:
 
         Args:
             points: float64, shape (beads, 3), metres.
-            colours: uint8, shape (beads, 3).
+            colours: uint8, shape (beads, 3), RGB.
+            config: settings of the picture.
 
         Returns:
-            uint8, shape (side, side, 3), row 0 at the top, not yet averaged to the picture's size.
+            uint8, shape (side, side, 3), row 0 at the top, before averaging to the picture's size.
         """
         points = points - points.mean(axis=0)
         beads = len(points)
@@ -105,7 +106,7 @@ class Painter:
                 geoms[bead], capsule, config.drawn_radius, points[bead], points[(bead + 1) % beads]
             )
         self._scene.ngeom = beads
-        # an unlit picture is black by itself; any other background is a floor under the rope
+        # the canvas is black by default; any other background is a floor under the rope
         if any(config.background):
             floor = np.array([100.0, 100.0, 0.01])
             below = np.array([0.0, 0.0, points[:, 2].min() - 0.5 * _MARGIN])
@@ -124,12 +125,13 @@ class Painter:
         return np.ascontiguousarray(canvas[::-1])
 
     def _look(self, points: NDArray[np.float64], config: PictureConfig) -> None:
-        """Put the camera where config says; points are given from their mean."""
+        """Place the camera as config says; points are relative to their mean."""
         if config.camera == "orthographic":
             height, near = float(points[:, 2].max()) + _MARGIN, _NEAR
             half = 0.5 * config.view / config.zoom
         else:
             height, near = config.camera_height, _NEAR
+            # MuJoCo's frustum is given at the near plane
             half = near * math.tan(0.5 * math.radians(config.fovy)) / config.zoom
         for camera in self._scene.camera:
             camera.pos = [0.0, 0.0, height]
@@ -144,7 +146,7 @@ class Painter:
             )
 
     def close(self) -> None:
-        """Free the context; closing twice is nothing."""
+        """Free the context; may be called twice."""
         if self._context is not None:
             self._gl.make_current()
             self._context.free()
@@ -153,28 +155,28 @@ class Painter:
 
 
 _painters: dict[tuple[int, int, int], Painter] = {}
-_processes: set[int] = set()  # that have made a context: this one and those it was forked from
+_processes: set[int] = set()  # ids of processes that created a context: this one and its ancestors
 
 
 def draw(
     points: NDArray[np.float64], colours: NDArray[np.uint8], config: PictureConfig
 ) -> NDArray[np.uint8]:
-    """Draw one rope; knotgym.rendering.picture.draw checks the arguments and says what they are.
+    """Draw one rope; `knotgym.rendering.picture.draw` documents and checks the arguments.
 
     Raises:
-        GraphicsUnavailable: no OpenGL context can be made.
+        GraphicsUnavailable: no OpenGL context can be created.
     """
     side = config.size * config.supersampling
     process = os.getpid()
     key = (process, threading.get_ident(), side)
     if key not in _painters:
-        if _processes - {process}:  # drivers hang there
+        if _processes - {process}:
             raise _unavailable(
                 "this process was forked from one that had drawn already",
                 "start workers by 'spawn' or 'forkserver', or use renderer='opencv'",
             )
         _painters[key] = Painter(side)
-        # not before the first context, so as to run before the backend's own clearing up
+        # registered after the first context, so that it runs before the backend's own exit handler
         if not _processes:
             atexit.register(close)
         _processes.add(process)
@@ -182,13 +184,13 @@ def draw(
 
 
 def close() -> None:
-    """Free the contexts that this thread of this process has made."""
+    """Free the contexts that this thread of this process has created."""
     for key in [key for key in _painters if key[:2] == (os.getpid(), threading.get_ident())]:
         _painters.pop(key).close()
 
 
 def _stage(model: mujoco.MjModel, geoms: int) -> mujoco.MjvScene:
-    """An empty scene for so many geoms, lit evenly from everywhere."""
+    """Create an empty scene for up to `geoms` geoms, lit evenly from all sides."""
     scene = mujoco.MjvScene(model, maxgeom=geoms)
     everything = mujoco.mjtCatBit.mjCAT_ALL.value
     mujoco.mjv_updateScene(
@@ -204,7 +206,7 @@ def _unavailable(reason: str, remedy: str = _REMEDY) -> GraphicsUnavailable:
 
 
 def _backend() -> str:
-    """The module of MuJoCo that makes contexts: egl, osmesa, glfw or cgl."""
+    """Return the MuJoCo module that creates contexts: egl, osmesa, glfw or cgl."""
     chosen = os.environ.get("MUJOCO_GL", "").strip().lower()
     if chosen in ("egl", "osmesa", "glfw", "cgl"):
         return chosen

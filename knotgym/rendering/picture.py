@@ -1,11 +1,12 @@
-"""The picture of a rope, as OpenCV draws it; the camera and the colours are `camera`'s.
+"""Pictures of a rope, drawn by OpenCV; for the camera and the colours see `camera`.
 
-Bead i is a capsule from points[i] to points[(i + 1) % beads]. Colours are flat: no light, no
+Bead i is a capsule from points[i] to points[(i + 1) % beads]. Colours are flat, without light or
 shadow.
 
-Depth is that of the rope's axis, true to 3.4 mm: a piece of a bead, which spans 6.7 mm of depth at
-most, has the depth of its middle. A pixel has the nearest of its samples, never a mixture. Under
-the perspective camera distances are along the line of sight.
+Depth is the depth of the rope's axis, accurate to 3.4 mm: beads are drawn in pieces that span at
+most 6.7 mm of depth, and each piece has the depth of its middle. A pixel takes the nearest of its
+samples instead of their average. Under the perspective camera, depth is distance along the line of
+sight.
 """
 
 from functools import lru_cache
@@ -51,16 +52,16 @@ def draw(
 
     Args:
         points: float64, shape (beads, 3), metres, world frame, finite; at least 3 beads.
-        colours: uint8, shape (beads, 3), RGB, instead of config's.
+        config: camera, size and style of the picture.
+        colours: uint8, shape (beads, 3), RGB; overrides config's.
 
     Returns:
-        uint8, shape (size, size, 3), RGB, row 0 at the top (largest y); with several views shape
-        (views * size, size, 3), the first one on top; with depth 4 channels. What lies outside a
-        view is cut off.
+        uint8, shape (views * size, size, 3), RGB, row 0 at the top (largest y), the first view on
+        top; 4 channels with depth. Parts of the rope outside a view are cut off.
 
     Raises:
-        PictureError: points or colours have another shape, or points are not finite.
-        GraphicsUnavailable: config.renderer is "mujoco" and there is no OpenGL here.
+        PictureError: points or colours have the wrong shape, or points are not finite.
+        GraphicsUnavailable: config.renderer is "mujoco" and OpenGL is not available.
     """
     points = checked_points(points, 2)
     images = _draw_all(points[None], config, colours)
@@ -70,17 +71,18 @@ def draw(
 def draw_many(
     points: ArrayLike, config: PictureConfig = DEFAULT, *, colours: NDArray[np.uint8] | None = None
 ) -> NDArray[np.uint8]:
-    """Draw m ropes of equally many beads; picture k is draw(points[k], config).
+    """Draw m ropes with the same number of beads; picture k equals draw(points[k], config).
 
     Args:
         points: float64, shape (m, beads, 3), metres; m may be 0.
-        colours: as for draw, the same for all.
+        config: as in `draw`.
+        colours: as in `draw`, the same for all ropes.
 
     Returns:
         uint8, shape (m, views * size, size, 3 or 4).
 
     Raises:
-        PictureError, GraphicsUnavailable: as draw.
+        PictureError, GraphicsUnavailable: as in `draw`.
     """
     return _draw_all(checked_points(points, 3), config, colours)
 
@@ -88,18 +90,18 @@ def draw_many(
 def crossing_pixels(
     crossings: Crossings, points: ArrayLike, config: PictureConfig = DEFAULT
 ) -> NDArray[np.float64]:
-    """Where the over strand of each crossing appears in the top view of points.
+    """Project the over strand of each crossing into the top view.
 
     Returns:
-        float64, shape (n, 2), pixel coordinates as of `project`.
+        float64, shape (n, 2), pixel coordinates as in `project`.
     """
-    where = np.column_stack([crossings.position, crossings.over_z])
-    return project(where, config, center=np.asarray(points, dtype=np.float64).mean(axis=0))
+    over = np.column_stack([crossings.position, crossings.over_z])
+    return project(over, config, center=np.asarray(points, dtype=np.float64).mean(axis=0))
 
 
 @lru_cache(maxsize=16)
 def _paint(beads: int, config: PictureConfig) -> list[RGB]:
-    """The colours of config as OpenCV wants them."""
+    """Return the colours of config as tuples of ints, as OpenCV requires."""
     return _as_scalars(rope_colours(beads, config))
 
 
@@ -121,7 +123,7 @@ def _draw_all(
     images = np.empty((frames, views * size, size, config.channels), dtype=np.uint8)
     squares = images.reshape(frames, views, size, size, config.channels)
     if config.renderer == "mujoco":
-        # here, for it looks for OpenGL
+        # imported only here, because the module searches for OpenGL
         from knotgym.rendering import mujoco_renderer
 
         shades = rope_colours(beads, config) if colours is None else colours
@@ -147,38 +149,48 @@ def _draw_view(
     canvas: NDArray[np.uint8],
     relief: NDArray[np.uint8] | None,
 ) -> None:
-    """Draw the top view of points into square, on a canvas of samples, and on one of depths."""
-    finer = config.supersampling
+    """Draw the top view of points into square.
+
+    Args:
+        square: uint8 (size, size, channels); output.
+        points: float64 (beads, 3), metres.
+        config: settings of the picture.
+        paint: RGB of each bead.
+        canvas: uint8 (side, side, 3), scratch memory for the supersampled colours.
+        relief: uint8 (side, side), scratch memory for the supersampled depths, or None.
+    """
+    factor = config.supersampling
     _fill(square, (*config.background, 0)[: config.channels])
-    outlines, owners, heights = polygons(*_placed(points, config), len(canvas))
+    outlines, owners, heights = polygons(*_on_canvas(points, config), len(canvas))
     if not len(outlines):
         return
+    # only the pixels that the rope touches are cleared, painted and averaged
     columns, rows = _touched(outlines, config)
     samples = (
-        slice(finer * rows.start, finer * rows.stop),
-        slice(finer * columns.start, finer * columns.stop),
+        slice(factor * rows.start, factor * rows.stop),
+        slice(factor * columns.start, factor * columns.stop),
     )
     _fill(canvas[samples], config.background)
     for outline, bead in zip(outlines, owners.tolist(), strict=True):
         cv2.fillConvexPoly(canvas, outline, paint[bead], cv2.LINE_8, SHIFT)
-    square[rows, columns, :3] = average(canvas[samples], finer)
+    square[rows, columns, :3] = average(canvas[samples], factor)
     if relief is not None:
         _fill(relief[samples], (0,))
         for outline, level in zip(outlines, _levels(heights, config), strict=True):
             cv2.fillConvexPoly(relief, outline, (level,), cv2.LINE_8, SHIFT)
-        square[rows, columns, 3] = nearest(relief[samples], finer)
+        square[rows, columns, 3] = nearest(relief[samples], factor)
 
 
 def _levels(heights: NDArray[np.float64], config: PictureConfig) -> list[int]:
-    """Levels of depth, 1 to 255, of pieces at heights as of `_placed`."""
+    """Convert heights of pieces, as in `_on_canvas`, to depth levels from 1 to 255."""
     middle = 0.0 if config.camera == "orthographic" else -config.camera_height
-    share = np.clip(0.5 + (heights - middle) / config.view, 0.0, 1.0)
-    levels: list[int] = (1 + np.rint(254.0 * share)).astype(int).tolist()
+    nearness = np.clip(0.5 + (heights - middle) / config.view, 0.0, 1.0)
+    levels: list[int] = (1 + np.rint(254.0 * nearness)).astype(int).tolist()
     return levels
 
 
 def _touched(outlines: NDArray[np.int32], config: PictureConfig) -> tuple[slice, slice]:
-    """The columns and rows of pixels that polygons on the canvas touch, one more on each side."""
+    """Return the columns and rows of pixels that polygons touch, and one more on each side."""
     x, y, width, height = cv2.boundingRect(outlines.reshape(-1, 2))
     spans = (
         [(low >> SHIFT) // config.supersampling for low in (x, y)],
@@ -191,20 +203,21 @@ def _touched(outlines: NDArray[np.int32], config: PictureConfig) -> tuple[slice,
 
 
 def _fill(picture: NDArray[np.uint8], colour: tuple[int, ...]) -> None:
-    # a tenth of the time that NumPy takes
+    # ten times faster than assigning with NumPy
     cv2.rectangle(picture, (0, 0), picture.shape[1::-1], colour, cv2.FILLED)
 
 
-def _placed(
+def _on_canvas(
     points: NDArray[np.float64], config: PictureConfig
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """A rope on the supersampled canvas.
+    """Project a rope onto the supersampled canvas.
 
     Returns:
-        pixels (beads, 2), heights (beads,), metres (under the perspective camera less
-        the distance to it), and radii (beads,), pixels.
+        pixels (beads, 2); heights (beads,), metres, in perspective the negative distance to the
+        camera; radii (beads,), pixels, less EDGE.
     """
     offset = points - points.mean(axis=0)
+    # OpenCV has the centres of samples at whole numbers, `project` at halves
     pixels = config.supersampling * project(points, config) - 0.5
     if config.camera == "orthographic":
         height = np.ascontiguousarray(offset[:, 2])

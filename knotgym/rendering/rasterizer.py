@@ -1,8 +1,8 @@
-"""Outlines of a drawn rope, its beads cut into convex polygons; and samples gathered to pixels.
+"""Convex polygons that make up a drawn rope, and averaging of supersampled canvases.
 
-Each bead is cut across into as many equal pieces as its span of heights asks for. Where two beads
-meet, each ends at the bisector of the joint, as the capsules themselves do, so that neighbours
-neither overlap nor gape and the order of painting them does not matter.
+Each bead is cut across into equal pieces, as many as its span of heights requires. Where two beads
+meet, each ends at the bisector of the joint, as the capsules do. Neighbours then neither overlap
+nor leave a gap, and the order of painting them doesn't matter.
 """
 
 from typing import Any
@@ -20,17 +20,24 @@ from numpy.typing import NDArray
 # "distance to the camera along the line of sight" for "height".
 _PIECE_SPAN = 0.0067
 
-SHIFT = 6  # OpenCV takes coordinates in 1/2**SHIFT pixels
-# pixels; coordinates are held inside this, so that their differences fit OpenCV's int32 after SHIFT
+SHIFT = 6  # OpenCV takes fixed-point coordinates in units of 1 / 2**SHIFT pixels
+# Coordinates are clipped to this many pixels, so that their differences fit OpenCV's int32 after
+# the shift: 2 * 2**23 * 2**6 = 2**30.
 _FAR = 2.0**23
-# pixels by which OpenCV's convex polygons, which own their outline, come out wider than the polygon
+# OpenCV fills a convex polygon including its outline, so that it comes out this many pixels wider;
+# radii are reduced by as much.
 EDGE = 0.48
-# pieces seen so nearly end-on that they appear shorter than this many radii get round ends
+# Pieces that are seen nearly end-on, and so appear shorter than this many radii, get round ends.
 _STEEP = 1.0
-# The vertices of one end of a piece: a mitred end, where the rope turns left, is cut along the
-# bisector of the joint, with a short arc on the outer side and one corner, given twice, on the
-# inner side; _ARC is where on the arc, of half the turn. Cosines and sines of the two corners of a
-# square end, and of the vertices of a round one, from right to left:
+# Every piece is a polygon of 14 vertices, 7 for each end, whatever the shape of the end:
+#
+#     mitred   between two beads: 5 vertices on an arc on the outer side of the turn, from the
+#              perpendicular of one bead to the bisector of the joint, and the inner corner, twice
+#     square   within a bead: the two corners, repeated
+#     round    7 vertices on a half circle
+#
+# _ARC: positions on the arc of a mitred end, as fractions of half the turn. _SQUARE: cosine and
+# sine of the right and of the left corner. _CAP: cosines and sines of the vertices of a round end.
 _ARC = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
 _SQUARE = np.array([[np.cos(angle), np.sin(angle)] for angle in (-0.5 * np.pi, 0.5 * np.pi)])
 _CAP = np.stack(
@@ -44,26 +51,28 @@ _CAP = np.stack(
 def polygons(
     pixels: NDArray[np.float64], height: NDArray[np.float64], radius: NDArray[np.float64], side: int
 ) -> tuple[NDArray[np.int32], NDArray[np.intp], NDArray[np.float64]]:
-    """The pieces of the beads as convex polygons, in the order in which to paint them.
+    """Cut the beads into convex polygons, in the order in which to paint them.
 
     Args:
-        pixels: (n, 2), where bead i starts on the canvas, OpenCV's convention (centres at whole
-            numbers).
-        height: (n,), metres, of the same points.
+        pixels: (n, 2), start of bead i on the canvas, in OpenCV's convention (pixel centres at
+            whole numbers).
+        height: (n,), height of the same points, metres.
         radius: (n,), pixels, less EDGE.
-        side: of the canvas, pixels; what lies outside isn't returned.
+        side: side of the canvas, pixels; pieces outside it are left out.
 
     Returns:
-        int32 (pieces, 14, 2), vertices in 1/2**SHIFT pixels; and for each the bead it belongs to
-        and the height of its middle, metres, (pieces,) both.
+        int32 (pieces, 14, 2), vertices in 1/2**SHIFT pixels; (pieces,), the bead that each piece
+        belongs to; and (pieces,), the height of its middle, metres.
     """
-    # What compiled code might round differently (angles and their functions) is NumPy's, so that
-    # the bytes are the same with or without it.
+    # Angles and their functions are computed by NumPy, because compiled code may round them
+    # differently; the bytes are then the same with and without compilation.
     step = np.roll(pixels, -1, axis=0) - pixels
     length = np.hypot(step[:, 0], step[:, 1])
     along, sine, cosine = _directions(step, length)
-    turn = np.arctan2(sine, cosine)  # at points[i], from bead i - 1 to i
+    turn = np.arctan2(sine, cosine)  # at points[i], from bead i - 1 to bead i
     half = 0.5 * np.abs(turn)
+    # Angles of the arc in the frame of the bead, from its right perpendicular to the bisector. The
+    # inner corner is cut back by radius * tan(half turn); 1.5 keeps the tangent finite.
     arc = -0.5 * np.pi + half[:, None] * _ARC
     corners, bead, middle = _pieces(
         pixels,
@@ -93,14 +102,14 @@ def average(canvas: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
     Returns:
         uint8, shape (rows / factor, columns / factor, 3).
     """
-    while factor % 2 == 0:  # halving twice is three times as fast as quartering
+    while factor % 2 == 0:  # halving twice is three times as fast as one reduction by four
         canvas = _shrink(canvas, 2)
         factor //= 2
     return canvas if factor == 1 else _shrink(canvas, factor)
 
 
 def nearest(canvas: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
-    """The greatest of the samples of each pixel.
+    """Take the largest sample of each pixel, that is the depth nearest to the camera.
 
     Args:
         canvas: uint8, shape (rows, columns).
@@ -111,8 +120,8 @@ def nearest(canvas: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
     """
     for axis in (0, 1):
         lines = np.moveaxis(canvas, axis, 0)
-        most = np.maximum.reduce([lines[k::factor] for k in range(factor)])
-        canvas = np.moveaxis(most, 0, axis)
+        largest = np.maximum.reduce([lines[k::factor] for k in range(factor)])
+        canvas = np.moveaxis(largest, 0, axis)
     return canvas
 
 
@@ -125,9 +134,10 @@ def _shrink(canvas: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
 
 @numba.njit(cache=True, nogil=True)
 def _directions(step: NDArray[np.float64], length: NDArray[np.float64]) -> Any:
-    """Unit vectors of the beads (n, 2), sine and cosine (n,) of the turns at their starts."""
+    """Return the beads' unit vectors (n, 2), and sine and cosine (n,) of the turns between them."""
     n = len(step)
     along, sine, cosine = np.empty((n, 2)), np.empty(n), np.empty(n)
+    # a bead seen exactly end-on has no direction; any will do, and it is (1, 0)
     for i in range(n):
         for axis in range(2):
             along[i, axis] = (
@@ -155,12 +165,13 @@ def _pieces(
     cap: NDArray[np.float64],
     side: int,
 ) -> Any:
-    """The pieces in the picture, bead after bead.
+    """Compute the pieces that are in the picture, bead after bead.
 
     Returns:
-        corners int32 (m, 14, 2), bead (m,), height of the middle (m,).
+        corners int32 (m, 14, 2); bead (m,); height of the middle (m,), metres.
     """
     n = len(pixels)
+    # an upper bound on the number of pieces, to allocate once
     most = 0
     for i in range(n):
         most += int(max(np.ceil(abs(height[(i + 1) % n] - height[i]) / _PIECE_SPAN), 1.0))
@@ -175,8 +186,10 @@ def _pieces(
         x, y, each = along[i, 0], along[i, 1], length[i] / count
         for nth in range(count):
             start, stop = nth / count, (nth + 1) / count
-            # A piece's start is the end of the same piece walked backwards: the direction and the
-            # turn change sign.
+            # The start of a piece is the end of the same piece traversed backwards, where the
+            # direction and the turn change sign. Only the first and the last piece of a bead touch
+            # a joint. own[:7] goes from right to left at the end and own[7:] from right to left
+            # seen backwards, so that together they go round the polygon once.
             last, begin = nth + 1 == count, nth == 0
             _end(
                 x,
@@ -206,6 +219,8 @@ def _pieces(
                 cap,
                 own[7:],
             )
+            # Shift to the canvas; keep the piece if its bounding box meets the canvas and no
+            # coordinate is NaN (which means behind the perspective camera).
             seen = True
             for axis in range(2):
                 step = along[i, axis] * length[i]
@@ -241,18 +256,22 @@ def _end(
     cap: NDArray[np.float64],
     out: NDArray[np.float64],
 ) -> None:
-    """Write the vertices of a piece's end, from right to left, from the joint's pixel: out (7, 2).
+    """Write the 7 vertices of one end of a piece, from right to left.
 
     Args:
-        x, y: unit vector out of the piece.
-        turn: radians by which the next bead turns away; 0 ends the piece square.
-        length: pixels of the piece.
-        tan: of half the turn.
+        x, y: unit vector along the piece, out of this end.
+        radius: radius at this end, pixels.
+        turn: angle by which the next bead turns to the left, radians; 0 at a square end.
+        length: length of the piece, pixels.
+        tan: tangent of half the turn.
         cos, sin: shape (5,), of the angles of the arc.
-        joint: another bead follows, so that tan, cos and sin count.
+        joint: whether another bead follows, so that tan, cos and sin are used.
         square: cosine and sine of the right and of the left corner of a square end, shape (2, 2).
-        cap: those of the vertices of a round end, shape (2, 7).
+        cap: cosines and sines of the vertices of a round end, shape (2, 7).
+        out: shape (7, 2), pixels relative to the end of the axis; output.
     """
+    # Polar coordinates (c, s) about the end of the axis, angle 0 along (x, y). A right turn is a
+    # left turn mirrored: the vertices in reverse order (`at`) and the sine negated.
     rounded, right = length < _STEEP * radius, turn < 0.0
     for k in range(7):
         at = 6 - k if right else k
@@ -260,6 +279,8 @@ def _end(
         if rounded:
             c, s = cap[0, k], cap[1, k]
         elif at > 4:
+            # the inner corner, on the bisector: it lies back from the end by radius * tan, but by
+            # no more than half the piece, where the other end's corner may be
             c, s = square[1]
             back = np.minimum(radius * (tan if joint else 0.0), 0.5 * length)
         elif joint:

@@ -1,6 +1,7 @@
 """Videos of a rope beside its goal, with their codes below, as mp4, webm or gif.
 
-All play in a browser: an .mp4 holds H.264 and a .webm VP9, both encoded by PyAV (extra `video`).
+All of them play in a browser: .mp4 files hold H.264 and .webm files VP9, both encoded by PyAV
+(extra `video`).
 """
 
 from __future__ import annotations
@@ -16,45 +17,47 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from knotgym.common.atomic_files import atomic_write
-from knotgym.common.errors import KnotgymError, install_command
-from knotgym.rendering.camera import seen_from
+from knotgym.common.errors import install_command
+from knotgym.rendering.camera import PictureError, seen_from
 from knotgym.rendering.diagram import draw_diagram, side_of
 from knotgym.topology.crossings import label
 
 Array = NDArray[np.float64]
 
 FRAMES_PER_SECOND = 5  # an action lasts 0.192 s
-_TEXT = 18  # pixels a line of caption
+_TEXT = 18  # height of a line of the caption, pixels
 _FONT, _LETTERS, _WHITE = cv2.FONT_HERSHEY_SIMPLEX, 0.45, (225, 225, 225)
-_WIDTH = 384  # pixels of each half
+_WIDTH = 384  # width of each half, pixels
 OUTCOMES = {"reached": (52, 211, 153), "failed": (251, 113, 133)}  # RGB
-# ending -> encoder and its options
+# suffix -> encoder and its options
 _CODECS: dict[str, tuple[str, dict[str, str]]] = {
     ".mp4": ("libx264", {"crf": "18"}),
     ".webm": ("libvpx-vp9", {"crf": "18", "b": "0"}),
 }
 
 
-class UnknownFilm(KnotgymError, ValueError):
-    """A kind of video that can't be written."""
-
-
 def captioned(
     frame: NDArray[np.uint8], lines: Sequence[str], outcome: str = ""
 ) -> NDArray[np.uint8]:
-    """Write lines of text below a picture, uint8 (height, width, 3), and frame it by its outcome.
+    """Add lines of text below a picture and mark its outcome.
 
     Args:
-        outcome: "reached" or "failed", written large in green or red; "" for neither.
+        frame: uint8 (height, width, 3), RGB.
+        lines: lines of text.
+        outcome: "reached" or "failed", written large in green or red with a border; "" for none.
+
+    Returns:
+        uint8 (height, width, 3), RGB, with an even height.
     """
     high, wide = frame.shape[:2]
-    # encoders of films need an even height
+    # video encoders need an even height
     below = np.zeros((_TEXT * len(lines) + 8 + (high + _TEXT * len(lines)) % 2, wide, 3), np.uint8)
     for number, line in enumerate(lines):
-        wide_at_full = cv2.getTextSize(line, _FONT, _LETTERS, 1)[0][0]
-        letters = min(_LETTERS, _LETTERS * (wide - 12) / max(1, wide_at_full))
-        at = (6, _TEXT * (number + 1) - 2)
-        cv2.putText(below, line, at, _FONT, letters, _WHITE, 1, cv2.LINE_AA)
+        # a line that is too long is written smaller
+        line_width = cv2.getTextSize(line, _FONT, _LETTERS, 1)[0][0]
+        letters = min(_LETTERS, _LETTERS * (wide - 12) / max(1, line_width))
+        origin = (6, _TEXT * (number + 1) - 2)
+        cv2.putText(below, line, origin, _FONT, letters, _WHITE, 1, cv2.LINE_AA)
     whole = np.concatenate([frame, below])
     if outcome:
         colour = OUTCOMES[outcome]
@@ -72,22 +75,22 @@ def film_frame(
     views: Sequence[str] = ("top",),
     side: float | None = None,
 ) -> NDArray[np.uint8]:
-    """Draw a rope beside its goal, with the pull about to be made as an arrow and both codes below.
+    """Draw a rope beside its goal, the next pull as an arrow, and both codes below.
 
     Args:
         points, goal: float64 (beads, 3), metres.
-        heading: the first line below.
-        pull: a bead, and the force on it in units of the largest there is, (3,).
-        outcome: as of `captioned`.
-        views: one below another, see `draw_diagram`.
-        side: metres that a side of each half shows; by default both ropes fit.
+        heading: first line of the caption.
+        pull: a bead and the force on it, (3,), in units of the largest force.
+        outcome: as in `captioned`.
+        views: views stacked vertically, see `draw_diagram`.
+        side: side of each half, metres; by default both ropes fit.
 
     Returns:
         uint8 (height, width, 3), RGB, 768 pixels wide.
     """
-    shown = side or film_side([points, goal], views)
+    metres = side or film_side([points, goal], views)
     halves = [
-        np.concatenate([draw_diagram(rope, _WIDTH, side=shown, view=view, pull=arrow)
+        np.concatenate([draw_diagram(rope, _WIDTH, side=metres, view=view, pull=arrow)
                         for view in views])
         for rope, arrow in ((points, pull), (goal, None))
     ]  # fmt: skip
@@ -100,7 +103,7 @@ def film_frame(
 
 
 def film_side(ropes: Sequence[Array], views: Sequence[str] = ("top",)) -> float:
-    """Metres that a side must show so that every rope and arrow fits in every view."""
+    """Return the side, metres, in which every rope with its arrow fits in every view."""
     return 1.2 * max(side_of(seen_from(view, rope)) for rope in ropes for view in views)
 
 
@@ -112,12 +115,15 @@ def film_frames(
     reached: Sequence[bool] | NDArray[np.bool_],
     views: Sequence[str] = ("top",),
 ) -> list[NDArray[np.uint8]]:
-    """Draw a whole episode at one scale; the last frame says how it ended and stays for a second.
+    """Draw an episode at one scale; the last frame shows the outcome and lasts one second longer.
 
     Args:
         ropes: T + 1 states, float64 (beads, 3) each, metres.
-        headings, reached: of each state; whether the goal is reached there.
-        pulls: the T pulls between them, as of `film_frame`.
+        goal: float64 (beads, 3), metres.
+        headings: first line of the caption of each state.
+        pulls: the T pulls between the states, as in `film_frame`.
+        reached: for each state, whether it reaches the goal.
+        views: as in `film_frame`.
     """
     side, last = film_side([*ropes, goal], views), len(ropes) - 1
     frames = [
@@ -136,23 +142,23 @@ def film_frames(
 
 
 def require_film(path: str | os.PathLike[str]) -> None:
-    """Refuse a video that can't be written here.
+    """Check that a video of this name can be written.
 
     Raises:
-        UnknownFilm: another ending, or one that needs PyAV, which isn't there.
+        PictureError: the suffix is unknown, or needs PyAV, which isn't installed.
     """
     kind = Path(path).suffix.lower()
     if kind not in (".gif", *_CODECS):
-        raise UnknownFilm(f"a video ends in .gif, .mp4 or .webm, got {os.fspath(path)!r}")
+        raise PictureError(f"a video must end in .gif, .mp4 or .webm, got {os.fspath(path)!r}")
     if kind in _CODECS:
         _pyav(kind)
 
 
 def write_film(path: str | os.PathLike[str], frames: Sequence[NDArray[np.uint8]]) -> None:
-    """Write frames of one size, RGB, as .gif, .mp4 or .webm; the file appears whole or not at all.
+    """Write frames, RGB and of equal size, as .gif, .mp4 or .webm; the write is atomic.
 
     Raises:
-        UnknownFilm: as of `require_film`.
+        PictureError: as in `require_film`.
     """
     require_film(path)
     kind = Path(path).suffix.lower()
@@ -187,8 +193,8 @@ def _pyav(kind: str) -> Any:
     try:
         import av
     except ModuleNotFoundError as error:
-        raise UnknownFilm(
-            f"a {kind} film needs PyAV, which isn't installed; install it:"
+        raise PictureError(
+            f"a {kind} video needs PyAV, which isn't installed; install it:"
             f" {install_command('video')}, or write a .gif"
         ) from error
     return av

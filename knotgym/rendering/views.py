@@ -1,4 +1,4 @@
-"""The views of a rope that a picture can show, and the settings of pictures that go with them."""
+"""Validation of the settings `views` and `depth`, shared by pictures and tasks."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ VIEWS = ("top", "left", "front")  # see `rendering.camera`
 
 
 def checked_views(views: Sequence[str], error: type[KnotgymError]) -> tuple[str, ...]:
-    """Views as a tuple (JSON has lists); raise error unless each is of VIEWS and named once."""
+    """Return views as a tuple (JSON has lists); raise error unless they are unique VIEWS."""
     named = tuple(views) if isinstance(views, (tuple, list)) else ()
     if not named or any(view not in VIEWS for view in named) or len({*named}) < len(named):
         raise error(
-            f"views must be a list of {', '.join(VIEWS)}, each at most once, one at least; got"
+            f"views must be a list of {', '.join(VIEWS)}, at least one, each at most once; got"
             f" {views!r}"
         )
     return named
 
 
 def check_depth(depth: object, renderer: str, error: type[KnotgymError]) -> None:
-    """Raise error unless depth is a bool, and drawn by a renderer that draws it."""
+    """Raise error unless depth is a bool and the renderer supports it."""
     if not isinstance(depth, bool):
         raise error(f"depth must be true or false, got {depth!r}")
     if depth and renderer == "mujoco":
-        raise error("depth is drawn by renderer 'opencv' (or 'auto', the same), not by 'mujoco'")
+        raise error("depth needs renderer 'opencv' or 'auto'; 'mujoco' doesn't draw it")

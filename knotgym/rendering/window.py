@@ -1,4 +1,4 @@
-"""The window of `render_mode="human"`: the rope beside its goal, as in films, drawn by pygame."""
+"""Window of `render_mode="human"`: the rope beside its goal, as in videos, shown by pygame."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ Array = NDArray[np.float64]
 
 
 class NoWindow(KnotgymError, RuntimeError):
-    """No window can be opened here."""
+    """No window can be opened, for lack of pygame or of a display."""
 
 
 class Window:
-    """A window that is opened by the first frame and keeps its scale during an episode.
+    """A window that opens with the first frame and doesn't zoom in during an episode.
 
     Raises:
         NoWindow: pygame isn't installed; from `show`, there is no display.
@@ -46,12 +46,13 @@ class Window:
         outcome: str,
         views: Sequence[str],
     ) -> None:
-        """Draw a state beside its goal; wait so that frames follow each other at the set rate.
+        """Draw a state beside its goal, and wait to keep the frame rate.
 
         Args:
             points, goal: float64 (beads, 3), metres.
-            step, horizon: of the episode; step 0 starts a new one.
-            outcome, views: as of `film_frame`.
+            step: actions taken in the episode; 0 starts a new episode.
+            horizon: length of the episode.
+            outcome, views: as in `film_frame`.
         """
         needed = film_side([points, goal], views)
         self._side = max(needed, self._side if step else 0.0)
@@ -66,7 +67,7 @@ class Window:
         self._clock.tick(self._rate)
 
     def close(self) -> None:
-        """Close the window; a later frame opens another."""
+        """Close the window; a later frame opens a new one."""
         if self._screen is not None:
             self._pygame.display.quit()
             self._screen = None
@@ -77,7 +78,7 @@ class Window:
             self._screen = self._pygame.display.set_mode(size)
         except self._pygame.error as error:
             raise NoWindow(
-                f"render_mode 'human' needs a display ({error}); without one use 'rgb_array'"
+                f"render_mode 'human' needs a display ({error}); use 'rgb_array' without one"
             ) from error
         self._pygame.display.set_caption("knotgym")
         self._clock = self._pygame.time.Clock()

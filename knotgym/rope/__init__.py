@@ -1,1 +1,1 @@
-"""The rope: its model, kinematics, simulation and actions."""
+"""The closed rope: model, kinematics, batched simulation and actions."""

@@ -1,8 +1,8 @@
-"""From generalized positions to vertices and back, along a rope's kinematic trees, compiled.
+"""Compiled forward and inverse kinematics: generalized positions to vertices and back.
 
-Quaternions are (w, x, y, z). A tree is given by arrays over the beads: `order`, parents before
-children; `parent`, -1 at a root; `at`, where a bead's numbers begin in qpos; `rest`, its
-orientation to its parent at zero joint angle.
+Quaternions are (w, x, y, z). The kinematic trees are described by arrays over the beads: `order`
+lists parents before their children; `parent` is -1 at a root; `at` is the index in qpos at which a
+bead's numbers begin; `rest` is its orientation relative to its parent at zero joint angle.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ def forward(
     points: Array,
     gaps: Array,
 ) -> None:
-    """Write the vertices of generalized positions, and how far apart joined ends stand at most.
+    """Compute the vertices of generalized positions and the largest gap between joined ends.
 
     Args:
         qpos: float64 (n, nq).
-        order, parent, at, rest: the tree, see the module.
-        length: of a bead, metres.
-        points: float64 (n, beads, 3), metres; written.
-        gaps: float64 (n,), metres; written.
+        order, parent, at, rest: the kinematic trees, see the module.
+        length: length of a bead, metres.
+        points: float64 (n, beads, 3), metres; output.
+        gaps: float64 (n,), metres; output.
     """
     beads = len(order)
     world = np.empty((beads, 4))
@@ -44,11 +44,15 @@ def forward(
             bead = order[k]
             up, a = parent[bead], at[bead]
             if up < 0:
+                # a free joint: position in q[a : a + 3], orientation in q[a + 3 : a + 7]
                 _unit(q[a + 3 : a + 7], world[bead])
             else:
+                # world = parent's world * rest * ball joint; MuJoCo normalizes the joint's
+                # quaternion before use, and so must we
                 _multiply(world[up], rest[bead], turned)
                 _unit(q[a : a + 4], own)
                 _multiply(turned, own, world[bead])
+            # a bead lies along its body's x axis: the first column of the rotation matrix
             w, x, y, z = world[bead, 0], world[bead, 1], world[bead, 2], world[bead, 3]
             axis[bead, 0] = length * (1 - 2 * (y * y + z * z))
             axis[bead, 1] = length * 2 * (x * y + w * z)
@@ -57,9 +61,13 @@ def forward(
                 if up < 0:
                     points[row, bead, c] = q[a + c]
                 elif up == bead - 1:
+                    # after the root: the bead starts where its parent ends
                     points[row, bead, c] = points[row, up, c] + axis[up, c]
                 else:
+                    # before the root: the bead ends where its parent starts
                     points[row, bead, c] = points[row, up, c] - axis[bead, c]
+        # Inside a sub-chain the next vertex is the bead's end by construction, so that only the
+        # soft closures between sub-chains contribute here.
         gaps[row] = 0.0
         for bead in range(beads):
             square = 0.0
@@ -73,13 +81,16 @@ def forward(
 def backward(
     points: Array, along: Array, order: Array, parent: Array, at: Array, rest: Array, qpos: Array
 ) -> None:
-    """Write the generalized positions of a configuration, with the smallest twist of each bead.
+    """Compute the generalized positions of a configuration, with the smallest twist of each bead.
+
+    Vertices alone don't determine the rotation of a bead about its own axis; each bead gets its
+    parent's orientation turned by the shortest arc (parallel transport).
 
     Args:
         points: float64 (beads, 3), metres.
         along: float64 (beads, 3), unit vectors of the beads.
-        order, parent, at, rest: the tree, see the module.
-        qpos: float64 (nq,); written.
+        order, parent, at, rest: the kinematic trees, see the module.
+        qpos: float64 (nq,); output.
     """
     world = np.empty((len(order), 4))
     x_axis, arc, back = np.zeros(3), np.empty(4), np.empty(4)
@@ -94,6 +105,8 @@ def backward(
             for c in range(4):
                 qpos[a + 3 + c] = world[bead, c]
         else:
+            # joint = (parent's world * rest)^-1 * world; the inverse of a unit quaternion is its
+            # conjugate
             _shortest_arc(along[up], along[bead], arc)
             _multiply(arc, world[up], world[bead])
             _multiply(world[up], rest[bead], back)
@@ -102,7 +115,7 @@ def backward(
             _multiply(back, world[bead], qpos[a : a + 4])
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")  # nothing over nothing isn't a number
+@numba.njit(cache=True, nogil=True, error_model="numpy")  # 0 / 0 is NaN instead of an exception
 def _unit(q: Array, unit: Array) -> None:
     size = np.sqrt(q[0] ** 2 + q[1] ** 2 + q[2] ** 2 + q[3] ** 2)
     for c in range(4):
@@ -111,7 +124,7 @@ def _unit(q: Array, unit: Array) -> None:
 
 @numba.njit(cache=True, nogil=True)
 def _multiply(a: Array, b: Array, product: Array) -> None:
-    """Write the Hamilton product of two other quaternions, (w, x, y, z)."""
+    """Write the Hamilton product a b; `product` must share no memory with a or b."""
     product[0] = a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3]
     product[1] = a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2]
     product[2] = a[0] * b[2] - a[1] * b[3] + a[2] * b[0] + a[3] * b[1]
@@ -121,9 +134,11 @@ def _multiply(a: Array, b: Array, product: Array) -> None:
 @numba.njit(cache=True, nogil=True)
 def _shortest_arc(a: Array, b: Array, arc: Array) -> None:
     """Write the quaternion of the smallest rotation that takes unit vector a to unit vector b."""
+    # (1 + a . b, a x b) = 2 cos(t / 2) (cos(t / 2), sin(t / 2) n) for angle t and axis n
     x, y, z = b[0], b[1], b[2]
     arc[0] = 1 + a[0] * x + a[1] * y + a[2] * z
     if arc[0] < 1e-12:  # opposite: half a turn about any perpendicular axis
+        # cross with the z axis, or with x where a is nearly along z
         arc[0] = 0.0
         x, y, z = (0.0, 0.0, 1.0) if abs(a[2]) < 0.9 else (1.0, 0.0, 0.0)
     arc[1] = a[1] * z - a[2] * y

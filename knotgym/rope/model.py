@@ -1,10 +1,11 @@
-"""The closed rope: its MuJoCo model, and configurations to and from generalized positions.
+"""The closed rope: its MuJoCo model, and conversion between configurations and qpos.
 
-Bead i is a rigid capsule that starts at vertex i and ends at vertex i + 1; a *configuration* is the
-(beads, 3) array of vertices in metres, z up, and the rope runs towards increasing index. The loop
-is cut into sub-chains, each an open chain of ball joints hanging from one free bead; `connect`
-equalities pull the end of each sub-chain to the start of the next.
-Source: arXiv 2505.18028 for the constants; beads are equal here, irregular in the published asset.
+Bead i is a rigid capsule from vertex i to vertex i + 1. A *configuration* is the (beads, 3) array
+of vertices in metres, z up, in the order in which the rope runs. MuJoCo needs kinematic trees, so
+the loop is cut into sub-chains. Each is a chain of ball joints with one free bead as its root;
+`connect` equality constraints pull the end of each sub-chain to the start of the next.
+Source: arXiv 2505.18028 for the constants. All beads are equal here; in the published asset their
+lengths vary.
 """
 
 from __future__ import annotations
@@ -25,39 +26,39 @@ from knotgym.rope.kinematics import backward, forward
 
 Array = NDArray[np.float64]
 
-ROPE_FORMAT = 1  # raised whenever the same configuration would move differently
+ROPE_FORMAT = 1  # increase whenever the same configuration would move differently
 
 
 class InvalidRope(KnotgymError, ValueError):
-    """Numbers that no rope can have."""
+    """Invalid settings of a rope or of a simulation."""
 
 
 class InvalidCurve(KnotgymError, ValueError):
-    """A curve the rope cannot take the shape of."""
+    """A curve whose shape the rope cannot take."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RopeConfig:
-    """Every number of the rope and of its physics.
+    """Geometry and physics of the rope.
 
     Attributes:
-        beads: rigid capsules in the loop.
-        length: of the rope, metres.
-        radius: of a bead, metres.
-        density: of a bead, kg/m^3.
-        medium_density: of what the rope floats in, kg/m^3; its drag is what stops the rope.
-        joint_damping: of the ball joints, N m s / rad.
-        sub_chains: open chains the loop is cut into.
-        rooted: which bead of a sub-chain carries the free joint, "middle" or "start" (published);
-            the rope is the same, the tree is half as deep from the middle. MuJoCo integrates joint
-            angles, which are others then: beads end millimetres apart after an action
-            (`benchmarks/physics.py`).
-        closure_solref, closure_solimp: MuJoCo's parameters of the equalities that join the
+        beads: number of rigid capsules in the loop.
+        length: length of the rope, metres.
+        radius: radius of a bead, metres.
+        density: density of a bead, kg/m^3.
+        medium_density: density of the surrounding medium, kg/m^3; its drag stops the rope.
+        joint_damping: damping of the ball joints, N m s / rad.
+        sub_chains: number of open chains that the loop is cut into.
+        rooted: bead of a sub-chain that carries the free joint, "middle" or "start" (published).
+            The rope is the same, but with the root in the middle the tree is half as deep. MuJoCo
+            integrates joint angles, which differ between the two, so that beads end up millimetres
+            apart after an action (`benchmarks/physics.py`).
+        closure_solref, closure_solimp: MuJoCo's solver parameters of the constraints that join the
             sub-chains.
-        timestep: of the integrator, seconds.
-        frame_skip: integrator steps in one action.
+        timestep: integrator step, seconds.
+        frame_skip: integrator steps per action.
         max_force: largest component of the force on a bead, newtons.
-        reach: metres that the action's coordinates of 1 stand for.
+        reach: position that an action's coordinate of 1 stands for, metres.
     """
 
     beads: int = 100
@@ -114,18 +115,18 @@ class RopeConfig:
 
     @property
     def fingerprint(self) -> str:
-        """16 hexadecimal digits that change whenever the rope moves differently; files carry it."""
+        """Hash of the settings, 16 hexadecimal digits, stored in files made with this rope."""
         text = json.dumps({"format": ROPE_FORMAT, **asdict(self)}, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 class Rope:
-    """A compiled rope and the map between its configurations and MuJoCo's qpos.
+    """A compiled rope model, with conversion between configurations and MuJoCo's qpos.
 
     Attributes:
-        config: the numbers it was made from.
-        model: the compiled model; body i + 1 is not bead i, see `bodies`.
-        bodies: int (beads,), the MuJoCo body of each bead.
+        config: the settings it was compiled from.
+        model: the compiled model. Bodies are not in the order of the beads, see `bodies`.
+        bodies: int (beads,), the MuJoCo body id of each bead.
     """
 
     def __init__(self, config: RopeConfig | None = None) -> None:
@@ -134,7 +135,8 @@ class Rope:
         beads = self.config.beads
         self.bodies = np.array([self.model.body(f"bead{i}").id for i in range(beads)])
         bead_of = {int(body): bead for bead, body in enumerate(self.bodies)}
-        order = sorted(range(beads), key=lambda bead: self.bodies[bead])  # parents before children
+        # MuJoCo numbers a parent's body before its children's
+        order = sorted(range(beads), key=lambda bead: self.bodies[bead])
         joints = self.model.body_jntadr[self.bodies]
         self._order = np.array(order)
         self._parent = np.array(
@@ -142,18 +144,18 @@ class Rope:
         )
         self._qpos_at = self.model.jnt_qposadr[joints].astype(np.int64)
         self._dof_at = self.model.jnt_dofadr[joints].astype(np.int64)
-        # orientation to the parent at zero joint angle
+        # orientation relative to the parent at zero joint angle
         self._rest = self.model.body_quat[self.bodies].copy()
         self._next_in_chain = np.ones(beads, dtype=bool)
         self._next_in_chain[[last for _, last in sub_chains(self.config)]] = False
 
     @property
     def nq(self) -> int:
-        """Numbers in a qpos."""
+        """Length of a qpos."""
         return int(self.model.nq)
 
     def points(self, qpos: ArrayLike) -> Array:
-        """Vertices of one or many generalized positions.
+        """Return the vertices of one or many generalized positions.
 
         Args:
             qpos: float64 (..., nq).
@@ -164,14 +166,16 @@ class Rope:
         return self.points_and_gaps(qpos)[0]
 
     def points_and_gaps(self, qpos: ArrayLike) -> tuple[Array, Array]:
-        """As `points`, and how far apart the joined ends of sub-chains stand at most.
+        """Return the vertices and the largest gap between joined ends of sub-chains.
+
+        Args:
+            qpos: float64 (..., nq).
 
         Returns:
             float64 (..., beads, 3) and float64 (...), metres.
         """
-        q = np.require(
-            qpos, np.float64, ["C", "W"]
-        )  # `forward` is compiled for arrays to be written
+        # a writable array, because numba would compile `forward` again for a read-only one
+        q = np.require(qpos, np.float64, ["C", "W"])
         rows = q.reshape(-1, self.nq)
         points, gaps = np.empty((len(rows), self.config.beads, 3)), np.empty(len(rows))
         forward(
@@ -187,10 +191,11 @@ class Rope:
         return points.reshape(*q.shape[:-1], self.config.beads, 3), gaps.reshape(q.shape[:-1])
 
     def qpos(self, points: ArrayLike) -> Array:
-        """Generalized positions of a configuration, with the smallest twist about the rope's axis.
+        """Return generalized positions of a configuration, with the smallest twist of its beads.
 
         Args:
-            points: float64 (beads, 3), neighbours one bead length apart inside each sub-chain.
+            points: float64 (beads, 3), metres, neighbours one bead length apart inside each
+                sub-chain.
 
         Returns:
             float64 (nq,).
@@ -203,8 +208,9 @@ class Rope:
         return qpos
 
     def loop(self) -> Array:
-        """The plain loop, flat, anticlockwise from +x: float64 (beads, 3), metres."""
+        """Return the plain loop, flat, anticlockwise from +x: float64 (beads, 3), metres."""
         turn = 2 * np.pi * np.arange(self.config.beads) / self.config.beads
+        # circumradius of a regular polygon, so that its sides are exactly one bead long
         radius = self.config.bead_length / (2 * np.sin(np.pi / self.config.beads))
         return radius * np.stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)], axis=1)
 
@@ -212,19 +218,20 @@ class Rope:
         """Turn a closed polyline into a configuration of this rope.
 
         A curve that already is a configuration (beads of the right length inside every sub-chain,
-        closing gaps below a bead's diameter) comes back as it is; any other is cut into equal
-        chords, scaled to the rope's length and centred.
+        closing gaps below a bead's diameter) is returned unchanged. Any other curve is cut into
+        equal chords, scaled to the rope's length and centred.
 
         Args:
             curve: (n, 3), n >= 4, any unit; the last point is joined to the first, which may also
                 be repeated at the end.
-            max_overlap: how deep two beads that aren't neighbours may stand in each other, metres.
+            max_overlap: largest overlap of two beads that aren't neighbours, metres.
 
         Returns:
             float64 (beads, 3), metres.
 
         Raises:
-            InvalidCurve: not a closed curve of finite points, or beads would overlap.
+            InvalidCurve: the points are not finite, the curve is not closed or turns too sharply,
+                or beads would overlap.
         """
         p = np.array(curve, dtype=np.float64)
         if p.ndim != 2 or p.shape[1] != 3:
@@ -237,13 +244,14 @@ class Rope:
         if different < 4:
             raise InvalidCurve(f"a closed rope needs at least 4 different points, got {different}")
         if not self._is_configuration(p):
+            # a closing chord of more than three times any other is taken for an open curve
             chords = np.linalg.norm(np.roll(p, -1, axis=0) - p, axis=1)
             repeated = len(p) < len(np.asarray(curve))
             if not repeated and chords[-1] > 3 * chords[:-1].max():
                 raise InvalidCurve(
-                    f"the curve isn't closed: its ends are {chords[-1]:.3g} apart, its other points"
-                    f" at most {chords[:-1].max():.3g}; repeat the first point at the end to close"
-                    " it with a straight line"
+                    f"the curve isn't closed: its ends are {chords[-1]:.3g} apart, neighbouring"
+                    f" points at most {chords[:-1].max():.3g}; repeat the first point at the end to"
+                    " close it with a straight line"
                 )
             p = self.config.bead_length * _equal_chords(p, self.config.beads)
             if not self._is_configuration(p):
@@ -254,7 +262,7 @@ class Rope:
         if depth > max_overlap:
             most = f"{1000 * max_overlap:.1f} mm"
             raise InvalidCurve(
-                f"beads would overlap by {1000 * depth:.1f} mm, at most {most} can be had: the"
+                f"beads would overlap by {1000 * depth:.1f} mm, at most {most} is allowed: the"
                 " curve passes too close to itself"
             )
         return p
@@ -269,24 +277,27 @@ class Rope:
 
 @numba.njit(cache=True, nogil=True)
 def clearance(points: Array) -> float:
-    """Smallest distance between the axes of two beads that aren't neighbours, metres.
+    """Return the smallest distance between the axes of two beads that aren't neighbours, metres.
 
-    Below a diameter they overlap.
+    The beads overlap if it is below their diameter.
 
     Args:
-        points: float64 (beads, 3), the vertices of a closed rope.
+        points: float64 (beads, 3), metres, the vertices of a closed rope.
     """
     beads = len(points)
     best = np.inf
     for i in range(beads):
         a, b = points[i], points[(i + 1) % beads]
+        # bead 0 and the last bead are neighbours too
         for j in range(i + 2, beads if i > 0 else beads - 1):
             c, d = points[j], points[(j + 1) % beads]
             far, half = 0.0, 0.0
             for k in range(3):
                 far += (a[k] + b[k] - c[k] - d[k]) ** 2
                 half += (b[k] - a[k]) ** 2 + (d[k] - c[k]) ** 2
-            # midpoints minus both half lengths bound the distance
+            # The distance of the midpoints minus both half lengths is a lower bound; it is
+            # weakened to a single square root, l1 + l2 <= sqrt(2 (l1^2 + l2^2)), and skips nearly
+            # all pairs.
             if 0.5 * np.sqrt(far) - np.sqrt(0.5 * half) >= best:
                 continue
             best = min(best, _segment_distance(a, b, c, d))
@@ -297,13 +308,14 @@ def clearance(points: Array) -> float:
 def _compile(config: RopeConfig) -> mujoco.MjModel:
     """Build and compile the model.
 
-    Its reference pose is the plain loop, which MuJoCo takes the anchors and inertias from.
+    Its reference pose is the plain loop; MuJoCo derives the anchors of the constraints from it.
     """
     spec = mujoco.MjSpec()
     spec.modelname = "rope"
     spec.option.gravity = [0.0, 0.0, 0.0]
     spec.option.density = config.medium_density
     spec.option.timestep = config.timestep
+    # MuJoCo's Euler integrator treats joint damping implicitly
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
     spec.option.solver = mujoco.mjtSolver.mjSOL_PGS
     for first, last in sub_chains(config):
@@ -314,7 +326,7 @@ def _compile(config: RopeConfig) -> mujoco.MjModel:
 
 
 def _add_chain(spec: mujoco.MjSpec, config: RopeConfig, first: int, last: int) -> None:
-    """Add the beads first to last, an open chain of ball joints that hangs from one free bead."""
+    """Add the beads first to last as a chain of ball joints with one free bead as its root."""
     length, turn = config.bead_length, 2 * np.pi / config.beads
     radius = length / (2 * np.sin(np.pi / config.beads))
     joint = {"type": mujoco.mjtJoint.mjJNT_BALL, "damping": [config.joint_damping, 0.0, 0.0]}
@@ -331,6 +343,8 @@ def _add_chain(spec: mujoco.MjSpec, config: RopeConfig, first: int, last: int) -
         )
         return body
 
+    # Bead k of the plain loop starts at angle turn * k of the circle and points along the chord to
+    # the next vertex, which is the tangent half a bead further on.
     root = (first + last + 1) // 2 if config.rooted == "middle" else first
     start = [radius * np.cos(turn * root), radius * np.sin(turn * root), 0.0]
     free = add_bead(spec.worldbody, root, start, turn * (root + 0.5) + np.pi / 2)
@@ -339,7 +353,8 @@ def _add_chain(spec: mujoco.MjSpec, config: RopeConfig, first: int, last: int) -
     for bead in range(root + 1, last + 1):
         body = add_bead(body, bead, [length, 0.0, 0.0], turn)
         body.add_joint(**joint)
-    # a bead before the root hangs from its own end, which is the start of the next bead
+    # Before the root, the joint is at the bead's own end, which is the start of its parent. In the
+    # parent's frame the bead's start lies one length back along its direction, (cos, -sin) of turn.
     body, back = free, [-length * np.cos(turn), length * np.sin(turn), 0.0]
     for bead in range(root - 1, first - 1, -1):
         body = add_bead(body, bead, back, -turn)
@@ -347,7 +362,7 @@ def _add_chain(spec: mujoco.MjSpec, config: RopeConfig, first: int, last: int) -
 
 
 def _join(spec: mujoco.MjSpec, config: RopeConfig, last: int, after: int) -> None:
-    """Pull the end of bead `last` to the start of bead `after`."""
+    """Constrain the end of bead `last` to the start of bead `after`."""
     joined = spec.add_equality(
         type=mujoco.mjtEq.mjEQ_CONNECT,
         objtype=mujoco.mjtObj.mjOBJ_BODY,
@@ -357,25 +372,35 @@ def _join(spec: mujoco.MjSpec, config: RopeConfig, last: int, after: int) -> Non
     joined.data[0:3] = [config.bead_length, 0.0, 0.0]
     joined.solref = list(config.closure_solref)
     joined.solimp = list(config.closure_solimp)
+    # Their capsules overlap where they meet. MuJoCo exempts parent and child from collision, but
+    # these two belong to different trees.
     spec.add_exclude(bodyname1=f"bead{last}", bodyname2=f"bead{after}")
 
 
 def sub_chains(config: RopeConfig) -> list[tuple[int, int]]:
-    """First and last bead of each sub-chain, as equal in size as they can be."""
+    """Return the first and last bead of each sub-chain; sizes differ by at most one bead."""
     cuts = [round(k * config.beads / config.sub_chains) for k in range(config.sub_chains + 1)]
     return [(first, after - 1) for first, after in zip(cuts[:-1], cuts[1:], strict=True)]
 
 
 def base_shifts(config: RopeConfig) -> list[int]:
-    """The renumberings that nearly are symmetries: to the start of each sub-chain, vertices."""
+    """Return the first vertex of each sub-chain.
+
+    Moving the base to one of them is nearly a symmetry: the new sub-chains start where the old ones
+    did, up to differences in size.
+    """
     return [first for first, _ in sub_chains(config)]
 
 
 def closed_directions(along: Array) -> Array:
-    """Change unit vectors (n, 3) as little as makes their sum zero, so that the chain closes.
+    """Change unit vectors (n, 3) as little as possible so that they sum to zero.
 
-    Newton's method on one shift common to all.
+    A chain of equal chords in these directions is closed.
     """
+    # The unit vectors u_i with sum 0 that minimize sum |u_i - a_i|^2 are the normalized a_i - s,
+    # where s is the Lagrange multiplier of the constraint. Newton's method on s:
+    #     f(s) = sum_i (a_i - s) / |a_i - s| = 0,
+    # with the Jacobian df/ds = -sum_i (I - u_i u_i^T) / |a_i - s|, u_i the normalized vectors.
     shift = np.zeros(3)
     for _ in range(50):
         moved = along - shift
@@ -390,22 +415,24 @@ def closed_directions(along: Array) -> Array:
 
 
 def _equal_chords(curve: Array, count: int) -> Array:
-    """Cut a closed polyline into `count` chords of length 1 that end where they began.
+    """Cut a closed polyline into a closed chain of `count` chords of length 1.
 
-    The places of the cuts along the polyline move until the chords are equal, which they nearly
-    become unless it doubles back within a chord; the least change of their directions closes what
-    is left.
+    The cuts move along the polyline until the chords are nearly equal; this fails only where the
+    polyline doubles back within a chord. The chords are then scaled to length 1, and a correction
+    of their directions closes the chain (`closed_directions`).
 
     Returns:
         float64 (count, 3), centred.
     """
     curve = (curve - curve[0]) / max(np.ptp(curve, axis=0).max(), np.finfo(float).tiny)
     closed = np.concatenate([curve, curve[:1]])
-    at = _walked(closed)
-    cuts = np.linspace(0.0, at[-1], count + 1)
+    arc_length = _arc_lengths(closed)
+    cuts = np.linspace(0.0, arc_length[-1], count + 1)  # arc lengths at which to cut
+    # Fixed-point iteration: a chord is shorter than the arc that it cuts off, the more so the more
+    # the curve bends there. Measure the chords, and move the cuts to equal shares of their sum.
     for _ in range(50):
-        points = np.stack([np.interp(cuts, at, axis) for axis in closed.T], axis=1)
-        walked = _walked(points)
+        points = np.stack([np.interp(cuts, arc_length, axis) for axis in closed.T], axis=1)
+        walked = _arc_lengths(points)
         if np.ptp(np.diff(walked)) <= 1e-12 * walked[-1]:
             break
         cuts = np.interp(np.linspace(0.0, walked[-1], count + 1), walked, cuts)
@@ -416,14 +443,17 @@ def _equal_chords(curve: Array, count: int) -> Array:
     return np.roll(ends, 1, axis=0) - ends.mean(axis=0)
 
 
-def _walked(points: Array) -> Array:
-    """Length walked along a polyline to each of its n points, from 0: float64 (n,)."""
+def _arc_lengths(points: Array) -> Array:
+    """Return the arc length of a polyline at each of its n points: float64 (n,), from 0."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
 
 
 @numba.njit(cache=True, nogil=True)
 def _segment_distance(a: Array, b: Array, c: Array, d: Array) -> float:
-    """Distance between segments ab and cd (Ericson, Real-Time Collision Detection, 5.1.9)."""
+    """Return the distance of segments ab and cd (Ericson, Real-Time Collision Detection, 5.1.9)."""
+    # u = b - a, v = d - c, w = a - c; the closest points are a + s u and c + t v, s, t in [0, 1].
+    # Setting both derivatives of |w + s u - t v|^2 to zero gives
+    #     s uu - t uv = -uw,    s uv - t vv = -vw.
     uu, vv, uv, uw, vw = 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(3):
         u, v, w = b[k] - a[k], d[k] - c[k], a[k] - c[k]
@@ -432,6 +462,8 @@ def _segment_distance(a: Array, b: Array, c: Array, d: Array) -> float:
         uv += u * v
         uw += u * w
         vw += v * w
+    # Cramer's rule for s, clamped; parallel segments (det = 0) may start from any s. Then t that is
+    # best for this s, and if t must be clamped, s that is best for the clamped t.
     det = uu * vv - uv * uv
     s = min(max((uv * vw - uw * vv) / det, 0.0), 1.0) if det > 1e-15 * uu * vv else 0.0
     t = (uv * s + vw) / vv

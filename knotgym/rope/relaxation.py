@@ -1,15 +1,19 @@
-"""Relaxation without physics: strands part in the picture, bends ease, and the Gauss code stays.
+"""Relaxation without physics: spread strands in the picture and straighten bends.
 
-For pictures, which need a rope that could lie so and no actions that lead there; it takes a
-thousandth of the time that moving the rope in the simulator would. Each iteration pushes
-apart vertices whose strands come near in the picture, straightens bends, lifts the strands at
-crossings apart, and gives every bead its length again (position-based dynamics, Müller et al.,
-2007).
+The Gauss code is kept. The result is a configuration that the rope could take, without actions that
+lead to it, at a thousandth of the cost of simulation. Each iteration
+
+1. straightens bends,
+2. pushes apart vertices of different strands that are close in the picture,
+3. separates the two strands of each crossing in height,
+4. restores the length of every bead by projection.
+
+Source of step 4: position-based dynamics, Müller et al., 2007.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numba
 import numpy as np
@@ -21,20 +25,22 @@ from knotgym.topology.crossings import label
 
 @dataclass(frozen=True, kw_only=True)
 class RelaxationConfig:
-    """What an iteration does; shares are of what there is to mend.
+    """Settings of one round of relaxation.
 
     Attributes:
-        iterations: of a round.
-        reach: metres in the picture within which strands push each other apart; 0.045 are nine
-            pixels.
-        apart: beads along the rope that are the same strand.
-        push: bead lengths that strands on top of each other push each other at once.
-        bending: share of a bend straightened at once.
-        crossing: bead lengths in the picture within which strands cross, or nearly.
-        height: metres that the axes of crossing strands are brought apart.
-        lifting: share of the height lacking that each of them is lifted or lowered at once.
-        most: bead lengths that a vertex moves at once, along each axis.
-        passes: over the beads that give them their length again.
+        iterations: iterations per round.
+        reach: distance in the picture within which strands repel each other, metres; 0.045 is
+            nine pixels.
+        apart: vertices fewer than this many beads apart along the rope don't repel each other.
+        push: largest repulsion per iteration, bead lengths, of strands at distance 0.
+        bending: coefficient of the straightening step per iteration.
+        crossing: distance in the picture within which two strands count as crossing, bead
+            lengths.
+        height: target difference in height between crossing strands, metres.
+        lifting: fraction of the missing height by which each of the two strands moves per
+            iteration.
+        most: largest displacement of a vertex per iteration along each axis, bead lengths.
+        passes: projection sweeps over the beads per iteration.
     """
 
     iterations: int = 20
@@ -58,17 +64,18 @@ class RelaxationConfig:
 
 
 def relaxed(points: Array, rounds: int, rope: Rope, config: RelaxationConfig) -> Array | None:
-    """Let a configuration relax.
+    """Relax a configuration.
 
     Args:
-        points: float64 (beads, 3), metres; left alone.
-        rounds: at least 1; it ends before the first that would change the code.
-        rope: whose bead length and overlap it keeps to.
-        config: what a round does.
+        points: float64 (beads, 3), metres; not modified.
+        rounds: number of rounds, at least 1; relaxation stops before the first round that would
+            change the code.
+        rope: supplies the bead length and the limit on overlap.
+        config: settings of a round.
 
     Returns:
-        float64 (beads, 3), a configuration of the rope with the code of `points`; None if it can't
-        be had.
+        float64 (beads, 3), metres, a configuration of the rope with the code of `points`; None if
+        the first round changes the code or the result is no valid configuration.
 
     Raises:
         InvalidConfig: fewer than 1 round.
@@ -78,7 +85,7 @@ def relaxed(points: Array, rounds: int, rope: Rope, config: RelaxationConfig) ->
     code = label(points)
     moving, last = np.array(points, dtype=np.float64), None
     for _ in range(rounds):
-        _relax(moving, rope.config.bead_length, config)
+        _iterate(moving, rope.config.bead_length, *astuple(config))
         if label(moving) != code:
             break
         last = moving.copy()
@@ -86,27 +93,9 @@ def relaxed(points: Array, rounds: int, rope: Rope, config: RelaxationConfig) ->
         return None
     try:
         laid = rope.from_curve(last)
-    except InvalidCurve:  # strands are too deep in each other
+    except InvalidCurve:  # strands overlap too deeply
         return None
     return laid if label(laid) == code else None
-
-
-def _relax(points: Array, length: float, config: RelaxationConfig) -> None:
-    """One round, in place."""
-    _iterate(
-        points,
-        length,
-        config.iterations,
-        config.reach,
-        config.apart,
-        config.push,
-        config.bending,
-        config.crossing,
-        config.height,
-        config.lifting,
-        config.most,
-        config.passes,
-    )
 
 
 @numba.njit(cache=True, nogil=True)
@@ -124,25 +113,31 @@ def _iterate(
     most: float,
     passes: int,
 ) -> None:
+    """Run one round in place; the settings are the fields of RelaxationConfig, in their order."""
     n = len(p)
     move = np.empty((n, 3))
     for _ in range(iterations):
+        # Moves are computed from the same positions for all vertices, then applied together.
         _straighten(p, move, bending)
         for i in range(n):
             for j in range(i + apart, n):
-                if i + n - j < apart:
+                if i + n - j < apart:  # neighbours across the base bead
                     continue
                 x, y = p[i, 0] - p[j, 0], p[i, 1] - p[j, 1]
                 distance = np.sqrt(x * x + y * y)
                 if distance >= reach:
                     continue
-                if distance < crossing * length:  # over and under keep their distance
+                # At a crossing the upper strand rises and the lower one sinks, which keeps the
+                # code's over and under.
+                if distance < crossing * length:
                     z = p[i, 2] - p[j, 2]
                     lack = height - abs(z)
                     if lack > 0:
                         lift = lifting * lack if z >= 0 else -lifting * lack
                         move[i, 2] += lift
                         move[j, 2] -= lift
+                # Repulsion falls from push at distance 0 to 0 at reach, quadratically, so that
+                # there is no kink at reach; dividing by the distance normalizes (x, y).
                 if distance > 1e-9:
                     strength = push * (1 - distance / reach) ** 2 * length / distance
                     move[i, 0] += strength * x
@@ -151,13 +146,17 @@ def _iterate(
                     move[j, 1] -= strength * y
         for i in range(n):
             for k in range(3):
+                # by default 2 mm, well below the rope's radius: strands can't jump each other
                 p[i, k] += min(most * length, max(-most * length, move[i, k]))
         _restore_lengths(p, length, passes)
 
 
 @numba.njit(cache=True, nogil=True)
 def _straighten(p: Array, move: Array, bending: float) -> None:
-    """Set the moves to a share of what would straighten the bends (the biharmonic operator)."""
+    """Set the moves to one explicit step of the biharmonic flow, which straightens bends."""
+    # The fourth difference, stencil (1, -4, 6, -4, 1), is the gradient of the discrete bending
+    # energy sum |p[i - 1] - 2 p[i] + p[i + 1]|^2 / 2. Its largest eigenvalue is 16, so that the
+    # step is stable for bending < 2 / 16.
     n = len(p)
     for i in range(n):
         a, b, c, d = (i - 2) % n, (i - 1) % n, (i + 1) % n, (i + 2) % n
@@ -167,7 +166,10 @@ def _straighten(p: Array, move: Array, bending: float) -> None:
 
 @numba.njit(cache=True, nogil=True)
 def _restore_lengths(p: Array, length: float, passes: int) -> None:
-    """Bring neighbours a bead length apart, pass by pass."""
+    """Move neighbours to one bead length apart, constraint by constraint."""
+    # Gauss-Seidel: each correction is applied at once and splits evenly between both vertices
+    # (equal masses), so that the centre of mass stays. What error remains after the passes is
+    # removed by `Rope.from_curve`.
     n = len(p)
     for _ in range(passes):
         for i in range(n):

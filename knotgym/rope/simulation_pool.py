@@ -1,4 +1,4 @@
-"""The simulations of a process: one of each size and rope, used again by whoever needs it next."""
+"""Simulations shared within a process: one for each number of ropes and each configuration."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ _simulations: dict[tuple[int, RopeConfig], Simulation] = {}
 
 
 def simulation_of(count: int, config: RopeConfig) -> Simulation:
-    """This process's simulation of `count` ropes, made once.
+    """Return this process's simulation of `count` ropes, creating it on the first call.
 
-    Whoever asks lays or restores every rope before use, and is done with it before the next asks.
+    The caller must lay or restore every rope before use, and must be done with the simulation
+    before it is requested again.
     """
     key = count, config
     if key not in _simulations:

@@ -1,8 +1,8 @@
-"""Towing: how far a rope's centre has been taken from where it began.
+"""Towing: displacement of a rope's centre from where the episode began.
 
-The medium is viscous, so the centre moves as the sum of all forces does, and a rope pulled one way
-long enough trails behind its bead, stretched and untangled. A bound on the centre's way leaves an
-agent its hands, whose pulls cancel out over an episode, and takes the towing away.
+The medium is viscous, so the centre follows the sum of all applied forces. A rope that is pulled in
+one direction for long enough trails behind the pulled bead, stretches and untangles. A limit on the
+displacement rules this out, but still allows pulls that cancel out over an episode.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 
 
 def centres(points: ArrayLike) -> NDArray[np.float64]:
-    """Mean vertices of ropes (n, beads, 3): float64 (n, 3), metres."""
+    """Return the mean vertex of each rope (n, beads, 3): float64 (n, 3), metres."""
     mean: NDArray[np.float64] = np.asarray(points, dtype=np.float64).mean(axis=1)
     return mean
 
 
 def distances_towed(points: ArrayLike, origins: ArrayLike) -> NDArray[np.float64]:
-    """How far the centres of ropes are from where they began.
+    """Return the distance of each rope's centre from its origin.
 
     Args:
         points: float64 (n, beads, 3), metres.
@@ -29,17 +29,17 @@ def distances_towed(points: ArrayLike, origins: ArrayLike) -> NDArray[np.float64
     Returns:
         float64 (n,), metres.
     """
-    far: NDArray[np.float64] = np.linalg.norm(centres(points) - np.asarray(origins), axis=1)
-    return far
+    distances: NDArray[np.float64] = np.linalg.norm(centres(points) - np.asarray(origins), axis=1)
+    return distances
 
 
 @dataclass(frozen=True, eq=False)
 class TowBound:
-    """Where the centre of one rope may be.
+    """Limit on the displacement of one rope's centre.
 
     Attributes:
-        origin: float64 (3,), of the centre at reset, metres.
-        limit: metres that it may be from there.
+        origin: float64 (3,), the centre at reset, metres.
+        limit: largest allowed distance from the origin, metres.
     """
 
     origin: NDArray[np.float64]
@@ -47,9 +47,9 @@ class TowBound:
 
     @classmethod
     def of_episode(cls, points: ArrayLike, limit: float) -> TowBound:
-        """The bound of an episode that goes through `points`, float64 (T + 1, beads, 3)."""
+        """Return the bound of an episode with the states `points`, float64 (T + 1, beads, 3)."""
         return cls(centres(np.asarray(points)[:1])[0], limit)
 
     def exceeded(self, points: ArrayLike) -> NDArray[np.bool_]:
-        """Which configurations (n, beads, 3) of the rope lie beyond: bool (n,)."""
+        """Return which configurations (n, beads, 3) exceed the limit: bool (n,)."""
         return distances_towed(points, self.origin) > self.limit

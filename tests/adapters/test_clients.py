@@ -1,4 +1,4 @@
-"""The lines of docs/clients.md, and clients' own readers; run with -m clients, each where it is
+"""The code of docs/clients.md and the clients' own readers; run with -m clients, where each is
 installed.
 """
 
@@ -45,7 +45,7 @@ TASK = TaskConfig(task="unknot", observation="both", horizon=6, image_size=32)
 
 @pytest.fixture(scope="module")
 def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A home whose Minari folder has the dataset that the page's lines take."""
+    """Return a home folder whose Minari folder has the dataset that the page uses."""
     home = tmp_path_factory.mktemp("home")
     env = KnotEnv(**vars(TASK))
     with EpisodeWriter(home / "a.h5", TASK) as writer:

@@ -1,4 +1,4 @@
-"""Goals told apart from observations: what hindsight may pay for, and what OGBench asks for."""
+"""Goal-conditioned environments: relabelled rewards, and OGBench's interface."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STATE: dict[str, Any] = {"nx": 1, "observation": "state"}
 
 
 def untied(states_path: str, **settings: Any) -> tuple[GoalEnv, list[Any]]:
-    """An episode that ends well: towing undoes a curl; every observation with what it paid."""
+    """Play an episode in which towing undoes a curl; return all observations with their rewards."""
     env = goal_env("unknot", states=states_path, **{**STATE, **settings})
     seen, info = env.reset(seed=2)
     steps = [(seen, 0.0, False, info)]
@@ -70,8 +70,11 @@ def test_the_rope_is_seen_alone(states_path: str, observation: str) -> None:
     [
         ({"hold": 2}, "hold must be 1 and failure_reward 0, got 2 and 0.0"),
         ({"failure_reward": -5.0}, "failure_reward 0, got 1 and -5.0"),
-        ({"observation": "both"}, "observation is pixels, state or symbolic"),
-        ({"observation": "pixels", "layout": "stacked"}, "layout beside; got 'pixels' and 'stack"),
+        ({"observation": "both"}, "needs observation 'pixels', 'state' or 'symbolic'"),
+        (
+            {"observation": "pixels", "layout": "stacked"},
+            "layout 'beside'; got 'pixels' and 'stack",
+        ),
     ],
 )
 def test_settings_that_a_changed_goal_gives_no_meaning_are_refused(
@@ -106,5 +109,5 @@ def test_ogbench_is_told_of_success_in_numbers(states_path: str) -> None:
         assert bool(info["success"]) is terminated
         assert not any(isinstance(value, str) for value in info.values())
     assert env.render().shape == (128, 128, 3)
-    with pytest.raises(InvalidSetting, match="task_id is a number from 1 to 5, got 6"):
+    with pytest.raises(InvalidSetting, match="task_id must be a number from 1 to 5, got 6"):
         env.reset(options={"task_id": 6})

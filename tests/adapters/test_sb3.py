@@ -54,7 +54,7 @@ def test_steps_are_those_of_its_own_class_over_single_environments(
 
 
 def equal(one: Any, other: Any) -> bool:
-    """Equal values, however deep."""
+    """Compare values recursively."""
     if isinstance(one, dict):
         return one.keys() == other.keys() and all(equal(one[name], other[name]) for name in one)
     if isinstance(one, list | tuple):

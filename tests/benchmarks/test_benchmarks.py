@@ -29,6 +29,7 @@ MODULES = {
     "damaged_hdf5",
     "damaged_json",
     "file_readers",
+    "picture_check",
     "pulled",
     "rope_states",
     "told",

@@ -296,7 +296,7 @@ def test_an_error_leaves_nothing_under_the_final_name(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.slow  # the same by tests/test_atomic_files.py
+@pytest.mark.slow  # the same by tests/common/test_atomic_files.py
 def test_a_kill_leaves_nothing_under_the_final_name(tmp_path: Path) -> None:
     script = (
         "import os\nfrom knotgym.datasets.episode_writer import EpisodeWriter\nfrom"

@@ -59,5 +59,5 @@ def test_the_unknot_task_begins_with_one(nx: int) -> None:
 
 
 def test_their_missing_train_split_is_refused_with_the_one_there_is() -> None:
-    with pytest.raises(InvalidSetting, match="Give split 'test'$"):
+    with pytest.raises(InvalidSetting, match="Use split 'test'$"):
         KnotEnv("unknot", nx=7, states="hard-unknots")

@@ -1,4 +1,4 @@
-"""Appearance: what varies in a picture, and that none of it makes a label false."""
+"""Varied appearance: what varies in a picture, and that the Gauss code stays true."""
 
 from typing import Any
 
@@ -10,16 +10,15 @@ from knotgym.rendering.appearance import (
     VARIED,
     Appearance,
     AppearanceConfig,
-    InvalidAppearance,
     appearance,
     render,
 )
-from knotgym.rendering.picture import crossing_pixels, draw
-from knotgym.rendering.picture_check import shown_strands
+from knotgym.rendering.picture import PictureError, crossing_pixels, draw
 from knotgym.rope.model import Array, Rope
 from knotgym.topology.crossings import find_crossings, label
 
 from ..conftest import curled
+from .test_picture import shown_strands
 
 ALL = AppearanceConfig(vary=VARIED, sizes=(64, 128, 256))
 
@@ -140,5 +139,5 @@ def test_a_single_colour_is_one(points: Array) -> None:
     ],
 )
 def test_nonsense_is_refused(settings: dict[str, Any]) -> None:
-    with pytest.raises(InvalidAppearance):
+    with pytest.raises(PictureError):
         AppearanceConfig(**settings)

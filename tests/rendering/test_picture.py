@@ -1,10 +1,11 @@
-"""The picture: its camera, its colours, and that it shows which strand is on top."""
+"""The picture: camera, colours, and which strand is on top."""
 
 import dataclasses
 import functools
 import json
 import os
 import pickle
+import runpy
 import subprocess
 import sys
 import threading
@@ -19,7 +20,7 @@ from knotgym.common.errors import KnotgymError
 from knotgym.rendering.picture import (
     PictureConfig,
     PictureError,
-    _placed,
+    _on_canvas,
     bead_colours,
     crossing_pixels,
     draw,
@@ -27,14 +28,17 @@ from knotgym.rendering.picture import (
     project,
     rope_colours,
 )
-from knotgym.rendering.picture_check import shown_strands
 from knotgym.rendering.rasterizer import polygons
 from knotgym.topology.crossings import find_crossings
 
 from .. import plain_polygons
+from ..scripts import ROOT
 
 Points = NDArray[np.float64]
 
+
+# which strand a picture shows on top; benchmarks/truth.py counts with it
+shown_strands: Any = runpy.run_path(str(ROOT / "benchmarks" / "picture_check.py"))["shown_strands"]
 
 COMPILED = [
     PictureConfig(),
@@ -56,7 +60,7 @@ def test_compiled_polygons_are_those_of_plain_arithmetic_bit_for_bit(config: Pic
             * (np.cos(at + rng.uniform(0, 6, 5)) @ waves.T)
             * [rng.choice([1.0, 0.01]), 1.0, rng.choice([0.2, 2.0])]
         )
-        placed, side = _placed(rope, config), config.size * config.supersampling
+        placed, side = _on_canvas(rope, config), config.size * config.supersampling
         made = polygons(*placed, side), plain_polygons.polygons(*placed, side)
         for part in (0, 1, 2):
             ours, plain = made[0][part], made[1][part]
@@ -65,9 +69,7 @@ def test_compiled_polygons_are_those_of_plain_arithmetic_bit_for_bit(config: Pic
 
 @pytest.fixture(scope="session")
 def opengl() -> None:
-    """Skip where MuJoCo's renderer cannot draw; tried in another process, so that a crash of a
-    driver does not take the tests along.
-    """
+    """Skip if MuJoCo's renderer can't draw; tried in another process, which may crash."""
     code = (
         "import numpy as np; from knotgym.rendering.picture import PictureConfig, draw;"
         " draw(np.eye(3) * 0.1, PictureConfig(size=16, renderer='mujoco'))"
@@ -86,9 +88,7 @@ def gl(test: Callable[..., None]) -> Any:
 def random_curve(
     rng: np.random.Generator, beads: int = 100, length: float = 1.33, gap: float = 0.009
 ) -> Points:
-    """A closed curve like a rope's: equal chords along a random smooth curve whose strands stay gap
-    apart.
-    """
+    """Return a random smooth closed curve of equal chords, whose strands stay `gap` apart."""
     phase = np.linspace(0.0, 2.0 * np.pi, 2001)
 
     def wave(modes: int, decay: float) -> Points:
@@ -123,9 +123,7 @@ def curves(count: int = 40) -> Points:
 
 
 def traced(points: Points, config: PictureConfig) -> NDArray[np.uint8]:
-    """The orthographic picture by brute force: each sample's ray down z meets the capsules, and the
-    highest one met gives the colour.
-    """
+    """Draw the orthographic picture by brute force: the highest capsule on each sample's ray."""
     side = config.size * config.supersampling
     place = ((np.arange(side) + 0.5) / side - 0.5) * config.view
     points = points - points.mean(axis=0)
@@ -165,8 +163,8 @@ def traced(points: Points, config: PictureConfig) -> NDArray[np.uint8]:
 def differences(
     one: NDArray[np.uint8], other: NDArray[np.uint8]
 ) -> tuple[float, float, float, float]:
-    """Mean absolute difference of the rope's pixels; share of them that differ by more than 64
-    levels; by more than 128; overlap of silhouettes.
+    """Return the mean absolute difference of the rope's pixels, and the fraction of them that
+    differ by more than 64 levels.
     """
     first, second = one.any(axis=-1), other.any(axis=-1)
     rope = first | second

@@ -1,4 +1,4 @@
-"""The rope from the side, and its depth."""
+"""Side views and depth."""
 
 from __future__ import annotations
 
@@ -16,11 +16,10 @@ from knotgym.rendering.picture import (
     draw,
     draw_many,
 )
-from knotgym.rendering.picture_check import shown_strands
 from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.crossings import find_crossings
 
-from .test_picture import curves
+from .test_picture import curves, shown_strands
 
 ALL = ("top", "left", "front")
 # view -> the world's directions that go right and up in the picture, and towards the camera
@@ -32,7 +31,7 @@ SEEN = {
 
 
 def spread(beads: int = 100) -> NDArray[np.float64]:
-    """A rope that reaches as far in z as in x and y."""
+    """Return a rope that extends as far in z as in x and y."""
     at = 2 * np.pi * np.arange(beads) / beads
     return 0.12 * np.stack([np.cos(at), np.sin(2 * at), np.sin(at + 0.5)], axis=1)
 
@@ -85,7 +84,7 @@ def test_depth_leaves_the_colours_alone_and_is_0_exactly_where_no_rope_is() -> N
 
 
 def level(nearer: Any) -> Any:
-    """The depth of what is so many metres nearer to the camera than the rope's centre."""
+    """Return the depth level of a point `nearer` metres in front of the rope's centre."""
     return 1 + 254 * (0.5 + nearer / 0.66)
 
 
@@ -145,7 +144,7 @@ def test_the_strand_shown_is_read_off_the_top_view() -> None:
         ({"views": ("top", "below")}, "'below'"),
         ({"views": ["left", "left"]}, "each at most once"),
         ({"depth": 1}, "depth must be true or false, got 1"),
-        ({"depth": True, "renderer": "mujoco"}, "depth is drawn by renderer 'opencv'"),
+        ({"depth": True, "renderer": "mujoco"}, "depth needs renderer 'opencv'"),
     ],
     ids=str,
 )

@@ -325,7 +325,7 @@ def run(
         Occupied: `out` or `video` exists, an interrupted evaluation left work, or another process
             is evaluating into `out`.
         Unwritable: nothing can be written where `out` or `video` are.
-        UnknownFilm: the video is of no kind that can be written here.
+        PictureError: the video is of no kind that can be written here.
         InvalidSetting: the state file lacks what a task needs.
     """
     if workers < 0:

@@ -1,4 +1,4 @@
-"""The check that a picture tells the truth: which strand it shows on top at each crossing."""
+"""Check of pictures against crossings: which strand a picture shows on top at each crossing."""
 
 import math
 
@@ -26,41 +26,42 @@ def shown_strands(
     window: float = 2.0,
     colour_gap: float = 25.0,
 ) -> NDArray[np.str_]:
-    """Read off a picture which strand lies on top at each crossing.
+    """Find the strand that a picture shows on top at each crossing.
 
-    The pixel that holds the crossing is compared with the colours of the two beads that cross and
-    of their neighbours along the rope (all the blends of two neighbours count, for a pixel can
-    straddle a joint); the nearer strand is the one shown.
+    The colour of the pixel at the crossing is compared with the colours of the two beads that cross
+    and of their neighbours along the rope. Blends of two neighbours count as well, because a pixel
+    can straddle a joint. The strand with the nearer colour is the one shown.
 
     Args:
-        image: uint8, drawn from points with config and colours, orthographic; its top view is
-            looked at.
-        crossings: those of points.
+        image: uint8, drawn from points with config and colours, orthographic; only its top view is
+            used.
+        crossings: the crossings of points.
         points: float64, shape (beads, 3), metres.
+        config: settings that the image was drawn with.
+        colours: colours that the image was drawn with, uint8 (beads, 3); by default config's.
         window: beads along the rope, either way, that count as the same strand.
-        colour_gap: RGB levels (Euclidean) below which the colours of two crossing beads are too
-            alike to tell; beads 1, 2, 3 apart along a published rope of 100 differ by 10, 20, 29.
+        colour_gap: RGB levels (Euclidean) below which two colours are too similar to tell apart;
+            beads 1, 2, 3 apart along a published rope of 100 differ by 10, 20, 29.
 
     Returns:
-        str, shape (n,): "over" (the picture is right), "under" (it is wrong), or "ambiguous" where
-        the pixel cannot tell: it is outside the picture; the two beads' colours are within
-        colour_gap; or a third strand that is higher than the over strand runs so near (its axis
-        within the drawn radius and half a pixel's diagonal of the crossing) that it may cover the
-        pixel.
+        str, shape (n,): "over" (the picture is right), "under" (it is wrong), or "ambiguous" if
+        the pixel is outside the picture; if the two beads' colours are within colour_gap; or if a
+        third strand above the over strand may cover the pixel, because its axis comes within the
+        drawn radius and half a pixel's diagonal of the crossing.
 
     Raises:
-        PictureError: config's camera is not orthographic or it has no top view, so that the
-            picture's crossings are others; or its pixels are larger than 1.1 drawn radii, so that
-            the over strand need not fill most of a crossing's pixel.
+        PictureError: the camera is not orthographic or there is no top view, so that the picture
+            shows other crossings; or pixels are larger than 1.1 drawn radii, so that the over
+            strand need not fill most of a crossing's pixel.
     """
     if config.camera != "orthographic":
         raise PictureError(
-            "only an orthographic picture shows the crossings of the code; this one's camera is"
+            "only an orthographic picture shows the crossings of the code, got camera"
             f" {config.camera!r}"
         )
     if "top" not in config.views:
         raise PictureError(
-            "only the top view shows the crossings of the code; this picture's views are"
+            "only the top view shows the crossings of the code, got views"
             f" {', '.join(config.views)}"
         )
     first = config.size * config.views.index("top")
@@ -97,18 +98,26 @@ def shown_strands(
 def _third_strand_height(
     points: NDArray[np.float64],
     position: NDArray[np.float64],
-    places: tuple[float, float],
+    own: tuple[float, float],
     reach: float,
     window: float,
 ) -> float:
-    """Greatest height at which another strand comes within reach of a position; else -inf.
+    """Return the greatest height of another strand within reach of a position; -inf if none.
 
-    The stretches of the rope within window of the two places are left out.
+    Stretches of the rope within window of the two crossing strands are left out.
+
+    Args:
+        points: float64 (beads, 3), metres.
+        position: float64 (2,), the crossing, metres.
+        own: positions of the two crossing strands along the rope, beads.
+        reach: distance in the picture, metres.
+        window: distance along the rope, beads.
     """
     beads = len(points)
+    # four samples per bead; distances along the rope are cyclic
     fraction = np.linspace(0.0, 1.0, 5)[:-1]
-    place = (np.arange(beads)[:, None] + fraction).ravel()
-    away = np.min([np.abs((place - own + beads / 2) % beads - beads / 2) for own in places], axis=0)
+    along = (np.arange(beads)[:, None] + fraction).ravel()
+    away = np.min([np.abs((along - one + beads / 2) % beads - beads / 2) for one in own], axis=0)
     samples = (
         points[:, None] + fraction[:, None] * (np.roll(points, -1, axis=0) - points)[:, None]
     ).reshape(-1, 3)
@@ -119,7 +128,8 @@ def _third_strand_height(
 def _distance_to_strand(
     seen: NDArray[np.float64], palette: NDArray[np.float64], bead: int
 ) -> float:
-    """RGB distance from a colour to the path through the colours of a bead and its neighbours."""
+    """Return the RGB distance of a colour from the path through a bead's and its neighbours'."""
+    # distance of a point from two segments in RGB space
     path = palette[np.arange(bead - 1, bead + 2) % len(palette)]
     step = np.diff(path, axis=0)
     fraction = np.clip(

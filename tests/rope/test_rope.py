@@ -1,6 +1,4 @@
-"""The rope is the published one, and configurations and generalized positions are two names of one
-thing.
-"""
+"""The rope model matches the published one, and configurations and qpos convert without loss."""
 
 import json
 from dataclasses import asdict, replace
@@ -16,7 +14,7 @@ from numpy.typing import NDArray
 from knotgym.rope.model import InvalidCurve, Rope, RopeConfig, clearance, sub_chains
 from knotgym.topology.crossings import label
 
-from .conftest import curled, trefoil
+from ..conftest import curled, trefoil
 
 ROPE = Rope()  # hypothesis tests cannot take function-scoped fixtures
 BEAD = RopeConfig().bead_length

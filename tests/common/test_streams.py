@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from knotgym.common.streams import InvalidSeed, Stream, derived_seed, generator, key, words
 
-from .small_job import knotgym
+from ..small_job import knotgym
 
 NUMBERS = st.integers(0, 2**63 - 1)
 KEYS = st.tuples(st.sampled_from(Stream), NUMBERS, st.lists(NUMBERS, max_size=3))

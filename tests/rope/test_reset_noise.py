@@ -11,7 +11,7 @@ from knotgym.rope.reset_noise import noised, start_qpos
 from knotgym.states.state_file import States
 from knotgym.topology.crossings import label
 
-from .conftest import trefoil
+from ..conftest import trefoil
 from .test_rope import BEAD, ROPE, chords
 
 

@@ -1,4 +1,4 @@
-"""The bound on towing: what lies beyond it, what that pays, and who keeps to it."""
+"""The bound on towing: which states exceed it, its reward, and which policies respect it."""
 
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,7 @@ def bounded(states_path: str, **settings: Any) -> TaskConfig:
 
 @pytest.fixture(scope="module")
 def towed(states_path: str) -> list[Episode]:
-    """Two episodes of the constant action, towed too far."""
+    """Return two episodes of the constant action, both towed beyond the limit."""
     policy = make_policy(PolicyConfig(policy="constant"))
     return [one.episode for one in rollout(bounded(states_path), policy, range(2), 0)]
 

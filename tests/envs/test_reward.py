@@ -1,4 +1,4 @@
-"""What an episode pays, and when it ends."""
+"""Rewards and ends of episodes."""
 
 import numpy as np
 import pytest

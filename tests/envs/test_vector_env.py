@@ -1,6 +1,4 @@
-"""Many ropes in one simulation are the same many environments, stepped together; Gymnasium's
-SyncVectorEnv is the measure.
-"""
+"""Ropes of a vector environment behave like single environments, in every autoreset mode."""
 
 import inspect
 import pickle
@@ -35,7 +33,7 @@ def actions(count: int, steps: int, seed: int = 0) -> NDArray[np.float32]:
 
 
 def blow_up(envs: KnotVectorEnv, rope: int) -> None:
-    """Give one rope velocities that no integrator survives."""
+    """Give one rope velocities at which every integrator fails."""
     simulation = envs.episodes.simulation
     states, model = simulation.states([rope]), simulation.rope.model
     states[:, 1 + model.nq : 1 + model.nq + model.nv] = 1e8  # after time and qpos
@@ -44,7 +42,7 @@ def blow_up(envs: KnotVectorEnv, rope: int) -> None:
 
 @pytest.fixture
 def make(states_path: str) -> MakeVec:
-    """Make a vector environment on the small state file."""
+    """Create a vector environment on the small state file."""
 
     def made(task: str = "tie", num_envs: int = 3, **settings: Any) -> KnotVectorEnv:
         return KnotVectorEnv(
@@ -56,7 +54,7 @@ def make(states_path: str) -> MakeVec:
 
 @pytest.fixture
 def synced(states_path: str) -> Callable[..., SyncVectorEnv]:
-    """Make Gymnasium's vector of single environments on the small state file."""
+    """Create Gymnasium's vector of single environments on the small state file."""
 
     def made(
         task: str = "tie",

@@ -1,4 +1,4 @@
-"""Actions to beads and forces and back."""
+"""Conversion between actions and beads with forces."""
 
 import numpy as np
 from hypothesis import given

@@ -1,6 +1,4 @@
-"""One contract for every task and observation: Gymnasium's, and resets to exactly the state that
-was asked for.
-"""
+"""Every task and observation meets Gymnasium's contract, and resets give the requested states."""
 
 import json
 import pickle
@@ -31,7 +29,7 @@ from knotgym.states.state_file import InvalidStates, States, merge_states, write
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 
-from .conftest import rough_play
+from ..conftest import rough_play
 
 TASKS = ("unknot", "tie", "convert")
 MODES = ("pixels", "state", "both", "symbolic")
@@ -56,7 +54,7 @@ Make = Callable[..., KnotEnv]
 
 
 def same(ours: Any, theirs: Any) -> bool:
-    """Equal values, shapes and types, however deep."""
+    """Compare values, shapes and types recursively."""
     if isinstance(ours, dict):
         return ours.keys() == theirs.keys() and all(same(ours[key], theirs[key]) for key in ours)
     if isinstance(ours, tuple | list):
@@ -69,7 +67,7 @@ def same(ours: Any, theirs: Any) -> bool:
 
 
 def rollout(env: gym.Env[Any, Any], seed: int, steps: int = 4) -> list[Any]:
-    """All that an agent gets from an episode of seeded random actions."""
+    """Collect everything that an agent receives in an episode of seeded random actions."""
     rng = np.random.default_rng(seed)
     return [
         env.reset(seed=seed),
@@ -78,7 +76,7 @@ def rollout(env: gym.Env[Any, Any], seed: int, steps: int = 4) -> list[Any]:
 
 
 def blow_up(env: KnotEnv) -> None:
-    """Give the rope velocities that no integrator survives."""
+    """Give the rope velocities at which every integrator fails."""
     simulation = env.episodes.simulation
     states, model = simulation.states(), simulation.rope.model
     states[:, 1 + model.nq : 1 + model.nq + model.nv] = 1e8  # after time and qpos
@@ -87,7 +85,7 @@ def blow_up(env: KnotEnv) -> None:
 
 @pytest.fixture
 def make(states_path: str) -> Make:
-    """Make a bare environment on the small state file."""
+    """Create an unwrapped environment on the small state file."""
 
     def made(task: str = "unknot", **settings: Any) -> KnotEnv:
         return KnotEnv(task, **{"states": states_path, "observation": "state", **settings})
@@ -97,7 +95,7 @@ def make(states_path: str) -> Make:
 
 @pytest.fixture
 def registered(states_path: str) -> Callable[..., gym.Env[Any, Any]]:
-    """Make an environment by its id on the small state file."""
+    """Create an environment by its id, on the small state file."""
 
     def made(task: str = "unknot", **settings: Any) -> gym.Env[Any, Any]:
         return gym.make(
@@ -519,11 +517,11 @@ def test_a_row_of_the_other_split_is_refused(make: Make, states: States) -> None
         ({"reset_noise": float("nan")}, r"reset_noise must be in \[0, 1\), got nan"),
         (
             {"views": ["top", "below"]},
-            "views must be a list of top, left, front, each at most once",
+            "views must be a list of top, left, front, at least one, each at most once",
         ),
-        ({"views": "left"}, "one at least; got 'left'"),
+        ({"views": "left"}, "each at most once; got 'left'"),
         ({"depth": "yes"}, "depth must be true or false, got 'yes'"),
-        ({"depth": True, "renderer": "mujoco"}, "depth is drawn by renderer 'opencv'"),
+        ({"depth": True, "renderer": "mujoco"}, "depth needs renderer 'opencv'"),
         (
             {"noise": 0.1},
             "got an unexpected keyword argument 'noise'; there is nx, split, states, observation",
@@ -551,7 +549,7 @@ def test_crossings_that_no_file_has_are_refused_with_the_command_that_makes_them
 
 @pytest.fixture
 def only_nx3(states: States, tmp_path: Path) -> str:
-    """A state file with rows of nx 3 alone, both splits."""
+    """Return a state file that has only rows of nx 3, in both splits."""
     kept = states.taken(states.rows(3, "train")), states.taken(states.rows(3, "test"))
     write_states(tmp_path / "nx3.h5", merge_states(kept))
     return str(tmp_path / "nx3.h5")
@@ -706,7 +704,7 @@ def test_a_blown_up_simulation_ends_the_episode_and_is_never_seen(
     result, reward, terminated, truncated, info = env.step(np.full(6, 0.5, dtype=np.float32))
     assert (reward, terminated, truncated) == (0.0, False, True)
     assert info["simulation_failed"] and not info["is_success"]
-    assert same(result, seen)  # the rope stands where it stood
+    assert same(result, seen)  # the rope has not moved
 
 
 def test_a_blown_up_simulation_is_no_success(make: Make) -> None:
@@ -857,7 +855,7 @@ def test_a_window_without_a_display_is_one_line(monkeypatch: pytest.MonkeyPatch)
     pytest.importorskip("pygame")
     monkeypatch.setenv("SDL_VIDEODRIVER", "nonesuch")
     env = KnotEnv("tie", render_mode="human")
-    with pytest.raises(NoWindow, match="needs a display .*; without one use 'rgb_array'"):
+    with pytest.raises(NoWindow, match="needs a display .*; use 'rgb_array' without one"):
         env.reset(seed=0)
 
 
@@ -869,7 +867,7 @@ def test_goals_are_the_first_rows_of_the_split(few: int) -> None:
     drawn = {env.reset(seed=seed)[1]["goal"] for seed in range(24)}
     assert drawn <= {*whole[:few].tolist()} and (few > 1) == (len(drawn) > 1)
     starts = {env.reset(seed=seed)[1]["start"] for seed in range(24)}
-    assert len(starts) > 1  # are drawn from as many as ever
+    assert len(starts) > 1  # max_goals doesn't limit the starts
 
 
 def test_without_a_limit_of_goals_episodes_begin_as_they_always_did() -> None:

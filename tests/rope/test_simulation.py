@@ -1,6 +1,4 @@
-"""Ropes in a batch move as one rope alone, go on from where they were left, and never hand out a
-broken state.
-"""
+"""Batched ropes move like single ropes, resume from saved states, and return copies."""
 
 import pickle
 
@@ -12,11 +10,11 @@ from numpy.typing import NDArray
 from knotgym.rope.model import Rope, RopeConfig
 from knotgym.rope.simulation import InvalidAction, Simulation
 
-from .conftest import curled, rough_play
+from ..conftest import curled, rough_play
 
 
 def moved(simulation: Simulation, steps: int, seed: int = 0) -> NDArray[np.float64]:
-    """States after random actions, the same for rope i in a batch of any size."""
+    """Return states after random actions, the same for rope i in a batch of any size."""
     rngs = [np.random.default_rng([seed, i]) for i in range(simulation.count)]
     for _ in range(steps):
         simulation.act(np.array([rng.uniform(-1, 1, 6) for rng in rngs]))
@@ -24,7 +22,7 @@ def moved(simulation: Simulation, steps: int, seed: int = 0) -> NDArray[np.float
 
 
 def blown_up(simulation: Simulation, rope: int, velocity: float = 1e8) -> None:
-    """Give a rope velocities that no integrator survives."""
+    """Give a rope velocities at which every integrator fails."""
     states = simulation.states([rope])
     model = simulation.rope.model
     states[:, 1 + model.nq : 1 + model.nq + model.nv] = velocity  # after time and qpos
@@ -56,7 +54,7 @@ def test_one_batched_rope_is_mujocos_own_loop(rope: Rope) -> None:
 
 @pytest.fixture(scope="module")
 def six(rope: Rope) -> NDArray[np.float64]:
-    """Three of six ropes that one thread moved."""
+    """Return three of six ropes, stepped by one thread."""
     return moved(Simulation(6, rope, 1), 3)[:3]
 
 
@@ -133,12 +131,12 @@ def test_laying_one_rope_leaves_the_others(rope: Rope) -> None:
 @pytest.mark.parametrize(
     ("actions", "message"),
     [
-        (np.full((2, 6), np.nan), r"lie in \[-1, 1\]"),
+        (np.full((2, 6), np.nan), r"must be in \[-1, 1\]"),
         (
             np.array([[0.0] * 6, [0, 0, 0, 0, 0, 1.001]]),
-            r"lie in \[-1, 1\]; got \[0.0, 0.0, 0.0, 0.0, 0.0, 1.001\]",
+            r"must be in \[-1, 1\], got \[0.0, 0.0, 0.0, 0.0, 0.0, 1.001\]",
         ),
-        (np.full((2, 6), -np.inf), r"lie in \[-1, 1\]"),
+        (np.full((2, 6), -np.inf), r"must be in \[-1, 1\]"),
         (np.zeros((2, 5)), r"shape \(2, 5\) for 2 ropes"),
         (np.zeros((3, 6)), r"shape \(3, 6\) for 2 ropes"),
         (np.zeros(6), r"shape \(6,\) for 2 ropes"),
@@ -275,9 +273,7 @@ def test_a_rope_that_blows_up_had_no_force_applied(rope: Rope) -> None:
 
 
 def turned_alike(here: Rope, there: Rope, qpos: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Generalized positions of `there` at which every bead stands and is turned as `here` has it at
-    qpos.
-    """
+    """Return qpos with the vertices and bead orientations of `here`, in the model of `there`."""
     ours, theirs = mujoco.MjData(here.model), mujoco.MjData(there.model)
     ours.qpos[:] = qpos
     mujoco.mj_kinematics(here.model, ours)
@@ -301,7 +297,7 @@ def turned_alike(here: Rope, there: Rope, qpos: NDArray[np.float64]) -> NDArray[
 def test_the_root_of_a_sub_chain_is_bookkeeping(nx: int, finer: int, share: float) -> None:
     # Over 20 steps at full force the two came apart by at most 0.055 of the distance that the rope
     # moved, 0.014 at a quarter of the timestep: it is the integrator's error. Beads are turned
-    # alike, for MuJoCo's drag takes a bead for a box, and its twist counts.
+    # alike, because MuJoCo's drag treats a bead as a box, so that its twist matters.
     here, there = (
         Rope(RopeConfig(rooted=rooted, timestep=0.008 / finer, frame_skip=24 * finer))
         for rooted in ("middle", "start")

@@ -1,4 +1,4 @@
-"""Tasks join states of one knot type: what no pull can reach is refused, and what fits is named."""
+"""Tasks connect states of one knot type; errors list the tasks that fit."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +17,7 @@ from knotgym.rope.model import Rope
 from knotgym.states.state_file import States, merge_states, read_states, shipped, write_states
 from knotgym.topology.gauss import GaussCode
 
-from .small_job import knotgym
+from ..small_job import knotgym
 
 
 @pytest.fixture
@@ -67,7 +67,7 @@ def test_what_no_pull_reaches_is_refused_with_the_tasks_that_fit(
 
 
 def test_gymnasium_refuses_it_too(path: str) -> None:
-    with pytest.raises(InvalidSetting, match="no pull changes the knot type"):
+    with pytest.raises(InvalidSetting, match="no action changes the knot type"):
         gym.make("knotgym/Unknot-v0", nx=3, states=path)
 
 
@@ -114,7 +114,7 @@ def test_tasks_draw_from_the_splits_by_code(task: str) -> None:
 
 
 def test_a_split_by_code_without_codes_to_hold_out_is_refused(path: str, trefoils: States) -> None:
-    with pytest.raises(InvalidSetting, match="give an nx of at least 2"):
+    with pytest.raises(InvalidSetting, match="use an nx of at least 2"):
         KnotEnv("unknot", nx=1, split="train-code")
     with pytest.raises(InvalidSetting, match="too few diagrams"):
         made("tie", path, nx=3, split="test-code")

@@ -1,4 +1,4 @@
-"""A process keeps one simulation of each size and rope."""
+"""A process keeps one simulation for each number of ropes and each configuration."""
 
 from knotgym.rope.model import RopeConfig
 from knotgym.rope.simulation_pool import simulation_of
