@@ -45,7 +45,7 @@ from knotgym.envs.tasks import OBSERVATIONS, TaskConfig
 from knotgym.states.state_file import leads_out, minari_root, ships, states_file
 
 FORMAT = "knotgym-episodes"
-FORMAT_VERSION = 5
+FORMAT_VERSION = 1
 STORED = (*OBSERVATIONS, "none")
 TOLD_DIGEST = "attributes_sha256"  # an attribute too, see `told_digest`
 _TOLD = ("task", "rope", "stored", "versions", "metadata")

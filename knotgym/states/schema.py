@@ -10,10 +10,7 @@ from knotgym.common.hdf5_files import Column
 from knotgym.quality.limits import UNITS
 
 FORMAT = "knotgym-states"
-# 2: demonstrations of each split are a dataset of their own, which `source/dataset` names
-# 3: drawn states, and `source/drawing`
-FORMAT_VERSION = 3
-READ_VERSIONS = (1, 2, FORMAT_VERSION)
+FORMAT_VERSION = 1
 
 STATE_SPLITS = ("train", "test")
 # parts of "train" and "test" that share no diagram, see `States.rows`

@@ -37,7 +37,6 @@ from knotgym.states.schema import (
     DIGEST,
     FORMAT,
     FORMAT_VERSION,
-    READ_VERSIONS,
     ROOT,
 )
 from knotgym.topology.gauss import GaussCode
@@ -244,19 +243,12 @@ def read_states(path: str | os.PathLike[str], *, images: bool = True) -> States:
         InvalidStates: foreign, truncated, or of a format this version doesn't know.
     """
     with opened_hdf5(
-        path, what="state file", format=FORMAT, versions=READ_VERSIONS, error=InvalidStates
+        path, what="state file", format=FORMAT, versions=(FORMAT_VERSION,), error=InvalidStates
     ) as file:
         names = [column.name for column in ROOT if images or column.name != "image"]
         names += [f"{group}/{name}" for group in _GROUPS for name in members(file, group)]
         sizes: dict[str, int] = {}
         columns = {name: read_column(file, _whole(name), sizes) for name in names}
-        if file.attrs["format_version"] == 1 and "source/trajectory" in columns:
-            # then demonstrations of both splits were in the dataset that now is train's alone
-            mixed = [
-                demonstrations_id(nx) if nx else "knotgym/unknot-nx1/demonstrations-v0"
-                for nx in columns["nx"].tolist()
-            ]
-            columns["source/dataset"] = np.array(mixed, dtype=np.str_)
         return States(
             **_fields_of(columns),
             units={

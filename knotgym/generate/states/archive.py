@@ -30,7 +30,7 @@ from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import mirror_images
 
 FORMAT = "knotgym-archive"
-FORMAT_VERSION = 3
+FORMAT_VERSION = 1
 _COMPRESSED = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 _COLUMNS = (
     Column("code", "text", ("elites",)),
@@ -42,7 +42,6 @@ _COLUMNS = (
     Column("forces", "float32", ("steps", 3), finite=True),
     Column("state", "float64", ("elites", None), finite=True),
 )
-_OLD = {"base_shift": "roll", "objective": "badness"}  # what version 2, read too, calls them
 
 
 class InvalidArchive(KnotgymError, ValueError):
@@ -199,11 +198,9 @@ class Archive:
             path,
             what="archive",
             format=FORMAT,
-            versions=(2, FORMAT_VERSION),
+            versions=(FORMAT_VERSION,),
             error=InvalidArchive,
         ) as file:
-            old = file.attrs["format_version"] == 2
-            names = _OLD if old else {}
             archive = cls(
                 visits={
                     GaussCode.parse(code): int(count)
@@ -218,10 +215,7 @@ class Archive:
                 ),
             )
             sizes: dict[str, int] = {}
-            read = {
-                column.name: read_column(file, column, sizes, names.get(column.name, ""))
-                for column in _COLUMNS
-            }
+            read = {column.name: read_column(file, column, sizes) for column in _COLUMNS}
             ends = np.cumsum(read["length"])
             beads, forces = read["beads"], read["forces"]
             if not len(ends) or len(beads) != int(ends[-1]):
