@@ -1,14 +1,14 @@
-"""`walks.h5`: the walks that the configurations of a perception table come from.
+"""`walks.h5`: the walks that the configurations in a table of pictures come from.
 
-It holds the states that walks set out from and the steps of every walk that a row comes from, so
-that each configuration can be made again without the archive.
+It holds the start states of the walks and the steps of every walk that a row uses, so that each
+configuration can be reproduced without the archive.
 
     /       attributes: format, format_version, rope
-    state   float64 (s, nstate)     integration states, each that some walk sets out from
-    number  int64 (w,)              of the walk, as rows name it
-    start   int64 (w,)              row of `state`
-    beads   int16 (w, T)            stepped, one after the other
-    forces  float32 (w, T, 3)       in units of the largest force; a shorter walk ends with zeros
+    state   float64 (s, nstate)     MuJoCo integration states that walks start from
+    number  int64 (w,)              number of the walk, as rows refer to it
+    start   int64 (w,)              row of `state` that the walk starts from
+    beads   int16 (w, T)            bead pulled in each step
+    forces  float32 (w, T, 3)       its force / the largest force; shorter walks end with zeros
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ _COMPRESSED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 
 
 class InvalidWalks(KnotgymError, ValueError):
-    """A file that holds no walks this version can make again."""
+    """A file of walks that this version can't read or reproduce."""
 
 
 class WalksMade(Protocol):
-    """Walks as they were made.
+    """Walks as a worker returns them.
 
     Attributes:
-        numbers, bases: int64 (w,), of the walk and of the state it set out from.
+        numbers, bases: int64 (w,), numbers of the walk and of the state it starts from.
         beads, forces: as in `Walks`.
     """
 
@@ -64,7 +64,7 @@ class WalksMade(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Walks:
-    """The columns of the file, by name; see the module."""
+    """The columns of the file; the module's docstring has shapes and units."""
 
     state: Array
     number: NDArray[np.int64]
@@ -74,12 +74,12 @@ class Walks:
 
 
 def walks_of(states: Array, made: Sequence[WalksMade], used: set[int]) -> Walks:
-    """The walks whose numbers are used, of all that were made.
+    """Select the walks that are used, and the states that they start from.
 
     Args:
-        states: float64 (n, nstate), that `bases` count in.
-        made: in any pieces.
-        used: numbers of walks, at least one.
+        states: float64 (n, nstate), the states that `bases` index.
+        made: all walks, in batches.
+        used: numbers of the walks to keep, at least one.
     """
     walks = [
         (number, piece, row)
@@ -99,7 +99,7 @@ def walks_of(states: Array, made: Sequence[WalksMade], used: set[int]) -> Walks:
 
 
 def joined_walks(pieces: Sequence[Walks]) -> Walks:
-    """The walks of several files, whose numbers differ, one file after the other."""
+    """Concatenate the walks of several files; their numbers must differ."""
     firsts = np.cumsum([0, *(len(piece.state) for piece in pieces[:-1])])
     longest = max(piece.beads.shape[1] for piece in pieces)
     return Walks(
@@ -118,7 +118,7 @@ def joined_walks(pieces: Sequence[Walks]) -> Walks:
 
 
 def write_walks(path: str | os.PathLike[str], walks: Walks) -> None:
-    """Write the file; it appears whole or not at all."""
+    """Write the file atomically."""
     with atomic_write(path) as temporary, new_hdf5(temporary) as file:
         file.attrs["format"], file.attrs["format_version"] = FORMAT, FORMAT_VERSION
         file.attrs["rope"] = RopeConfig().fingerprint
@@ -131,8 +131,9 @@ def read_walks(path: str | os.PathLike[str]) -> Walks:
     """Read the file.
 
     Raises:
-        MissingFile: there is none.
-        InvalidWalks: foreign, truncated, of a format this version doesn't know, or of another rope.
+        MissingFile: there is no such file.
+        InvalidWalks: the file is foreign, truncated, of an unknown format version or of another
+            rope model.
     """
     with opened_hdf5(
         path, what="file of walks", format=FORMAT, versions=(FORMAT_VERSION,), error=InvalidWalks
@@ -140,23 +141,23 @@ def read_walks(path: str | os.PathLike[str]) -> Walks:
         rope = read_attribute(file, Column("rope", "text", ()))
         if rope != RopeConfig().fingerprint:
             raise InvalidWalks(
-                f"{path} was made with rope model {rope}, this version has"
+                f"{path} was generated with rope model {rope}, this version has"
                 f" {RopeConfig().fingerprint}"
             )
         sizes: dict[str, int] = {}
         walks = Walks(**{column.name: read_column(file, column, sizes) for column in _COLUMNS})
         if len(walks.start) and walks.start.max() >= len(walks.state):
             raise InvalidWalks(
-                f"{path}: a walk sets out from state {walks.start.max()} of {len(walks.state)}"
+                f"{path}: a walk starts from state {walks.start.max()} of {len(walks.state)}"
             )
         return walks
 
 
 def retrace(states: Array, beads: NDArray[np.int16], forces: NDArray[np.float32]) -> Array:
-    """Make walks again: where each rope was after every step.
+    """Replay walks; return the configuration before the first and after every step.
 
     Args:
-        states: float64 (w, nstate), where they begin.
+        states: float64 (w, nstate), the states that they start from.
         beads, forces: as in `Walks`.
 
     Returns:
@@ -174,5 +175,5 @@ def retrace(states: Array, beads: NDArray[np.int16], forces: NDArray[np.float32]
 
 
 def _padded(steps: NDArray[np.generic], longest: int) -> NDArray[np.generic]:
-    """The steps of a walk, then as many without force, which no row looks at, as make `longest`."""
+    """Append steps of bead 0 without force, which no row refers to, up to length `longest`."""
     return np.pad(steps, [(0, longest - len(steps)), *[(0, 0)] * (steps.ndim - 1)])

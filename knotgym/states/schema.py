@@ -1,7 +1,7 @@
-"""The columns of the state file, `states.h5`: their names, types, shapes and units.
+"""The columns of the state file, `states.h5`: names, types, shapes and units.
 
-What is read, written, merged and verified follows this one list. The file's attributes are `format`
-and `format_version`, ATTRIBUTES and DIGEST; `quality/*` may hold other measures too.
+Reading, writing, merging and verification all use this list. The file's attributes are `format`,
+`format_version`, ATTRIBUTES and DIGEST; `quality/*` may contain further measures.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ FORMAT = "knotgym-states"
 FORMAT_VERSION = 1
 
 STATE_SPLITS = ("train", "test")
-# parts of "train" and "test" that share no diagram, see `States.rows`
+# parts of "train" and "test" without a common diagram, see `States.rows`
 CODE_SPLITS = ("train-code", "test-code")
 
 ATTRIBUTES = {
@@ -22,7 +22,7 @@ ATTRIBUTES = {
     "rope": "fingerprint of the rope model, see `RopeConfig.fingerprint`",
     "config": "the generating configuration, JSON; a list of them in a merged file",
 }
-DIGEST = "content_sha256"  # an attribute too: of all columns, see `states.content_digest`
+DIGEST = "content_sha256"  # attribute: checksum of all columns, see `states.content_digest`
 
 ROOT = (
     Column(
@@ -34,43 +34,58 @@ ROOT = (
         finite=True,
     ),
     Column("points", "float64", ("beads", 3), "m", "vertices of the rope, z up", finite=True),
-    Column("image", "uint8", (None, None, 3), "levels", "RGB, as the environment shows it"),
-    Column("gauss_code", "text", (), "", 'as "1+,1-,2+,2-"'),
-    Column("gauss_code_chiral", "text", (), "", 'as "1+a,1-a,2+c,2-c"'),
-    Column("knot", "text", (), "", 'knot type, as "0_1"'),
-    Column("nx", "int64", (), "crossings", "how many the picture shows", least=0),
+    Column("image", "uint8", (None, None, 3), "levels", "RGB, as the environment renders it"),
+    Column("gauss_code", "text", (), "", 'such as "1+,1-,2+,2-"'),
+    Column("gauss_code_chiral", "text", (), "", 'such as "1+a,1-a,2+c,2-c"'),
+    Column("knot", "text", (), "", 'knot type, such as "0_1"'),
+    Column("nx", "int64", (), "crossings", "crossings in the picture", least=0),
     Column("split", "text", (), "", '"train" or "test"'),
 )
 QUALITY = tuple(
     Column(f"quality/{name}", "float64", (), unit, "see `knotgym.quality.limits.Quality`")
     for name, unit in UNITS.items()
 )
-# Laid at rest at start_qpos, a rope that takes the first `steps` actions ends in the row's qpos bit
-# for bit. A file whose `policy` is RANDOM_WALK in all rows has no column of actions: those of a row
-# are drawn from its stream (`knotgym.rope.actions.drawn_actions`).
+# A rope laid at rest at start_qpos and stepped with the first `steps` actions ends in the row's
+# qpos bit for bit. If `policy` is RANDOM_WALK in all rows, there is no column of actions: they come
+# from the row's random stream (`knotgym.rope.actions.drawn_actions`).
 SOURCE = (
     Column(
         "source/start_qpos",
         "float64",
         ("nq",),
         "m, quaternions",
-        "where the rope is laid",
+        "where the rope is laid at rest",
         finite=True,
     ),
     Column(
-        "source/actions", "float32", (None, 6), "", "taken from there on; then zeros", finite=True
+        "source/actions",
+        "float32",
+        (None, 6),
+        "",
+        "actions from there on, padded with zeros",
+        finite=True,
     ),
-    Column("source/steps", "int64", (), "actions", "how many of them are taken", least=0),
-    Column("source/seed", "int64", (None,), "", "key of the random stream it was drawn from"),
-    Column("source/policy", "text", (), "", "who acted"),
-    Column("source/dataset", "text", (), "", "Minari dataset that its demonstration is in"),
-    Column("source/trajectory", "int64", (), "", "its episode in that dataset; a rope"),
+    Column("source/steps", "int64", (), "actions", "number of actions", least=0),
+    Column(
+        "source/seed", "int64", (None,), "", "key of the random stream that the state comes from"
+    ),
+    Column("source/policy", "text", (), "", "policy that acted"),
+    Column("source/dataset", "text", (), "", "Minari dataset of the demonstration"),
+    Column(
+        "source/trajectory", "int64", (), "", "episode of that dataset; of a random walk the rope"
+    ),
     Column("source/step", "int64", (), "actions", "state of that episode"),
-    Column("source/drawing", "text", (), "", 'how start_qpos was drawn, JSON; "" if it was not'),
+    Column(
+        "source/drawing",
+        "text",
+        (),
+        "",
+        'parameters of the drawing of start_qpos, JSON; "" if not drawn',
+    ),
 )
 COLUMNS = (*ROOT, *QUALITY, *SOURCE)
 
-RANDOM_WALK, DRAWING = "random-walk", "drawing"  # in source/policy
+RANDOM_WALK, DRAWING = "random-walk", "drawing"  # values of source/policy
 
-# without these a row can't be made again
+# columns that reproducing a row needs
 REPLAYED = ("source/start_qpos", "source/actions", "source/steps", "source/seed")
