@@ -46,8 +46,8 @@ def split(
         train = {kinds[k] for k in order[: round(train_share * len(kinds))]}
         assigned[[code in train for code in plain]] = "train"
         return assigned
-    # Order all states code by code, with codes and the states of each code shuffled. State i goes to
-    # train where floor(i * share + 1/2) steps up: every stretch is split in the same proportion.
+    # Order all states code by code, with codes and the states of each code shuffled. State i goes
+    # to train where floor(i * share + 1/2) steps up: every stretch is split in the same proportion.
     walk = [
         index
         for k in order
