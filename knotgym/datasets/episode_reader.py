@@ -39,7 +39,7 @@ from knotgym.common.hdf5_files import (
     read_column,
     stored_column,
 )
-from knotgym.datasets.trajectory import INFOS, OPTIONAL, Episode, array_column
+from knotgym.datasets.trajectory import ARRAYS, INFOS, OPTIONAL, Episode
 from knotgym.envs.tasks import OBSERVATIONS, TaskConfig
 from knotgym.states.state_file import leads_out, minari_root, ships, states_file
 
@@ -333,10 +333,10 @@ class EpisodeReader:
         return {"steps": steps, "states": steps + 1, "beads": self._beads}
 
     def _stored_points(self, index: int) -> h5py.Dataset:
-        return stored_column(self.group(index), array_column("points"), self._sizes(index), POINTS)
+        return stored_column(self.group(index), ARRAYS["points"], self._sizes(index), POINTS)
 
     def _array(self, index: int, name: str) -> NDArray[Any]:
-        group, wanted, sizes = self.group(index), array_column(name), self._sizes(index)
+        group, wanted, sizes = self.group(index), ARRAYS[name], self._sizes(index)
         if name in ONCE:
             return np.asarray(read_attribute(group, wanted, sizes))
         return read_column(group, wanted, sizes, dataset_path(name))

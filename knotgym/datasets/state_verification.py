@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from knotgym.common.configuration import from_json
 from knotgym.common.errors import KnotgymError, MissingFile, one_line
-from knotgym.common.streams import InvalidSeed, Stream, generator_of, key
+from knotgym.common.streams import Stream, generator_of
 from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
 from knotgym.datasets.episode_verification import verify_episodes
 from knotgym.datasets.manifest_check import listed_faults, read_manifest, report_faults
@@ -30,6 +30,7 @@ from knotgym.states.state_measures import (
     repeated_sources,
     source_faults,
     spread_faults,
+    stream_of,
 )
 from knotgym.topology.crossings import find_crossings
 from knotgym.topology.gauss import GaussCode
@@ -196,7 +197,7 @@ def _drawing_faults(states: States, row: int, rope: Rope) -> Iterator[str]:
     seed = tuple(states.source["seed"][row].tolist())
     try:
         config = from_json(DrawingConfig, json.loads(states.source["drawing"][row]))
-        if seed[0] != Stream.DRAWING or seed != key(Stream.DRAWING, *seed[1:]):
+        if stream_of(states, row) != Stream.DRAWING:
             raise InvalidSource(f"seed {seed} is not a stream of a drawing")
         code = GaussCode.parse(states.gauss_code_chiral[row])
         again = drawn_curve(code, generator_of(seed), rope, config)
@@ -225,11 +226,7 @@ def actions_of(states: States, row: int) -> NDArray[np.float32]:
             raise InvalidSource("an action lies outside [-1, 1]")
         return actions
     seed = tuple(states.source["seed"][row].tolist())
-    try:
-        known = seed == key(Stream(seed[0]), *seed[1:]) and seed[0] == Stream.RANDOM_WALK
-    except (InvalidSeed, ValueError, IndexError, TypeError):
-        known = False
-    if not known:
+    if stream_of(states, row) != Stream.RANDOM_WALK:
         raise InvalidSource(f"seed {seed} is not a stream of a random walk's actions")
     if not 0 <= steps <= _LONGEST:
         raise InvalidSource(f"a random walk takes 0 to {_LONGEST} actions, got {steps}")

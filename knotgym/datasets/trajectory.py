@@ -15,7 +15,6 @@ import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -28,34 +27,27 @@ from knotgym.rope.towing import TowBound
 
 RELABEL = ("last", "all")
 
-# name -> dtype, rows beyond T (None: one array per episode), shape of a row ("beads": number of
-# beads of the rope)
-_ARRAYS: dict[str, tuple[Any, int | None, tuple[Any, ...]]] = {
-    "start_qpos": (np.float64, None, (None,)),
-    "goal_points": (np.float64, None, ("beads", 3)),
-    "points": (np.float64, 1, ("beads", 3)),
-    "actions": (np.float32, 0, (6,)),
-    "rewards": (np.float64, 0, ()),
-    "terminations": (np.bool_, 0, ()),
-    "truncations": (np.bool_, 0, ()),
-    "gauss_code": (np.str_, 1, ()),
-    "gauss_code_chiral": (np.str_, 1, ()),
-    "crossings": (np.int64, 1, ()),
-    "bead": (np.int64, 1, ()),
-    "force": (np.float64, 1, (3,)),
-    "applied_share": (np.float64, 1, ()),
-    "is_success": (np.bool_, 1, ()),
-    "simulation_failed": (np.bool_, 1, ()),
-    "move": (np.str_, 1, ()),
-    "expert_action": (np.float32, 1, (6,)),
-}
-_KINDS = {
-    np.float64: "float64",
-    np.float32: "float32",
-    np.int64: "int64",
-    np.bool_: "bool",
-    np.str_: "text",
-}
+# "steps" is T, "states" T + 1; arrays without either are stored once per episode
+_COLUMNS = (
+    Column("start_qpos", "float64", (None,), finite=True),
+    Column("goal_points", "float64", ("beads", 3), finite=True),
+    Column("points", "float64", ("states", "beads", 3), finite=True),
+    Column("actions", "float32", ("steps", 6), finite=True),
+    Column("rewards", "float64", ("steps",), finite=True),
+    Column("terminations", "bool", ("steps",)),
+    Column("truncations", "bool", ("steps",)),
+    Column("gauss_code", "text", ("states",)),
+    Column("gauss_code_chiral", "text", ("states",)),
+    Column("crossings", "int64", ("states",)),
+    Column("bead", "int64", ("states",)),
+    Column("force", "float64", ("states", 3), finite=True),
+    Column("applied_share", "float64", ("states",), finite=True),
+    Column("is_success", "bool", ("states",)),
+    Column("simulation_failed", "bool", ("states",)),
+    Column("move", "text", ("states",)),
+    Column("expert_action", "float32", ("states", 6), finite=True),
+)
+ARRAYS = {column.name: column for column in _COLUMNS}  # in the order of the digest
 INFOS = (
     "gauss_code",
     "gauss_code_chiral",
@@ -69,14 +61,6 @@ INFOS = (
     "expert_action",
 )
 OPTIONAL = ("move", "expert_action")  # infos that an episode may lack
-
-
-@cache
-def array_column(name: str) -> Column:
-    """Return the schema of an array of `Episode`, with sizes "steps" (T), "states" (T + 1)."""
-    dtype, beyond, each = _ARRAYS[name]
-    whole = each if beyond is None else (("steps", "states")[beyond], *each)
-    return Column(name, _KINDS[dtype], whole, finite=_KINDS[dtype].startswith("float"))
 
 
 class InvalidEpisode(KnotgymError, ValueError):
@@ -149,19 +133,17 @@ class Episode:
         if not len(self.actions):
             raise InvalidEpisode("an episode has at least 1 action, got 0")
         beads = np.shape(self.goal_points)[0]
+        sizes = {"steps": len(self), "states": len(self) + 1, "beads": beads}
         for name, array in self.arrays().items():
-            dtype, beyond, each = _ARRAYS[name]
-            right = (
-                *(() if beyond is None else (len(self) + beyond,)),
-                *(beads if n == "beads" else n for n in each),
-            )
+            kind, shape = ARRAYS[name].kind, ARRAYS[name].shape or ()
+            right = tuple(sizes[n] if isinstance(n, str) else n for n in shape)
             fits = array.ndim == len(right) and all(
                 n is None or n == m for n, m in zip(right, array.shape, strict=True)
             )
-            if not fits or not np.issubdtype(array.dtype, dtype):
+            if not fits or (array.dtype.kind != "U" if kind == "text" else array.dtype != kind):
                 raise InvalidEpisode(
-                    f"{name} must be {np.dtype(dtype).name} of shape {right}, got {array.dtype} of"
-                    f" shape {array.shape}"
+                    f"{name} must be {kind} of shape {right}, got {array.dtype} of shape"
+                    f" {array.shape}"
                 )
 
     def __len__(self) -> int:
@@ -172,7 +154,7 @@ class Episode:
         """Return all arrays that aren't None, by attribute name."""
         return {
             name: np.asarray(getattr(self, name))
-            for name in _ARRAYS
+            for name in ARRAYS
             if getattr(self, name) is not None
         }
 
@@ -269,10 +251,11 @@ def relabelled(
             f" {goal_step}"
         )
     outcome = success_at_last(goal_step, reward)
+    left = {"steps": goal_step, "states": goal_step + 1}
     cut = {
-        name: array[: goal_step + (_ARRAYS[name][1] or 0)]
+        name: array[: left[size]]
         for name, array in episode.arrays().items()
-        if _ARRAYS[name][1] is not None
+        if (size := str((ARRAYS[name].shape or ("",))[0])) in left
     }
     return replace(
         episode,

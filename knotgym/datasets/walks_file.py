@@ -16,7 +16,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,39 +81,29 @@ def walks_of(states: Array, made: Sequence[WalksMade], used: set[int]) -> Walks:
         made: all walks, in batches.
         used: numbers of the walks to keep, at least one.
     """
-    walks = [
-        (number, piece, row)
-        for piece in made
-        for row, number in enumerate(piece.numbers.tolist())
-        if number in used
-    ]
-    bases, start = np.unique([piece.bases[row] for _, piece, row in walks], return_inverse=True)
-    longest = max(piece.beads.shape[1] for _, piece, _ in walks)
+    kept = [(piece, np.flatnonzero(np.isin(piece.numbers, [*used]))) for piece in made]
+    kept = [(piece, rows) for piece, rows in kept if len(rows)]
+    bases = np.concatenate([piece.bases[rows] for piece, rows in kept])
+    bases, start = np.unique(bases, return_inverse=True)
     return Walks(
         state=states[bases],
-        number=np.array([number for number, _, _ in walks], dtype=np.int64),
+        number=np.concatenate([piece.numbers[rows] for piece, rows in kept]),
         start=start.astype(np.int64),
-        beads=np.stack([_padded(piece.beads[row], longest) for _, piece, row in walks]),
-        forces=np.stack([_padded(piece.forces[row], longest) for _, piece, row in walks]),
+        beads=_padded([piece.beads[rows] for piece, rows in kept]),
+        forces=_padded([piece.forces[rows] for piece, rows in kept]),
     )
 
 
 def joined_walks(pieces: Sequence[Walks]) -> Walks:
     """Concatenate the walks of several files; their numbers must differ."""
     firsts = np.cumsum([0, *(len(piece.state) for piece in pieces[:-1])])
-    longest = max(piece.beads.shape[1] for piece in pieces)
+    starts = [piece.start + first for piece, first in zip(pieces, firsts, strict=True)]
     return Walks(
         state=np.concatenate([piece.state for piece in pieces]),
         number=np.concatenate([piece.number for piece in pieces]),
-        start=np.concatenate(
-            [piece.start + first for piece, first in zip(pieces, firsts, strict=True)]
-        ),
-        beads=np.concatenate(
-            [np.stack([_padded(walk, longest) for walk in piece.beads]) for piece in pieces]
-        ),
-        forces=np.concatenate(
-            [np.stack([_padded(walk, longest) for walk in piece.forces]) for piece in pieces]
-        ),
+        start=np.concatenate(starts),
+        beads=_padded([piece.beads for piece in pieces]),
+        forces=_padded([piece.forces for piece in pieces]),
     )
 
 
@@ -174,6 +164,13 @@ def retrace(states: Array, beads: NDArray[np.int16], forces: NDArray[np.float32]
     return np.stack(frames, axis=1)
 
 
-def _padded(steps: NDArray[np.generic], longest: int) -> NDArray[np.generic]:
-    """Append steps of bead 0 without force, which no row refers to, up to length `longest`."""
-    return np.pad(steps, [(0, longest - len(steps)), *[(0, 0)] * (steps.ndim - 1)])
+def _padded(walks: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Concatenate walks (w, T, ...), padded to the longest T by steps of bead 0 without force.
+
+    No row refers to the added steps.
+    """
+    longest = max(steps.shape[1] for steps in walks)
+    whole = [(0, 0)] * (walks[0].ndim - 2)
+    return np.concatenate(
+        [np.pad(steps, [(0, 0), (0, longest - steps.shape[1]), *whole]) for steps in walks]
+    )

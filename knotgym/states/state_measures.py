@@ -71,16 +71,21 @@ def quality_faults(states: States, row: int, crossings: Crossings | None = None)
         yield from measure_faults({"noise_survival": survival}, {"noise_survival": again})
 
 
+def stream_of(states: States, row: int) -> Stream | None:
+    """Return the random stream whose key is a row's seed; None if the seed is no key."""
+    seed = tuple(states.source["seed"][row].tolist())
+    try:
+        stream = Stream(seed[0])
+        return stream if seed == key(stream, *seed[1:]) else None
+    except (InvalidSeed, ValueError, IndexError, TypeError):
+        return None
+
+
 def source_faults(states: States, row: int) -> Iterator[str]:
     """Yield faults of a row's seed, and provenance that contradicts its other columns."""
     source = states.source
-    seed = tuple(source["seed"][row].tolist())
-    try:
-        stream = Stream(seed[0])
-        known = seed == key(stream, *seed[1:])
-    except (InvalidSeed, ValueError, IndexError, TypeError):
-        known = False
-    if not known or stream not in (*_CHOSEN, Stream.RANDOM_WALK):
+    seed, stream = tuple(source["seed"][row].tolist()), stream_of(states, row)
+    if stream not in (*_CHOSEN, Stream.RANDOM_WALK):
         yield f"seed {seed} is not a stream that states come from"
         return
     runs = _seeds(states)
