@@ -108,10 +108,7 @@ def verify_episodes(
     """
     try:
         reader = EpisodeReader(source)
-    except InvalidEpisodeFile as error:
-        return [str(error)]
-    rope = Rope(reader.task.rope)
-    try:
+        rope = Rope(reader.task.rope)
         with foreign_bytes_as(InvalidEpisodeFile, f"{reader.path} isn't a whole episode file"):
             faults = [*_file_faults(reader, rope), *split_faults(reader), *duplicate_faults(reader)]
     except InvalidEpisodeFile as error:
@@ -276,7 +273,7 @@ def _faults_of(
         if reader.goal_codes(index) != [episode.goal_gauss_code] * (len(episode) + 1):
             faults.append(f"{GOAL_INFO} isn't {episode.goal_gauss_code!r} at every state")
     # h5py raises RuntimeError where one of HDF5's own checksums is wrong
-    except (InvalidEpisodeFile, OSError, KeyError, ValueError, RuntimeError) as error:
+    except (OSError, KeyError, ValueError, RuntimeError) as error:
         faults.append(one_line(error))
     return faults
 

@@ -165,10 +165,10 @@ def _sides(reader: EpisodeReader) -> dict[str, States]:
     task = reader.task
     files = [shipped()]
     if task.states is not None:
-        asked = reader.states_path()
-        if not asked.is_file() and not reader.path.with_name("metadata.json").is_file():
+        own = reader.states_path()
+        if not own.is_file() and not reader.path.with_name("metadata.json").is_file():
             return {}
-        files.insert(0, asked)
+        files.insert(0, own)
     read = [read_states(path, images=False) for path in files]
     return {
         name: next((states for states in read if len(states.rows(nx, task.split))), read[0])

@@ -70,13 +70,13 @@ class Spectra(NamedTuple):
         best = np.full(len(self.flat), -np.inf)
         flat, upright = self.flat.conj(), self.upright.conj()
         for reverse in (False, True):
-            walked = _negated(others.flat) if reverse else others.flat
-            raised = _negated(others.upright) if reverse else others.upright
+            flat_other = _negated(others.flat) if reverse else others.flat
+            upright_other = _negated(others.upright) if reverse else others.upright
             # the modulus, because a switch may choose the sign
-            z = np.abs(np.fft.ifft(raised * upright, axis=1).real)
+            z = np.abs(np.fft.ifft(upright_other * upright, axis=1).real)
             # reflection: the transform of conj(q) is the conjugate of q's at negated frequencies
-            for seen in (walked, _negated(walked).conj()):
-                both = np.abs(np.fft.ifft(seen * flat, axis=1)) + z
+            for shown in (flat_other, _negated(flat_other).conj()):
+                both = np.abs(np.fft.ifft(shown * flat, axis=1)) + z
                 best = np.maximum(best, both.max(axis=1))
         return self._distances(self.square, others.square, best)
 

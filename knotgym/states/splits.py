@@ -74,17 +74,18 @@ def kept_together(
     Returns:
         str (n,), the splits after.
     """
-    dealt, family = assigned.copy(), families(points)
+    splits, family = assigned.copy(), families(points)
     alone = np.bincount(family)[family] == 1
+    # first[row]: the lowest row of the family of `row`
     first = np.unique(family, return_index=True)[1][family]
-    for row in np.flatnonzero(dealt != dealt[first]).tolist():
-        others = np.flatnonzero(alone & (dealt == dealt[first[row]])).tolist()
+    for row in np.flatnonzero(splits != splits[first]).tolist():
+        others = np.flatnonzero(alone & (splits == splits[first[row]])).tolist()
         same = [other for other in others if codes[other].matches(codes[row])]
         same += [other for other in others if codes[other].nx == codes[row].nx]
         for other in same[:1]:
-            dealt[other] = dealt[row]
-        dealt[row] = dealt[first[row]]
-    return dealt
+            splits[other] = splits[row]
+        splits[row] = splits[first[row]]
+    return splits
 
 
 def overlap(states: States, nx: int) -> dict[str, Any]:

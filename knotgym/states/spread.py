@@ -102,6 +102,7 @@ def shape_distances(
         flat = _correlation(walked[..., 0] + 1j * walked[..., 1], a[:, 0] + 1j * a[:, 1])
         upright = _correlation(walked[..., 2], a[:, 2]).real
         best = np.maximum(best, (np.abs(flat) + upright).max(axis=1))
+    # |a|^2 + |b|^2 - 2 agreement; rounding can make it negative
     square = np.maximum(0.0, (a**2).sum() + (b**2).sum(axis=(1, 2)) - 2 * best)
     return np.asarray(np.sqrt(square / len(points)))
 
@@ -120,6 +121,7 @@ def visit_distance(positions: Sequence[NDArray[np.float64]], beads: int) -> floa
     for k, own in enumerate(positions):
         others = np.concatenate([np.empty(0), *positions[k + 1 :]])
         for position in own:
+            # the rope is closed: the shorter of the two ways along it
             apart = np.abs(others - position)
             total += float(np.minimum(apart, beads - apart).sum())
             count += len(others)
@@ -134,12 +136,14 @@ def bare_stretch(positions: NDArray[np.float64], beads: int) -> float | None:
     """
     if not len(positions):
         return None
+    # the gap after the last position wraps around to the first
     ordered = np.sort(positions)
     return float(np.diff(ordered, append=ordered[0] + beads).max())
 
 
 def _correlation(rows: NDArray[Any], one: NDArray[Any]) -> NDArray[Any]:
     """Correlate rows with `one` at every cyclic shift: complex (n, beads)."""
+    # sum_j row[j + s] conj(one[j]) for all s, by the correlation theorem
     return np.asarray(np.fft.ifft(np.fft.fft(rows, axis=1) * np.fft.fft(one).conj(), axis=1))
 
 

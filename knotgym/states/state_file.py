@@ -124,6 +124,7 @@ class States:
             [diagram_form(GaussCode.parse(code)) for code in self.gauss_code[own].tolist()]
             for own in (self.rows(nx, "train"), self.rows(nx, "test"))
         )
+        # diagrams of test in the order in which they are held out: absent from train first
         seen = Counter(train)
         rarest = sorted({*test}, key=lambda form: (seen[form], form.visits))
         wanted = math.ceil(len({*train, *test}) / 4)
