@@ -37,7 +37,11 @@ def read_manifest(folder: Path) -> tuple[dict[str, Any], list[str]]:
         for name, value in checked.items():
             if not isinstance(value, dict):
                 raise InvalidManifest(f"{name} should be an object")
-        _require_inside(checked["files"])
+        for name in checked["files"]:
+            if not name or leads_out(name) or not name.isprintable():
+                raise InvalidManifest(
+                    f"it lists {printable(name)!r}, which is not a file in the folder"
+                )
     except (OSError, ValueError, KeyError, TypeError) as error:
         return {}, [f"manifest.json can't be read: {one_line(error)}"]
     return {**manifest, **checked}, []
@@ -81,15 +85,6 @@ def listed_faults(folder: Path, manifest: Mapping[str, Any]) -> Iterator[str]:
             yield f"{name} is missing"
         elif sha256(folder / name) != digest:
             yield f"{name} is not the file the manifest lists (SHA-256 differs)"
-
-
-def _require_inside(files: Mapping[str, Any]) -> None:
-    """Raise InvalidManifest if a name leads out of the folder or isn't printable."""
-    for name in files:
-        if not name or leads_out(name) or not name.isprintable():
-            raise InvalidManifest(
-                f"it lists {printable(name)!r}, which is not a file in the folder"
-            )
 
 
 def _fits(value: Any, shape: Any) -> bool:

@@ -36,6 +36,8 @@ _COLUMNS = (
     Column("rewards", "float64", ("steps",), finite=True),
     Column("terminations", "bool", ("steps",)),
     Column("truncations", "bool", ("steps",)),
+)
+_INFOS = (
     Column("gauss_code", "text", ("states",)),
     Column("gauss_code_chiral", "text", ("states",)),
     Column("crossings", "int64", ("states",)),
@@ -47,19 +49,8 @@ _COLUMNS = (
     Column("move", "text", ("states",)),
     Column("expert_action", "float32", ("states", 6), finite=True),
 )
-ARRAYS = {column.name: column for column in _COLUMNS}  # in the order of the digest
-INFOS = (
-    "gauss_code",
-    "gauss_code_chiral",
-    "crossings",
-    "bead",
-    "force",
-    "applied_share",
-    "is_success",
-    "simulation_failed",
-    "move",
-    "expert_action",
-)
+ARRAYS = {column.name: column for column in (*_COLUMNS, *_INFOS)}  # in the order of the digest
+INFOS = tuple(column.name for column in _INFOS)
 OPTIONAL = ("move", "expert_action")  # infos that an episode may lack
 
 

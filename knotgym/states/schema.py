@@ -26,12 +26,7 @@ DIGEST = "content_sha256"  # attribute: checksum of all columns, see `states.con
 
 ROOT = (
     Column(
-        "qpos",
-        "float64",
-        ("nq",),
-        "m, quaternions",
-        "MuJoCo generalized positions, at rest",
-        finite=True,
+        "qpos", "float64", ("nq",), "m, quaternions", "generalized positions, at rest", finite=True
     ),
     Column("points", "float64", ("beads", 3), "m", "vertices of the rope, z up", finite=True),
     Column("image", "uint8", (None, None, 3), "levels", "RGB, as the environment renders it"),
@@ -49,39 +44,15 @@ QUALITY = tuple(
 # qpos bit for bit. If `policy` is RANDOM_WALK in all rows, there is no column of actions: they come
 # from the row's random stream (`knotgym.rope.actions.drawn_actions`).
 SOURCE = (
-    Column(
-        "source/start_qpos",
-        "float64",
-        ("nq",),
-        "m, quaternions",
-        "where the rope is laid at rest",
-        finite=True,
-    ),
-    Column(
-        "source/actions",
-        "float32",
-        (None, 6),
-        "",
-        "actions from there on, padded with zeros",
-        finite=True,
-    ),
+    Column("source/start_qpos", "float64", ("nq",), "m, quaternions", "at rest", finite=True),
+    Column("source/actions", "float32", (None, 6), "", "actions, padded with zeros", finite=True),
     Column("source/steps", "int64", (), "actions", "number of actions", least=0),
-    Column(
-        "source/seed", "int64", (None,), "", "key of the random stream that the state comes from"
-    ),
+    Column("source/seed", "int64", (None,), "", "key of the state's random stream"),
     Column("source/policy", "text", (), "", "policy that acted"),
     Column("source/dataset", "text", (), "", "Minari dataset of the demonstration"),
-    Column(
-        "source/trajectory", "int64", (), "", "episode of that dataset; of a random walk the rope"
-    ),
+    Column("source/trajectory", "int64", (), "", "episode of that dataset; or the walk's rope"),
     Column("source/step", "int64", (), "actions", "state of that episode"),
-    Column(
-        "source/drawing",
-        "text",
-        (),
-        "",
-        'parameters of the drawing of start_qpos, JSON; "" if not drawn',
-    ),
+    Column("source/drawing", "text", (), "", '"" or parameters of the drawing, JSON'),
 )
 COLUMNS = (*ROOT, *QUALITY, *SOURCE)
 

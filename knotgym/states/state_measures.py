@@ -90,7 +90,8 @@ def source_faults(states: States, row: int) -> Iterator[str]:
         return
     runs = _seeds(states)
     if runs and seed[1] not in runs:
-        yield f"seed {seed} is of a run with seed {seed[1]}, config says {_listed(runs)}"
+        listed = " or ".join(map(str, sorted(runs)))
+        yield f"seed {seed} is of a run with seed {seed[1]}, config says {listed}"
     if stream in _CHOSEN and seed[2] != states.nx[row]:
         yield f"seed {seed} is of nx {seed[2]}, the row has nx {states.nx[row]}"
     walked = _policy(states, row) == RANDOM_WALK
@@ -143,7 +144,3 @@ def _seeds(states: States) -> set[int]:
         for one in (config if isinstance(config, list) else [config])
         if isinstance(one, dict) and isinstance(one.get("seed"), int)
     }
-
-
-def _listed(numbers: set[int]) -> str:
-    return " or ".join(map(str, sorted(numbers)))
