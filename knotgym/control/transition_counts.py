@@ -34,7 +34,7 @@ from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import canonical_form, images, shifted_base
 
 FORMAT = "knotgym-transitions"
-FORMAT_VERSION = 2  # version 1, which is read too, calls templates grips
+FORMAT_VERSION = 1
 
 _DIGEST = "content_sha256"  # an attribute of a file of transitions alone
 _COLUMNS = (
@@ -215,7 +215,7 @@ class TransitionCounts:
             path,
             what="file of transitions",
             format=FORMAT,
-            versions=(1, FORMAT_VERSION),
+            versions=(FORMAT_VERSION,),
             error=InvalidTransitions,
         ) as file:
             return cls.read(file)
@@ -312,13 +312,9 @@ def _elements(code: GaussCode, wanted: GaussCode) -> tuple[_Element, ...]:
 
 
 def _read_columns(group: h5py.Group) -> dict[str, NDArray[Any]]:
-    """What `TransitionCounts.write` wrote, by the names of version 2."""
-    stem = "template" if "template_of" in group else "grip"  # version 1
+    """Read the columns that `TransitionCounts.write` wrote."""
     sizes: dict[str, int] = {}
-    return {
-        column.name: read_column(group, column, sizes, column.name.replace("template", stem))
-        for column in _COLUMNS
-    }
+    return {column.name: read_column(group, column, sizes) for column in _COLUMNS}
 
 
 def _digest(columns: dict[str, NDArray[Any]]) -> str:

@@ -1,16 +1,15 @@
-"""Reading episode files: whole episodes or single frames, in any process.
+"""Read episode files: whole episodes or single frames, from any process.
 
     /                   attributes: format, format_version, task (JSON), rope, stored, versions
-                        (JSON), card (JSON, in datasets);
-                        index, int32 (n, 2): the k and T of each episode, in order of k (missing in
-                               files made before there was one)
+                        (JSON), attributes_sha256, metadata (JSON, in datasets);
+                        index, int32 (n, 2): k and T of each episode, in order of k
     /episode_{k}        attributes: id, number, total_steps, policy, goal_gauss_code, relabelled,
                         hold, digest, seed, options/start, options/goal; start_qpos, goal_points
-        actions rewards terminations truncations infos/*            what Minari reads
-        observations    pixels and state, one of them, symbols,     what Minari reads; made from
-                        or none                                     `infos/points`, the same bytes
+        actions rewards terminations truncations infos/*            read by Minari
+        observations    pixels, state, a group of both, symbols,    read by Minari; can be rendered
+                        or missing                                  from `infos/points`, same bytes
 
-Everything else can be made again from `start_qpos`, `goal_points` and `infos/points`, float64.
+Everything else can be recomputed from `start_qpos`, `goal_points` and `infos/points`, all float64.
 
 `stored` is "pixels", "state", "both", "symbolic" or, in the compact form, "none".
 """
@@ -40,22 +39,22 @@ from knotgym.common.hdf5_files import (
     read_column,
     stored_column,
 )
-from knotgym.datasets.trajectory import INFOS, OPTIONAL, Episode, array_column
+from knotgym.datasets.trajectory import ARRAYS, INFOS, OPTIONAL, Episode
 from knotgym.envs.tasks import OBSERVATIONS, TaskConfig
 from knotgym.states.state_file import leads_out, minari_root, ships, states_file
 
 FORMAT = "knotgym-episodes"
-FORMAT_VERSION = 5
+FORMAT_VERSION = 1
 STORED = (*OBSERVATIONS, "none")
-TOLD_DIGEST = "attributes_sha256"  # an attribute too, see `told_digest`
-_TOLD = ("task", "rope", "stored", "versions", "metadata")
+ATTRIBUTES_DIGEST = "attributes_sha256"  # an attribute itself, see `attributes_digest`
+_DIGESTED = ("task", "rope", "stored", "versions", "metadata")
 
-ONCE = ("start_qpos", "goal_points")  # arrays of a whole episode: attributes
+ONCE = ("start_qpos", "goal_points")  # one array per episode, stored as attributes
 POINTS = "infos/points"
-GOAL_INFO = "infos/goal_gauss_code"  # the goal's label, repeated at every state
-Count = Callable[[str, int, int], None]  # told what is looked at, how many were, and of how many
+GOAL_INFO = "infos/goal_gauss_code"  # the goal's code, repeated at every state
+Count = Callable[[str, int, int], None]  # progress callback (stage, done, total)
 _STEPS = ("actions", "rewards", "terminations", "truncations")
-_LABELS = {
+_ATTRIBUTE_KINDS = {
     "id": "integer",
     "number": "integer",
     "total_steps": "integer",
@@ -74,42 +73,44 @@ _OBSERVED = {
 
 
 def uncounted(what: str, done: int, total: int) -> None:
-    """A `Count` that nobody reads."""
+    """Ignore progress."""
 
 
 class InvalidEpisodeFile(KnotgymError, ValueError):
-    """A file that isn't an episode file this version can read, or files that don't go together."""
+    """An episode file that this version can't read, or files that can't be combined."""
 
 
 class Chosen(NamedTuple):
-    """Some episodes of a dataset: the k of their groups `episode_{k}`, in order."""
+    """A subset of a dataset: the k of its groups `episode_{k}`, in order."""
 
     source: Any
     episode_indices: list[int]
 
 
 class EpisodeReader:
-    """Reads an episode file or a dataset, whole episodes or single frames.
+    """Reader of an episode file or a dataset, for whole episodes or single frames.
 
-    It opens the file once in each process, and pickles without it.
+    Each process opens the file once; pickling a reader leaves the open file out.
 
     Attributes:
         path: of the HDF5 file.
         task: the environment; its `observation` is what `observations` returns by default.
-        stored: the observations in the file.
-        rows: the k of the groups `episode_{k}` read here, in order.
-        lengths: int64 (len(rows),), the T of each.
+        stored: kind of the observations in the file.
+        rope: fingerprint of the rope model.
+        versions: package -> version that wrote the file.
+        rows: the k of each group `episode_{k}` that is read, in order.
+        lengths: int64 (len(rows),), T of each.
     """
 
     def __init__(self, source: Any) -> None:
         """Open a file, a dataset's folder or id, a `Chosen`, or a `minari.MinariDataset`.
 
-        Of the last two only the chosen episodes are read.
+        A `Chosen` or a `MinariDataset` restricts the reader to its episodes.
 
         Raises:
-            InvalidEpisodeFile: not written by knotgym, truncated, or of a format this version
-                doesn't know.
-            MissingFile: there is none.
+            InvalidEpisodeFile: the file is truncated, wasn't written by knotgym, or has an unknown
+                format version.
+            MissingFile: there is no such file.
         """
         self.path = episode_file(source)
         self._opened: tuple[int, h5py.File] | None = None
@@ -117,17 +118,17 @@ class EpisodeReader:
             check_format(
                 self.file, format=FORMAT, versions=(FORMAT_VERSION,), error=InvalidEpisodeFile
             )
-            said = {
+            texts = {
                 name: str(read_attribute(self.file, Column(name, "text", ())))
                 for name in ("task", "stored", "rope", "versions")
             }
-            self.task = TaskConfig(**json.loads(said["task"]))
+            self.task = TaskConfig(**json.loads(texts["task"]))
             self._beads = self.task.rope.beads
-            self.stored, self.rope = said["stored"], said["rope"]
+            self.stored, self.rope = texts["stored"], texts["rope"]
             if self.stored not in STORED:
                 raise UnexpectedContent(f"stored is {self.stored!r}, not {', '.join(STORED)}")
-            self.versions: dict[str, str] = _versions(said["versions"])
-            index = stored_index(self.file) or counted_index(self.file)
+            self.versions: dict[str, str] = _versions(texts["versions"])
+            index = stored_index(self.file)
         chosen = getattr(source, "episode_indices", index)
         self.rows: list[int] = [int(row) for row in chosen]
         lengths = [index[row] for row in self.rows]
@@ -137,30 +138,27 @@ class EpisodeReader:
         return {**self.__dict__, "_opened": None}
 
     def __len__(self) -> int:
-        """Episodes."""
+        """Return the number of episodes."""
         return len(self.rows)
 
     @property
-    def has_labels(self) -> bool:
-        """An expert was asked at every state of every episode."""
-        for index in range(len(self)):
-            with self._naming(index):
-                if place("expert_action") not in self.group(index):
-                    return False
-        return True
+    def has_expert_actions(self) -> bool:
+        """Whether every episode stores the expert's action at each of its states."""
+        name = dataset_path("expert_action")
+        return all(name in self.group(index) for index in range(len(self)))
 
     def __iter__(self) -> Iterator[Episode]:
         return (self.episode(index) for index in range(len(self)))
 
     @property
     def file(self) -> h5py.File:
-        """The open file, this process's own."""
+        """The file, opened by this process."""
         if self._opened is None or self._opened[0] != os.getpid():
             self._opened = os.getpid(), h5py.File(self.path, "r")
         return self._opened[1]
 
     def close(self) -> None:
-        """Close the file; it opens again when needed."""
+        """Close the file; the next read reopens it."""
         if self._opened is not None and self._opened[0] == os.getpid():
             self._opened[1].close()
         self._opened = None
@@ -171,35 +169,36 @@ class EpisodeReader:
             return _group(self.file, self.rows[index])
 
     def column(self, index: int, name: str) -> NDArray[Any]:
-        """One array of an episode, by `Episode`'s name for it."""
+        """Read one array of an episode, named as in `Episode`."""
         with self._naming(index):
             return self._array(index, name)
 
-    def labels(self, index: int) -> dict[str, Any]:
-        """The attributes of an episode that are no arrays, by name, checked."""
+    def attributes(self, index: int) -> dict[str, Any]:
+        """Read the scalar and text attributes of an episode; check their types."""
         with self._naming(index):
             group = self.group(index)
             return {
-                name: read_attribute(group, Column(name, _kind_of_label(name), ()))
+                name: read_attribute(group, Column(name, _attribute_kind(name), ()))
                 for name in group.attrs
                 if name not in ONCE
             }
 
     def metadata(self) -> dict[str, Any] | None:
-        """What a file says of the dataset it came from; None if it came from none."""
+        """Read the metadata of the dataset that the file belongs to or came from, if any."""
         with foreign_bytes_as(InvalidEpisodeFile, f"{self.path} isn't a whole episode file"):
             if "metadata" not in self.file.attrs:
                 return None
-            read = json.loads(read_attribute(self.file, Column("metadata", "text", ())))
-            if not isinstance(read, dict):
-                raise UnexpectedContent(f"metadata is {type(read).__name__}, should be an object")
-            return read
+            entries = json.loads(read_attribute(self.file, Column("metadata", "text", ())))
+            if not isinstance(entries, dict):
+                found = type(entries).__name__
+                raise UnexpectedContent(f"metadata is {found}, should be an object")
+            return entries
 
     def states_path(self) -> Path:
-        """The state file that its episodes were reset from, which may not be there.
+        """Return the path of the state file that the episodes were reset from; it may not exist.
 
         Raises:
-            InvalidEpisodeFile: a dataset names one that lies elsewhere; a file by itself may.
+            InvalidEpisodeFile: a dataset names a path outside it (a single file may do so).
         """
         beside, named = self.path.with_name("states.h5"), self.task.states
         if ships(named) or named is None:
@@ -209,48 +208,44 @@ class EpisodeReader:
         if self.path.with_name("metadata.json").is_file() and leads_out(named):
             raise InvalidEpisodeFile(
                 f"{self.path} names states that lie outside the dataset, {named!r}; it should"
-                " carry them, as states.h5 beside it"
+                " include them, as states.h5 beside the episodes"
             )
         return states_file(named)
 
-    def goal_labels(self, index: int) -> list[str]:
-        """The goal's code as it stands at every state; empty where it doesn't."""
+    def goal_codes(self, index: int) -> list[str]:
+        """Read `infos/goal_gauss_code`: the goal's code, once per state."""
         with self._naming(index):
-            group = self.group(index)
             wanted = Column(GOAL_INFO, "text", ("states",))
-            found: list[str] = (
-                read_column(group, wanted, self._sizes(index)).tolist()
-                if GOAL_INFO in group
-                else []
-            )
-            return found
+            codes: list[str] = read_column(self.group(index), wanted, self._sizes(index)).tolist()
+            return codes
 
     def episode(self, index: int) -> Episode:
-        """A whole episode, without its observations.
+        """Read a whole episode, without its observations.
 
         Raises:
-            InvalidEpisodeFile: something is missing, misshapen or unreadable; the message names it.
+            InvalidEpisodeFile: something is missing, unreadable or of the wrong shape; the message
+                names it.
         """
         with self._naming(index):
             group = self.group(index)
             arrays = {
                 name: self._array(index, name)
                 for name in (*ONCE, "points", *_STEPS, *INFOS)
-                if name not in OPTIONAL or place(name) in group
+                if name not in OPTIONAL or dataset_path(name) in group
             }
-            labels = self.labels(index)
+            stored = self.attributes(index)
             return Episode(
                 **arrays,
-                goal_gauss_code=str(labels["goal_gauss_code"]),
-                policy=str(labels["policy"]),
-                seed=int(labels["seed"]) if "seed" in labels else None,
+                goal_gauss_code=str(stored["goal_gauss_code"]),
+                policy=str(stored["policy"]),
+                seed=int(stored["seed"]) if "seed" in stored else None,
                 options={
                     name.removeprefix("options/"): int(row)
-                    for name, row in labels.items()
+                    for name, row in stored.items()
                     if name.startswith("options/")
                 },
-                relabelled=bool(labels["relabelled"]),
-                hold=int(labels["hold"]) if "hold" in labels else None,
+                relabelled=bool(stored["relabelled"]),
+                hold=int(stored["hold"]) if "hold" in stored else None,
             )
 
     def observations(
@@ -262,19 +257,19 @@ class EpisodeReader:
         observation: str = "",
         picture: Any = None,
     ) -> Any:
-        """What the agent saw at some states of an episode.
+        """Return the agent's observations at some states of an episode.
 
         Args:
-            index: of the episode.
+            index: position of the episode in this reader.
             steps: which of its T + 1 states.
-            goal_step: show this state of the episode as the goal instead.
+            goal_step: state of the episode to show as the goal instead of its own.
             observation: "pixels", "state", "both" or "symbolic"; "" for the task's.
-            picture: a `knotgym.rendering.picture.PictureConfig` to draw with, instead of what the
-                file holds.
+            picture: a `knotgym.rendering.picture.PictureConfig` to render with, instead of using
+                the stored pictures.
 
         Returns:
             uint8 (n, views * size, 2 size, 3 or 4), float32 (n, 6 beads), a dict of both, or int16
-            (n, 2, SYMBOLS); made from the vertices where the file holds none.
+            (n, 2, SYMBOLS); rendered from the vertices where the file stores no such observations.
         """
         wanted = observation or self.task.observation
         if wanted not in OBSERVATIONS:
@@ -291,7 +286,7 @@ class EpisodeReader:
         return self._drawn(seen, goal, wanted, picture)
 
     def stored_observations(self, index: int) -> dict[str, h5py.Dataset]:
-        """The observations in the file of all states of an episode, by name; of "both" two."""
+        """Return the HDF5 datasets of an episode's stored observations, by name: none, 1 or 2."""
         if self.stored == "none":
             return {}
         names = ("pixels", "state") if self.stored == "both" else (self.stored,)
@@ -313,6 +308,7 @@ class EpisodeReader:
         seen = {name: data[name][steps] for name in names}
         if goal_step is not None:
             for name, array in seen.items():
+                # axis along which an observation is [rope, goal]
                 side = 1
                 if name == "pixels":
                     side = 2 if self.task.layout == "beside" else 3
@@ -322,14 +318,14 @@ class EpisodeReader:
         return seen if wanted == "both" else seen[wanted]
 
     def _drawn(self, seen: NDArray[Any], goal: NDArray[Any], wanted: str, picture: Any) -> Any:
-        # here, so that loaders of states need no OpenCV
+        # imported here, so that loading states doesn't need OpenCV
         from knotgym.envs.observations import observe, picture_config
 
         drawn = picture or picture_config(self.task)
         return observe(seen, goal, wanted, drawn, self.task.layout)
 
     def _naming(self, index: int) -> AbstractContextManager[None]:
-        """What goes wrong in an episode names it."""
+        """Prefix errors with the path and the episode."""
         return foreign_bytes_as(InvalidEpisodeFile, f"{self.path}, episode {self.rows[index]}")
 
     def _sizes(self, index: int) -> dict[str, int]:
@@ -337,27 +333,26 @@ class EpisodeReader:
         return {"steps": steps, "states": steps + 1, "beads": self._beads}
 
     def _stored_points(self, index: int) -> h5py.Dataset:
-        return stored_column(self.group(index), array_column("points"), self._sizes(index), POINTS)
+        return stored_column(self.group(index), ARRAYS["points"], self._sizes(index), POINTS)
 
     def _array(self, index: int, name: str) -> NDArray[Any]:
-        """An array of an episode, by `Episode`'s name for it."""
-        group, wanted, sizes = self.group(index), array_column(name), self._sizes(index)
+        group, wanted, sizes = self.group(index), ARRAYS[name], self._sizes(index)
         if name in ONCE:
             return np.asarray(read_attribute(group, wanted, sizes))
-        return read_column(group, wanted, sizes, place(name))
+        return read_column(group, wanted, sizes, dataset_path(name))
 
 
 def episode_file(source: Any) -> Path:
-    """The HDF5 file of a dataset.
+    """Find the HDF5 file of a dataset.
 
     Args:
-        source: a file, a dataset's folder or the `data` in it, the folder of a run of `generate`
-            for its demonstrations of the train split, a `minari.MinariDataset`, a `Chosen`, or an
-            id that Minari would find.
+        source: a file, a dataset's folder or the `data` folder in it, the folder of a run of
+            `generate` (its demonstrations of the train split), a `minari.MinariDataset`, a
+            `Chosen`, or an id that Minari would find.
 
     Raises:
-        MissingFile: there is none.
-        InvalidEpisodeFile: a run has demonstrations of several numbers of crossings.
+        MissingFile: there is no such file.
+        InvalidEpisodeFile: a run has demonstrations of several crossing numbers.
     """
     if isinstance(source, Chosen):
         return episode_file(source.source)
@@ -373,35 +368,33 @@ def episode_file(source: Any) -> Path:
         found = sorted((path / "minari").glob("knotgym/*/demonstrations-v0/data/main_data.hdf5"))
         if len(found) > 1:
             listed = ", ".join(str(one.parents[1]) for one in found)
-            raise InvalidEpisodeFile(f"{path} holds several datasets; name one of them: {listed}")
+            raise InvalidEpisodeFile(f"{path} holds several datasets; choose one of them: {listed}")
         if found:
             return found[0]
     raise MissingFile(f"no episodes at {tried[0]}, nor a dataset of this id under {minari_root()}")
 
 
 def stored_index(file: h5py.File) -> dict[int, int]:
-    """The k and T of each episode, as the file's attribute says; empty where it has none."""
-    if "index" not in file.attrs:
-        return {}
-    read = read_attribute(file, Column("index", "integer", (None, 2), least=0))
-    return {int(row): int(steps) for row, steps in read}
+    """Read k and T of each episode from the file's `index` attribute."""
+    index = read_attribute(file, Column("index", "integer", (None, 2), least=0))
+    return {int(row): int(steps) for row, steps in index}
 
 
 def counted_index(file: h5py.File) -> dict[int, int]:
-    """The k and T of each episode, looked up in every one."""
+    """Read k and T of each episode from the episodes themselves."""
     rows = sorted(int(name.removeprefix("episode_")) for name in file)
     steps = Column("total_steps", "integer", (), least=0)
     return {row: int(read_attribute(_group(file, row), steps)) for row in rows}
 
 
-def told_digest(attributes: Mapping[str, Any]) -> str:
-    """SHA-256 of what a file says of all its episodes, hexadecimal: JSON of names and texts."""
-    told = [[name, str(attributes[name])] for name in _TOLD if name in attributes]
-    return hashlib.sha256(json.dumps(told).encode()).hexdigest()
+def attributes_digest(attributes: Mapping[str, Any]) -> str:
+    """Hash a file's attributes: SHA-256, hexadecimal, of a JSON list of names and texts."""
+    texts = [[name, str(attributes[name])] for name in _DIGESTED if name in attributes]
+    return hashlib.sha256(json.dumps(texts).encode()).hexdigest()
 
 
-def place(name: str) -> str:
-    """Where an array of an episode's states or steps stands in its group."""
+def dataset_path(name: str) -> str:
+    """Return the path, in an episode's group, of an array that `Episode` calls `name`."""
     return f"infos/{name}" if name in (*INFOS, "points") else name
 
 
@@ -412,12 +405,12 @@ def _group(file: h5py.File, row: int) -> h5py.Group:
     return found
 
 
-def _kind_of_label(name: str) -> str:
-    return "integer" if name.startswith("options/") else _LABELS.get(name, "any")
+def _attribute_kind(name: str) -> str:
+    return "integer" if name.startswith("options/") else _ATTRIBUTE_KINDS.get(name, "any")
 
 
 def _versions(text: str) -> dict[str, str]:
-    read = json.loads(text)
-    if not isinstance(read, dict) or not all(isinstance(name, str) for name in read.values()):
+    found = json.loads(text)
+    if not isinstance(found, dict) or not all(isinstance(name, str) for name in found.values()):
         raise UnexpectedContent(f"versions is {text[:80]!r}, should be names and versions")
-    return read
+    return found

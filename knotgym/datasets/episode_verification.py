@@ -1,6 +1,7 @@
-"""Whether episodes tell the truth: everything computable is computed again and compared.
+"""Verify episodes: recompute everything that can be recomputed and compare.
 
-Points are compared bit for bit, as are rewards and observations; a code is asked of both labellers.
+Points, rewards and observations must agree bit for bit; codes must agree with two independent
+labellers.
 """
 
 from __future__ import annotations
@@ -17,14 +18,14 @@ from knotgym.common.configuration import as_json, read_json
 from knotgym.common.errors import one_line
 from knotgym.common.hdf5_files import foreign_bytes_as
 from knotgym.datasets.episode_reader import (
+    ATTRIBUTES_DIGEST,
     GOAL_INFO,
-    TOLD_DIGEST,
     Count,
     EpisodeReader,
     InvalidEpisodeFile,
+    attributes_digest,
     counted_index,
     stored_index,
-    told_digest,
     uncounted,
 )
 from knotgym.datasets.split_verification import duplicate_faults, split_faults
@@ -47,17 +48,17 @@ _BATCH = 64  # episodes replayed side by side
 def replay(
     episodes: Sequence[Episode], task: TaskConfig, threads: int = 1, count: Count = uncounted
 ) -> list[int | None]:
-    """Act every episode out again from its start.
+    """Replay episodes from their starts.
 
     Args:
-        episodes: of one task; side by side in one simulation.
-        task: whose rope it is.
-        threads: of the simulation, 0 for every core.
-        count: told how many steps of all of them were acted out, after each side by side.
+        episodes: episodes of one task, replayed in parallel in one simulation.
+        task: the task, which says what the rope is like.
+        threads: threads of the simulation, 0 for all cores.
+        count: progress callback, called after each step of the simulation.
 
     Returns:
-        For each episode the first state that comes out different in any bit, or that another share
-        of the force led to; None where none does.
+        For each episode the first state that differs in any bit, or that needed another share of
+        the force; None if there is no such state.
     """
     if not episodes:
         return []
@@ -69,8 +70,8 @@ def replay(
         going = np.flatnonzero(lengths >= step).tolist()
         if step:
             simulation.act(np.array([episodes[i].actions[step - 1] for i in going]), going)
-            acted = int(np.minimum(lengths, step).sum())
-            count("steps acted out again", acted, int(lengths.sum()))
+            replayed = int(np.minimum(lengths, step).sum())
+            count("steps replayed", replayed, int(lengths.sum()))
         for i in going:
             same = np.array_equal(simulation.points[i], episodes[i].points[step])
             if step:
@@ -89,26 +90,25 @@ def verify_episodes(
     threads: int = 1,
     count: Count = uncounted,
 ) -> list[str]:
-    """Check an episode file or a Minari dataset.
+    """Verify an episode file or a Minari dataset.
 
     Args:
         source: what `EpisodeReader` takes.
-        frames: stored observations redrawn in each episode, evenly spread from the first to the
-            last; None for all.
-        pyknotid: ask the independent labeller about each episode's last state, about 10 ms each.
-        act_out: `replay` every episode without a fault.
-        threads: of the simulation that does.
-        count: told after each episode, and each step that is acted out.
+        frames: number of stored observations rendered again per episode, evenly spaced from the
+            first to the last; None for all.
+        pyknotid: compare each episode's last state with pyknotid, an independent labeller; about
+            10 ms each.
+        act_out: `replay` every episode that has no other fault.
+        threads: threads of the simulation that replays, 0 for all cores.
+        count: progress callback, called before each episode and after each replayed step.
 
     Returns:
-        Faults, each naming the file, the episode and where it can the step; empty when all is well.
+        Faults; each names the file, the episode and, where possible, the step. Empty if there are
+        none.
     """
     try:
         reader = EpisodeReader(source)
-    except InvalidEpisodeFile as error:
-        return [str(error)]
-    rope = Rope(reader.task.rope)
-    try:
+        rope = Rope(reader.task.rope)
         with foreign_bytes_as(InvalidEpisodeFile, f"{reader.path} isn't a whole episode file"):
             faults = [*_file_faults(reader, rope), *split_faults(reader), *duplicate_faults(reader)]
     except InvalidEpisodeFile as error:
@@ -128,9 +128,9 @@ def verify_episodes(
 
 
 def episode_faults(episode: Episode, task: TaskConfig, rope: Rope) -> list[str]:
-    """What is wrong in an episode of a task: numbers, labels, rewards and ends."""
+    """List an episode's faults: its numbers, codes, rewards and end."""
     faults = [
-        f"{name} holds a number that isn't finite"
+        f"{name} contains a number that isn't finite"
         for name, array in episode.arrays().items()
         if array.dtype.kind == "f" and not np.isfinite(array).all()
     ]
@@ -154,6 +154,7 @@ def episode_faults(episode: Episode, task: TaskConfig, rope: Rope) -> list[str]:
                 f"step {wrong[0]}: {name} is {stored[wrong[0]].tolist()!r}, should be"
                 f" {right[wrong[0]].tolist()!r} ({len(wrong)} such)"
             )
+    # nothing was scaled before the start; later shares are those that the simulation can choose
     wrong = np.flatnonzero(~np.isin(episode.applied_share, SHARES))
     if len(wrong) or episode.applied_share[0] != 1:
         step = wrong[0] if len(wrong) else 0
@@ -190,9 +191,9 @@ def episode_faults(episode: Episode, task: TaskConfig, rope: Rope) -> list[str]:
 
 
 def show_episodes(source: Any) -> dict[str, Any]:
-    """Sum up an episode file or a Minari dataset; every value is JSON-able."""
+    """Summarize an episode file or a Minari dataset; every value can be written as JSON."""
     reader = EpisodeReader(source)
-    labels = [reader.labels(i) for i in range(len(reader))]
+    attributes = [reader.attributes(i) for i in range(len(reader))]
     success = np.array([reader.column(i, "is_success")[-1] for i in range(len(reader))], dtype=bool)
     failed = sum(bool(reader.column(i, "simulation_failed")[-1]) for i in range(len(reader)))
     returns = np.array([reader.column(i, "rewards").sum() for i in range(len(reader))])
@@ -210,9 +211,9 @@ def show_episodes(source: Any) -> dict[str, Any]:
         "successes": int(success.sum()),
         "success_rate": float(success.mean()) if len(success) else None,
         "simulation_failures": failed,
-        "policies": _counted(label["policy"] for label in labels),
-        "goals": _counted(label["goal_gauss_code"] for label in labels),
-        "relabelled": sum(bool(label["relabelled"]) for label in labels),
+        "policies": _counted(each["policy"] for each in attributes),
+        "goals": _counted(each["goal_gauss_code"] for each in attributes),
+        "relabelled": sum(bool(each["relabelled"]) for each in attributes),
         "bytes": size,
         "bytes_per_frame": size / max(1, frames),
         "rope": reader.rope,
@@ -226,23 +227,22 @@ def _file_faults(reader: EpisodeReader, rope: Rope) -> list[str]:
     faults = []
     if reader.rope != rope.config.fingerprint:
         faults.append(
-            f"{reader.path}: made with rope model {reader.rope}, this version has"
+            f"{reader.path}: generated with rope model {reader.rope}, this version has"
             f" {rope.config.fingerprint}"
         )
-    if "index" in reader.file.attrs and stored_index(reader.file) != counted_index(reader.file):
-        faults.append(f"{reader.path}: its index isn't that of its episodes")
-    told = reader.file.attrs
-    if TOLD_DIGEST in told and told[TOLD_DIGEST] != told_digest(told):
-        faults.append(f"{reader.path}: its attributes aren't those it was written with")
+    if stored_index(reader.file) != counted_index(reader.file):
+        faults.append(f"{reader.path}: its index doesn't match its episodes")
+    if reader.file.attrs.get(ATTRIBUTES_DIGEST) != attributes_digest(reader.file.attrs):
+        faults.append(f"{reader.path}: its attributes don't match {ATTRIBUTES_DIGEST}")
     if sorted(reader.rows) != list(range(len(reader.file))):
         faults.append(
             f"{reader.path}: episodes aren't numbered from 0 to {len(reader.file) - 1}, as Minari"
-            " counts them"
+            " expects"
         )
     beside = reader.path.with_name("metadata.json")
     if beside.is_file():
-        read = read_json(beside)
-        entries = read if isinstance(read, dict) else {}
+        found = read_json(beside)
+        entries = found if isinstance(found, dict) else {}
         for name, right in {
             "total_episodes": len(reader),
             "total_steps": int(reader.lengths.sum()),
@@ -256,14 +256,13 @@ def _file_faults(reader: EpisodeReader, rope: Rope) -> list[str]:
 def _faults_of(
     reader: EpisodeReader, index: int, rope: Rope, frames: int | None, pyknotid: bool
 ) -> list[str]:
-    """What is wrong in one episode of a file; see `verify_episodes`."""
+    """List the faults of one episode of a file; see `verify_episodes`."""
     faults: list[str] = []
     try:
         episode = reader.episode(index)
-        if episode.digest() != reader.labels(index).get("digest"):
-            faults.append("its contents don't have the digest they were written with")
+        if episode.digest() != reader.attributes(index).get("digest"):
+            faults.append("its contents don't match its digest")
         faults += episode_faults(episode, reader.task, rope)
-        faults += _goal_info_faults(reader, index, episode)
         faults += _observation_faults(reader, index, episode, frames)
         stored = str(episode.gauss_code_chiral[-1])
         second = pyknotid_code(episode.points[-1]).chiral if pyknotid else stored
@@ -271,8 +270,10 @@ def _faults_of(
             faults.append(
                 f"step {len(episode)}: pyknotid reads {second!r}, the file says {stored!r}"
             )
-    # a RuntimeError is h5py's, where the library finds a checksum of its own wrong
-    except (InvalidEpisodeFile, OSError, KeyError, ValueError, RuntimeError) as error:
+        if reader.goal_codes(index) != [episode.goal_gauss_code] * (len(episode) + 1):
+            faults.append(f"{GOAL_INFO} isn't {episode.goal_gauss_code!r} at every state")
+    # h5py raises RuntimeError where one of HDF5's own checksums is wrong
+    except (OSError, KeyError, ValueError, RuntimeError) as error:
         faults.append(one_line(error))
     return faults
 
@@ -280,11 +281,11 @@ def _faults_of(
 def _replay_faults(
     reader: EpisodeReader, rows: Sequence[int], threads: int, count: Count
 ) -> Iterator[str]:
-    """Episodes that end elsewhere when they are acted out again."""
+    """Yield the episodes whose replay differs, with the step where it does."""
     before, steps = 0, int(reader.lengths[rows].sum())
 
-    def count_all(what: str, done: int, _: int) -> None:
-        count(what, before + done, steps)
+    def count_all(stage: str, done: int, _: int) -> None:
+        count(stage, before + done, steps)
 
     for start in range(0, len(rows), _BATCH):
         batch = rows[start : start + _BATCH]
@@ -294,33 +295,20 @@ def _replay_faults(
         for index, step in zip(batch, different, strict=True):
             if step is not None:
                 yield (
-                    f"{reader.path}, episode {reader.rows[index]}: step {step}: acted out again,"
-                    " the rope lies elsewhere, or another share of the force was applied"
+                    f"{reader.path}, episode {reader.rows[index]}: step {step}: replayed, the"
+                    " rope lies elsewhere, or another share of the force was applied"
                 )
-
-
-def _goal_info_faults(reader: EpisodeReader, index: int, episode: Episode) -> list[str]:
-    """Whether the goal's code stands at every state."""
-    group = reader.group(index)
-    if GOAL_INFO not in group:
-        return [f"{GOAL_INFO} is missing"]
-    if reader.goal_labels(index) == [episode.goal_gauss_code] * (len(episode) + 1):
-        return []
-    return [f"{GOAL_INFO} isn't {episode.goal_gauss_code!r} at every state"]
 
 
 def _observation_faults(
     reader: EpisodeReader, index: int, episode: Episode, frames: int | None
 ) -> list[str]:
-    """Compare stored observations with what the environment shows of the same points."""
+    """Compare stored observations with ones rendered from the same points."""
     count, faults = len(episode) + 1, []
     steps = np.arange(count)
     if frames is not None:
         steps = np.unique(np.linspace(0, count - 1, min(frames, count)).astype(int))
     for name, stored in reader.stored_observations(index).items():
-        if len(stored) != count:
-            faults.append(f"{len(stored)} observations ({name}), should be {count}")
-            continue
         picture = picture_config(reader.task)
         shown = observe(
             episode.points[steps], episode.goal_points, name, picture, reader.task.layout
@@ -333,7 +321,7 @@ def _observation_faults(
         if wrong:
             faults.append(
                 f"step {wrong[0]}: the stored {name} isn't what the environment shows ({len(wrong)}"
-                f" of {len(steps)} looked at)"
+                f" of {len(steps)} compared)"
             )
     return faults
 
@@ -341,7 +329,7 @@ def _observation_faults(
 def _outcome(
     episode: Episode, codes: Sequence[GaussCode], task: TaskConfig
 ) -> dict[str, NDArray[Any]]:
-    """What the environment pays and says for these codes, up to the step the episode ends at."""
+    """Recompute rewards, ends and success from these codes by the task's reward rule."""
     goal = GaussCode.parse(episode.goal_gauss_code)
     shown = np.array([code.matches(goal) for code in codes[1:]])
     towed = np.zeros(len(shown), dtype=bool)

@@ -1,8 +1,9 @@
-"""Writing episode files, one episode at a time, and merging them; `episode_reader` has the layout.
+"""Write episode files, one episode at a time, and merge them; `episode_reader` has the layout.
 
-A picture is stored in strips, a few rows of eight frames at a time, so that gzip finds the goal
-that stands still: its fastest level then makes files as small as a slower one does of a frame a
-chunk, and a frame still reads in under 1 ms.
+A chunk of pictures is a strip: a few pixel rows of eight consecutive frames. The goal half doesn't
+change between frames, and in a strip gzip's window still reaches the previous frame. Level 1 then
+compresses as well as a higher level does with one frame per chunk, and reading a frame takes less
+than 1 ms.
 """
 
 from __future__ import annotations
@@ -27,18 +28,18 @@ import knotgym
 from knotgym.common.atomic_files import atomic_write, new_hdf5
 from knotgym.common.hdf5_files import Column, stored_column
 from knotgym.datasets.episode_reader import (
+    ATTRIBUTES_DIGEST,
     FORMAT,
     FORMAT_VERSION,
     GOAL_INFO,
     ONCE,
     POINTS,
     STORED,
-    TOLD_DIGEST,
     Count,
     EpisodeReader,
     InvalidEpisodeFile,
-    place,
-    told_digest,
+    attributes_digest,
+    dataset_path,
     uncounted,
 )
 from knotgym.datasets.trajectory import Episode
@@ -46,19 +47,20 @@ from knotgym.envs.observations import observe, picture_config
 from knotgym.envs.tasks import TaskConfig
 
 _STRIP_FRAMES = 8
-# of one frame; the same rows of the frame before then lie inside gzip's window of 32 kB
+# bytes of one frame in a strip: the same pixel rows of the previous frame then lie within gzip's
+# 32 kB window
 _STRIP_BYTES = 12288
-_GZIP = 1  # level
-_LONG = 64  # steps in a chunk of anything but pictures
+_GZIP_LEVEL = 1
+_CHUNK_STEPS = 64  # steps per chunk, of everything but pictures
 _INTERMEDIATE = h5py.h5p.create(h5py.h5p.LINK_CREATE)
 _INTERMEDIATE.set_create_intermediate_group(True)
-_SMALL = 4096  # bytes under which a chunk costs more than it saves
+_SMALL = 4096  # bytes; a smaller array is stored contiguously: chunking it costs more than it saves
 
 
 class EpisodeWriter:
-    """Writes episodes one by one, each out of memory when the next comes.
+    """Writer of an episode file that keeps one episode in memory at a time.
 
-    The file takes its name when the `with` block ends well.
+    Use it as a context manager; the file appears at its path when the block ends without an error.
     """
 
     def __init__(
@@ -67,9 +69,9 @@ class EpisodeWriter:
         """Prepare a file of episodes of one task.
 
         Args:
-            path: of the file, replaced if there is one.
+            path: path of the file; an existing file is replaced.
             task: the environment; `task.observation` says which observations are stored.
-            compact: store none; they are drawn when read.
+            compact: store no observations; they are rendered when read.
         """
         self.path = Path(path)
         self.task = task
@@ -101,23 +103,25 @@ class EpisodeWriter:
         """Write an episode.
 
         Args:
-            episode: of the writer's task.
-            number: its place among the episodes of all the files to be merged; by default one more
-                than the last one's.
+            episode: an episode of the writer's task.
+            number: its number among the episodes of all files to be merged; by default one more
+                than the previous one's.
         """
         number = self._next if number is None else number
         self._next = number + 1
         self._index.append((number, len(episode)))
         group = self._file.create_group(f"episode_{number}")
-        labels = episode.labels()
-        options = {f"options/{name}": row for name, row in labels.pop("options").items()}
+        attributes = episode.attributes()
+        options = {f"options/{name}": row for name, row in attributes.pop("options").items()}
         counts = {"id": number, "number": number, "total_steps": len(episode)}
         arrays = episode.arrays()
         once = {name: arrays.pop(name) for name in ONCE}
-        _label(group, {**counts, "digest": episode.digest(), **labels, **options, **once})
+        attributes |= {**counts, "digest": episode.digest(), **options, **once}
+        _set_attributes(group, attributes)
         for name, array in arrays.items():
-            _write(group, place(name), array)
-        _write_goal(group)
+            _write(group, dataset_path(name), array)
+        # the goal's code at every state, for readers that know infos alone
+        _write(group, GOAL_INFO, np.full(len(episode) + 1, episode.goal_gauss_code))
         _observe(group, self.task, self.stored, episode.points, episode.goal_points)
 
 
@@ -132,27 +136,27 @@ def merge_episodes(
     attributes: Mapping[str, str] | None = None,
     count: Count = uncounted,
 ) -> None:
-    """Put the episodes of several files into one, numbered from 0.
+    """Merge the episodes of several files into one, numbered from 0.
 
-    What stays the same is copied, not encoded again; the same episodes give the same bytes,
-    whatever files they came in.
+    Compressed chunks are copied without encoding them again, so the same episodes give the same
+    bytes however they were distributed over files.
 
     Args:
-        sources: what `EpisodeReader` takes; of one task and rope.
-        target: the file, replaced if there is one.
-        store: observations in the target, "pixels", "state", "both", "symbolic" or "none"; those
-            that differ from the source's are made. None keeps them.
-        concatenate: the sources one after another; else, as for the shards of one run, by the
-            episodes' numbers.
-        distinct: refuse episodes that are the same.
-        task: of the target, for episodes dealt out anew: `split` and `states` of the sources may
-            then differ.
-        attributes: of the target, beside its own.
-        count: told before each episode.
+        sources: what `EpisodeReader` takes; all of one task and rope.
+        target: path of the merged file; an existing file is replaced.
+        store: observations in the target, "pixels", "state", "both", "symbolic" or "none"; rendered
+            where the sources store others. None keeps those of the sources.
+        concatenate: append the sources one after another; otherwise order episodes by their number,
+            as for the shards of one run.
+        distinct: refuse two equal episodes.
+        task: task of the target, for episodes that are assigned to another split: `split` and
+            `states` of the sources may then differ.
+        attributes: further attributes of the target file.
+        count: progress callback, called before each episode.
 
     Raises:
-        InvalidEpisodeFile: the sources don't go together, two episodes have one number, or two that
-            are to be distinct are the same.
+        InvalidEpisodeFile: the sources can't be combined, two episodes have the same number, or two
+            are equal although `distinct` is set.
     """
     if store is not None and store not in STORED:
         raise InvalidEpisodeFile(f"store must be one of {', '.join(STORED)}, got {store!r}")
@@ -189,53 +193,56 @@ def merge_episodes(
 
 
 def _require_one_kind(readers: Sequence[EpisodeReader], task: TaskConfig | None) -> None:
-    """Refuse files whose episodes can't stand in one; those of a task given may be dealt anew."""
+    """Refuse sources of different tasks, ropes or observations.
+
+    With a `task`, its `split` and `states` replace those of the sources first.
+    """
     if not readers:
-        raise InvalidEpisodeFile("nothing to merge: name at least one file")
+        raise InvalidEpisodeFile("nothing to merge: give at least one file")
     first = readers[0]
-    dealt: dict[str, Any] = {}
+    replaced: dict[str, Any] = {}
     if task is not None:
-        dealt = {"split": task.split, "states": task.states}
+        replaced = {"split": task.split, "states": task.states}
     for other in readers[1:]:
         for name in ("task", "rope", "stored"):
             one, two = getattr(first, name), getattr(other, name)
             if name == "task":
-                one, two = replace(one, **dealt), replace(two, **dealt)
+                one, two = replace(one, **replaced), replace(two, **replaced)
             if one != two:
                 raise InvalidEpisodeFile(
-                    f"files of one {name} can be merged; {first.path} has {one}, {other.path} has"
-                    f" {two}"
+                    f"files to merge must have one {name}; {first.path} has {one}, {other.path}"
+                    f" has {two}"
                 )
 
 
 def _require_distinct(order: Sequence[tuple[EpisodeReader, int]]) -> None:
-    """Refuse two episodes of one digest."""
+    """Refuse two episodes with the same digest."""
     seen: dict[str, str] = {}
     for reader, i in order:
         here = f"episode {reader.rows[i]} of {reader.path}"
-        earlier = seen.setdefault(str(reader.labels(i)["digest"]), here)
+        earlier = seen.setdefault(str(reader.attributes(i)["digest"]), here)
         if earlier is not here:
             raise InvalidEpisodeFile(
-                f"{earlier} and {here} are the same; merge sets that share no episode"
+                f"{earlier} and {here} are the same; merge datasets that share no episode"
             )
 
 
 def _in_order(
     readers: Sequence[EpisodeReader], concatenate: bool
 ) -> list[tuple[EpisodeReader, int]]:
-    """The episodes of all files, each by its reader and its place there.
+    """List the episodes of all files, each by its reader and its position there.
 
-    They go file by file, or by their numbers, which must then differ.
+    The order is file by file, or by number; numbers must then differ.
     """
     episodes = [(reader, i) for reader in readers for i in range(len(reader))]
     if concatenate:
         return episodes
-    numbers = [int(reader.labels(i)["number"]) for reader, i in episodes]
+    numbers = [int(reader.attributes(i)["number"]) for reader, i in episodes]
     if len(set(numbers)) < len(numbers):
         twice = next(number for number in sorted(numbers) if numbers.count(number) > 1)
         raise InvalidEpisodeFile(
-            f"two episodes have number {twice}: shards of one run have none twice; other datasets"
-            " are merged with concatenate"
+            f"two episodes have number {twice}, which shards of one run never have; merge other"
+            " datasets with concatenate"
         )
     return [episodes[k] for k in np.argsort(numbers, kind="stable")]
 
@@ -253,12 +260,12 @@ def _attributes(task: TaskConfig, stored: str) -> dict[str, Any]:
 
 @cache
 def _mujoco() -> str:
-    """MuJoCo's version, looked up once: it takes as long as ten pictures."""
+    """Return MuJoCo's version, cached: the lookup takes as long as rendering ten pictures."""
     return version("mujoco")
 
 
 def _write_index(file: h5py.File, index: list[tuple[int, int]]) -> None:
-    """Say which episodes there are and how long each is, so that a file of many opens fast."""
+    """List k and T of all episodes in one attribute, so that large files open quickly."""
     file.attrs["index"] = np.array(sorted(index), dtype=np.int32).reshape(-1, 2)
 
 
@@ -266,7 +273,7 @@ def _write_index(file: h5py.File, index: list[tuple[int, int]]) -> None:
 def _created(path: Path, attributes: dict[str, Any]) -> Iterator[h5py.File]:
     with new_hdf5(path, libver=("v110", "v110")) as file:
         file.attrs.update(attributes)
-        file.attrs[TOLD_DIGEST] = told_digest(file.attrs)
+        file.attrs[ATTRIBUTES_DIGEST] = attributes_digest(file.attrs)
         yield file
 
 
@@ -277,7 +284,7 @@ def _observe(
     points: NDArray[np.float64],
     goal_points: NDArray[np.float64],
 ) -> None:
-    """Draw the observations of an episode and write them."""
+    """Render the observations of an episode and write them."""
     if stored == "none":
         return
     seen = observe(points, goal_points, stored, picture_config(task), task.layout)
@@ -297,7 +304,7 @@ def _write(group: h5py.Group, name: str, array: NDArray[Any]) -> None:
     elif array.nbytes < _SMALL:
         group.create_dataset(name, data=array)
     else:
-        chunks: tuple[int, ...] = (min(len(array), _LONG), *array.shape[1:])
+        chunks: tuple[int, ...] = (min(len(array), _CHUNK_STEPS), *array.shape[1:])
         if array.dtype == np.uint8:
             rows = max(1, min(array.shape[1], _STRIP_BYTES // array[0, 0].nbytes))
             chunks = (min(len(array), _STRIP_FRAMES), rows, *array.shape[2:])
@@ -306,39 +313,36 @@ def _write(group: h5py.Group, name: str, array: NDArray[Any]) -> None:
             data=array,
             chunks=chunks,
             compression="gzip",
-            compression_opts=_GZIP,
+            compression_opts=_GZIP_LEVEL,
             shuffle=True,
         )
 
 
-def _write_goal(group: h5py.Group) -> None:
-    """Repeat the goal's code at every state, for readers that know infos alone."""
-    states = int(group.attrs["total_steps"]) + 1
-    _write(group, GOAL_INFO, np.full(states, str(group.attrs["goal_gauss_code"])))
-
-
-def _label(group: h5py.Group, labels: Mapping[str, Any]) -> None:
-    """Set the attributes of an episode that are known, by name: the order shows in the bytes."""
-    for name, value in sorted(labels.items()):
+def _set_attributes(group: h5py.Group, attributes: Mapping[str, Any]) -> None:
+    """Set the attributes that aren't None in sorted order, which determines the file's bytes."""
+    for name, value in sorted(attributes.items()):
         if value is not None:
             group.attrs[name] = value
 
 
 def _copy(source: h5py.Group, target: h5py.Group, number: int, keep: bool) -> None:
-    """Copy an episode under a new number, its observations only if they are kept."""
-    _label(target, {**source.attrs, "id": number, "number": number})
+    """Copy an episode under a new number, with its observations if `keep` is set."""
+    _set_attributes(target, {**source.attrs, "id": number, "number": number})
     for name in _members(source):
         if keep or not name.startswith("observations"):
             data = stored_column(source, Column(name, "any", None), {})
-            if data.dtype.kind == "O":  # its rows say where in the other file their text is
-                raise InvalidEpisodeFile(f"{source.file.filename}: {name} has no fixed length")
+            # rows of variable length are references into the source file's heap
+            if data.dtype.kind == "O":
+                raise InvalidEpisodeFile(
+                    f"{source.file.filename}: {name} should be text of fixed length"
+                )
             _copy_dataset(data, target, name)
 
 
 def _copy_dataset(source: h5py.Dataset, target: h5py.Group, name: str) -> None:
-    """Copy an array, compressed chunks as they are.
+    """Copy an array without decompressing its chunks.
 
-    HDF5's own copy would leave bytes that depend on what else is in the source.
+    HDF5's own H5Ocopy would write bytes that depend on the rest of the source file.
     """
     like = source.id.get_create_plist()
     copied = h5py.h5d.create(
@@ -354,7 +358,7 @@ def _copy_dataset(source: h5py.Dataset, target: h5py.Group, name: str) -> None:
 
 
 def _members(group: h5py.Group) -> list[str]:
-    """The paths of all the arrays of an episode, in order; the observations last."""
+    """List the paths of all arrays of an episode: sorted, observations last."""
     names: list[str] = []
     group.visititems(
         lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None

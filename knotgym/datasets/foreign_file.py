@@ -1,7 +1,7 @@
-"""Whether the HDF5 library lives through a file, tried in a process of its own.
+"""Check in a subprocess that libhdf5 can read a file.
 
-Some damage makes the library itself crash, or read for ever; no check in Python sees that coming.
-So the whole file is read once where that costs nothing but a line of error.
+Some corrupted files make the library crash or loop forever, which no check in Python can prevent.
+Reading the whole file in a subprocess first turns that into an error message.
 """
 
 from __future__ import annotations
@@ -16,29 +16,29 @@ import h5py
 from knotgym.common.errors import KnotgymError
 from knotgym.common.hdf5_files import require_stored_here
 
-LIMIT = 60.0  # seconds, and one more for each SLOWEST bytes
-SLOWEST = 5_000_000
+LIMIT = 60.0  # seconds
+SLOWEST = 5_000_000  # bytes per second; a file adds the time that reading it at this rate takes
 
 
 class HarmfulFile(KnotgymError, OSError):
-    """A file that the HDF5 library doesn't live through."""
+    """A file that makes the HDF5 library crash or hang."""
 
 
 def try_files(paths: Iterable[Path], limit: float = LIMIT) -> None:
-    """Read files as a whole, in one process of its own; those that aren't HDF5 are left alone.
+    """Read files completely in one subprocess; skip those that aren't HDF5.
 
     Args:
-        paths: of any files.
-        limit: seconds, to which come some for their size.
+        paths: paths of any files.
+        limit: time limit in seconds, before the allowance for the files' size.
 
     Raises:
-        HarmfulFile: one makes the library crash or hang.
+        HarmfulFile: a file makes the library crash or hang.
     """
     tried = [path for path in paths if path.is_file() and _is_hdf5(path)]
     if not tried:
         return
     limit += sum(path.stat().st_size for path in tried) / SLOWEST
-    # -P: nothing is imported from the current folder, which may be one that was downloaded
+    # -P: import nothing from the current folder, which may have been downloaded
     words = [sys.executable, "-P", "-m", __name__, *(str(path.absolute()) for path in tried)]
     try:
         ended = subprocess.run(
@@ -56,9 +56,9 @@ def try_files(paths: Iterable[Path], limit: float = LIMIT) -> None:
         )
 
 
-def _at(tried: Sequence[Path], said: bytes | None) -> Path:
-    """The file that was being read: a line is said of each that was begun."""
-    return tried[max(0, (said or b"").count(b"\n") - 1)]
+def _at(tried: Sequence[Path], output: bytes | None) -> Path:
+    """Return the file that was being read: the subprocess prints a line when it opens one."""
+    return tried[max(0, (output or b"").count(b"\n") - 1)]
 
 
 def _is_hdf5(path: Path) -> bool:
@@ -67,7 +67,7 @@ def _is_hdf5(path: Path) -> bool:
 
 
 def read_whole(path: str) -> None:
-    """Read all that is stored in a file, links aside; what can't be read is left to its reader."""
+    """Read everything stored in a file but its links; ignore errors that Python can catch."""
 
     def look(name: str, item: h5py.Group | h5py.Dataset) -> None:
         try:
@@ -79,7 +79,7 @@ def read_whole(path: str) -> None:
                 else:
                     for part in item.iter_chunks():
                         item[part]
-        except Exception:  # a reader says what is wrong; here only a crash counts
+        except Exception:  # the file's reader reports these; only a crash matters here
             return
 
     with h5py.File(path, "r") as file:

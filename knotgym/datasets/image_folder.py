@@ -54,7 +54,7 @@ def write_card_and_manifest(
         temporary.write_text(text, encoding="utf-8")
     manifest = {
         "format": "knotgym-images-manifest",
-        "format_version": 2,
+        "format_version": 1,
         **request,
         "machines": machines or [machine()],
         "report": report,

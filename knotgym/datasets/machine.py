@@ -1,8 +1,8 @@
-"""What of a machine can change the last bits of a number, and so the bytes that a run makes.
+"""Properties of a machine that can change the last bits of a number, and so a run's output.
 
-The same versions of MuJoCo and NumPy take other instructions on other processors, and mathematics
-from the system's own library: a sum comes out in another order, and a rope that is pulled for long
-makes millimetres of it.
+The same versions of MuJoCo and NumPy use different instructions on different processors, and the
+system's own mathematics library. A sum in another order differs by rounding, which a long
+simulation amplifies to millimetres.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def _found() -> tuple[tuple[str, str], ...]:
         blas = config["Build Dependencies"]["blas"]
         blas = f"{blas['name']} {blas['version']}"
         instructions = " ".join(config["SIMD Extensions"]["found"])
-    except (TypeError, KeyError):  # another NumPy says it otherwise
+    except (TypeError, KeyError):  # another NumPy version reports it differently
         blas = instructions = "unknown"
     return (
         ("system", platform.system()),
@@ -39,25 +39,28 @@ def _found() -> tuple[tuple[str, str], ...]:
 
 
 def machine() -> dict[str, str]:
-    """This machine: `system`, `processor`, the `instructions` that NumPy takes beyond its baseline,
-    the `blas` it was built with, and the `libc`, whose mathematics MuJoCo takes.
+    """Describe this machine.
+
+    Returns:
+        `system`, `processor`, the `instructions` that NumPy uses beyond its baseline, the `blas` it
+        was built with, and the `libc`, whose mathematics MuJoCo uses.
     """
     return dict(_found())
 
 
 def distinct(reports: Iterable[Any]) -> list[dict[str, str]]:
-    """The machines that reports of runs name, each once, in order."""
+    """List the machines in the reports of runs, each once, in order of appearance."""
     found: list[dict[str, str]] = []
     for report in reports:
-        named = report.get("machines") if isinstance(report, dict) else None
-        for one in named if isinstance(named, list) else ():
+        listed = report.get("machines") if isinstance(report, dict) else None
+        for one in listed if isinstance(listed, list) else ():
             if _is_machine(one) and one not in found:
                 found.append(one)
     return found
 
 
 def others(folder: Path) -> str:
-    """In which ways a folder's run says that it was made elsewhere; "" if it doesn't."""
+    """Describe how the machines of a folder's run differ from this one; "" if they don't."""
     reports = []
     for name in _REPORTS:
         try:
@@ -65,10 +68,10 @@ def others(folder: Path) -> str:
         except (OSError, ValueError):
             continue
     here = machine()
-    return "; ".join(_unlike(one, here) for one in distinct(reports) if one != here)
+    return "; ".join(_difference(one, here) for one in distinct(reports) if one != here)
 
 
-def _unlike(one: dict[str, str], here: dict[str, str]) -> str:
+def _difference(one: dict[str, str], here: dict[str, str]) -> str:
     names: Sequence[str] = sorted(one.keys() | here.keys())
     return ", ".join(
         f"{name} {one.get(name, 'unknown') or 'none'} (here {here.get(name, 'unknown') or 'none'})"

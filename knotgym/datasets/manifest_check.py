@@ -1,4 +1,4 @@
-"""The manifest of a folder that a run made: read back, and its checksums compared."""
+"""Read the manifest of a run's folder and compare its checksums."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from knotgym.states.state_file import leads_out
 
 _NUMBER = (Real,)
 _COUNTS = {str: _NUMBER}
-# what is read of a run's report, where it is there: {type: shape} for an object of such, [shape]
-# for a list, (type, ...) for a value
+# entries of a run's report, all optional: {str: shape} is an object with any keys, [shape] a list
+# and (type, ...) a value
 _REPORT: dict[str, Any] = {
     "attempts": _NUMBER,
     "actions": _NUMBER,
@@ -26,25 +26,29 @@ _REPORT: dict[str, Any] = {
 
 
 class InvalidManifest(KnotgymError, ValueError):
-    """A manifest that says what none of ours says."""
+    """A manifest that no version of knotgym writes."""
 
 
 def read_manifest(folder: Path) -> tuple[dict[str, Any], list[str]]:
-    """The manifest, which has `files` and `config`, empty if it can't be read; and that fault."""
+    """Read a manifest; return it (empty if unreadable) and the fault, if any, in a list."""
     try:
         manifest = read_json(folder / "manifest.json")
         checked = {"files": manifest["files"], "config": manifest["config"]}
         for name, value in checked.items():
             if not isinstance(value, dict):
                 raise InvalidManifest(f"{name} should be an object")
-        _require_inside(checked["files"])
+        for name in checked["files"]:
+            if not name or leads_out(name) or not name.isprintable():
+                raise InvalidManifest(
+                    f"it lists {printable(name)!r}, which is not a file in the folder"
+                )
     except (OSError, ValueError, KeyError, TypeError) as error:
         return {}, [f"manifest.json can't be read: {one_line(error)}"]
     return {**manifest, **checked}, []
 
 
 def run_report(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    """What a manifest reports of the run that made states, empty if it isn't such a report."""
+    """Return a manifest's report of the run that generated states; empty if it is invalid."""
     report = manifest.get("report")
     if not isinstance(report, dict) or report_faults(manifest):
         return {}
@@ -52,27 +56,25 @@ def run_report(manifest: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def report_faults(manifest: Mapping[str, Any]) -> list[str]:
-    """What is wrong in the report of a run that made states."""
+    """List the faults in the report of a run that generated states."""
     report = manifest.get("report", {})
     if not isinstance(report, dict):
         return ["manifest.json: report should be an object"]
     faults = [
-        f"manifest.json: report.{name} isn't what a run reports"
+        f"manifest.json: report.{name} has the wrong type"
         for name, shape in _REPORT.items()
         if name in report and not _fits(report[name], shape)
     ]
     if "rejected" in report and "attempts" not in report:
-        faults.append("manifest.json: report.rejected counts without report.attempts")
+        faults.append("manifest.json: report.rejected needs report.attempts")
     grown = [] if faults else report.get("growth", [])
     if any(not row["known"].keys() == row["accepted"].keys() for row in grown):
-        faults.append("manifest.json: report.growth counts different nx in a row")
+        faults.append("manifest.json: report.growth has an entry of different nx")
     return faults
 
 
 def listed_faults(folder: Path, manifest: Mapping[str, Any]) -> Iterator[str]:
-    """Files that the manifest lists and that are missing or of another checksum; and HDF5 and JSON
-    files that it doesn't list.
-    """
+    """Yield listed files that are missing or changed, and unlisted HDF5 and JSON files."""
     found = sorted([*folder.rglob("*.h*5"), *folder.rglob("*.json")])
     there = (one for one in found if one.is_file() and one != folder / "manifest.json")
     for name in (path.relative_to(folder).as_posix() for path in there) if manifest else ():
@@ -85,19 +87,8 @@ def listed_faults(folder: Path, manifest: Mapping[str, Any]) -> Iterator[str]:
             yield f"{name} is not the file the manifest lists (SHA-256 differs)"
 
 
-def _require_inside(files: Mapping[str, Any]) -> None:
-    """Refuse names of files that lie elsewhere, or that no file of ours has.
-
-    Raises:
-        InvalidManifest: one is such.
-    """
-    for name in files:
-        if not name or leads_out(name) or not name.isprintable():
-            raise InvalidManifest(f"it lists {printable(name)!r}, which is no file in the folder")
-
-
 def _fits(value: Any, shape: Any) -> bool:
-    """Whether a value of JSON is of a shape, as _REPORT spells them."""
+    """Whether a JSON value has a shape, written as in _REPORT."""
     if isinstance(shape, tuple):
         return isinstance(value, shape) and not isinstance(value, bool)
     if isinstance(shape, list):

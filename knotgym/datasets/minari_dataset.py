@@ -1,12 +1,11 @@
-"""Minari datasets: episode files in the folder that Minari looks in, with the metadata it reads.
+"""Minari datasets: episode files in Minari's folder layout, with the metadata that it reads.
 
     {out}/{dataset id}/data/main_data.hdf5      an episode file, see `episode_reader`
-    {out}/{dataset id}/data/metadata.json       Minari's, images declared lossless
-    {out}/{dataset id}/data/states.h5           the states it resets from, where they aren't those
-                                                that ship
+    {out}/{dataset id}/data/metadata.json       Minari's metadata, without JPEG encoding
+    {out}/{dataset id}/data/states.h5           the states it resets from, unless they are shipped
 
-Minari itself would store images as JPEG, and lose seeds and options when datasets are combined; so
-the files are written here.
+The files are written here, because Minari would store pictures as JPEG and drop seeds and options
+when datasets are combined.
 """
 
 from __future__ import annotations
@@ -39,23 +38,23 @@ _ID = re.compile(r"([-\w]+/)*[-\w]+-v\d+")
 
 @dataclass(frozen=True, kw_only=True)
 class MinariMetadata:
-    """What Minari's metadata says beyond what the episodes themselves say.
+    """The part of Minari's metadata that doesn't follow from the episodes.
 
     Attributes:
-        dataset_id: "{namespace}/{name}-v{version}", as "knotgym/tie-nx3/expert-v0".
-        algorithm_name: the policy that acted.
-        description: Markdown.
+        dataset_id: "{namespace}/{name}-v{version}", such as "knotgym/tie-nx3/expert-v0".
+        algorithm_name: name of the policy that acted.
+        description: a description in Markdown.
         author, author_email: names and addresses.
-        code_permalink: where the code that made it can be seen.
+        code_permalink: link to the code that generated the dataset.
         ref_min_score, ref_max_score: mean returns of a random and of an expert policy, for
             `minari.get_normalized_score`.
-        num_episodes_average_score: episodes those means were taken over.
-        eval_split: the states that the evaluation environment draws from.
-        digests: of the policy, states, code and rope that made it, see `episodes.digests`; of
-            merged datasets by their ids.
+        num_episodes_average_score: number of episodes behind those means.
+        eval_split: split of the evaluation environment.
+        digests: digests of the policy, states, code and rope that generated it, see
+            `episodes.digests`; after a merge, dataset id -> its digests.
 
     Raises:
-        InvalidEpisodeFile: Minari would not take the id, or only one of the two scores is given.
+        InvalidEpisodeFile: the id is invalid for Minari, or only one of the two scores is given.
     """
 
     dataset_id: str
@@ -73,7 +72,7 @@ class MinariMetadata:
     def __post_init__(self) -> None:
         if _ID.fullmatch(self.dataset_id) is None:
             raise InvalidEpisodeFile(
-                "a dataset id is namespace/name-v0, letters, digits, - and _; got"
+                "a dataset id has the form namespace/name-v0, of letters, digits, - and _; got"
                 f" {self.dataset_id!r}"
             )
         if (self.ref_min_score is None) != (self.ref_max_score is None):
@@ -97,26 +96,26 @@ def publish(
     task: TaskConfig | None = None,
     count: Count = uncounted,
 ) -> Path:
-    """Merge episode files, compact ones too, into a Minari dataset; it appears whole or not at all.
+    """Merge episode files, including compact ones, into a Minari dataset; write it atomically.
 
     Args:
-        sources: as `merge_episodes`.
-        metadata: what Minari says of it.
-        out: the root under which Minari would find the id; None for Minari's own.
+        sources: as for `merge_episodes`.
+        metadata: the dataset's metadata.
+        out: root folder of Minari datasets; None for Minari's own.
         store: observations, "pixels", "state", "both" or "symbolic"; None for the sources' (the
-            task's, if those are compact).
-        concatenate, distinct: as `merge_episodes`.
-        overwrite: replace a dataset of this id.
-        states: a state file to carry along; a task whose `states` is the dataset's id resets from
-            it, wherever the dataset goes.
-        task, count: as `merge_episodes`.
+            task's, if the sources are compact).
+        concatenate, distinct: as for `merge_episodes`.
+        overwrite: replace an existing dataset of this id.
+        states: a state file to include; a task whose `states` is the dataset's id resets from it,
+            even after the dataset is moved.
+        task, count: as for `merge_episodes`.
 
     Returns:
         The dataset's folder.
 
     Raises:
-        InvalidEpisodeFile: as `merge_episodes`; or nothing is to be stored.
-        Occupied: there is a dataset of this id, and `overwrite` isn't asked for.
+        InvalidEpisodeFile: as for `merge_episodes`, or `store` is "none".
+        Occupied: there is a dataset of this id, and `overwrite` is false.
     """
     folder = Path(out or minari_root()) / metadata.dataset_id
     require_output(folder, folder=True, overwrite=overwrite)
@@ -125,7 +124,7 @@ def publish(
         store = first.task.observation
     if store == "none":
         raise InvalidEpisodeFile(
-            "a Minari dataset has observations; the compact form is a file, see `compact`"
+            "a Minari dataset needs observations; for a file without them see `compact`"
         )
     with atomic_write(folder, overwrite=overwrite) as temporary:
         data = temporary / "data"
@@ -157,13 +156,13 @@ def publish(
 
 
 def dataset_files(data: Path) -> list[Path]:
-    """The files in a dataset's `data` that are its own; whatever else lies there is none of it."""
+    """List the files in a dataset's `data` folder that belong to it, ignoring any others."""
     named = ("main_data.hdf5", "metadata.json", "states.h5", "collection.json")
     return [data / name for name in named if os.path.lexists(data / name)]
 
 
 def loading_lines(dataset_id: str, root: str | os.PathLike[str] | None = None) -> list[str]:
-    """Return the two lines that load a dataset, with Minari and as arrays.
+    """Return the two lines of Python that load a dataset, with Minari and as arrays.
 
     >>> for line in loading_lines("knotgym/tie-nx3/expert-v0", "data"):
     ...     print(line)
@@ -179,11 +178,11 @@ def loading_lines(dataset_id: str, root: str | os.PathLike[str] | None = None) -
 
 
 def _carry(states: str | os.PathLike[str], target: Path) -> None:
-    """Put a state file into a dataset: the same bytes on the disk once, where it lets us.
+    """Hard-link a state file into a dataset, or copy it where the disk has no hard links.
 
-    A hard link and not a reference, so that a dataset that is moved or copied has its states with
-    it; of a symbolic link, which hard links don't follow, its target. Files of ours are replaced,
-    never changed.
+    A hard link stores the bytes once and still moves with the dataset. It is safe because our files
+    are only ever replaced, never modified in place. Symbolic links are resolved first, because hard
+    links don't follow them.
     """
     try:
         os.link(os.path.realpath(states), target)
@@ -199,55 +198,55 @@ def merge_datasets(
     *,
     overwrite: bool = False,
 ) -> Path:
-    """Put datasets of one task and split together into another, nothing encoded again.
+    """Merge datasets of one task and split into a new one, without encoding anything again.
 
-    Minari's own `combine_datasets` makes JPEGs of pictures and forgets the evaluation split.
+    Minari's own `combine_datasets` converts pictures to JPEG and drops the evaluation split.
 
     Args:
-        sources: datasets, or episode files, that share no episode.
-        dataset_id: of the dataset to make.
-        out: the root under which Minari would find it; None for Minari's own.
-        count: told before each episode.
-        overwrite: replace a dataset of this id.
+        sources: datasets or episode files that share no episode.
+        dataset_id: id of the new dataset.
+        out: root folder of Minari datasets; None for Minari's own.
+        count: progress callback, called before each episode.
+        overwrite: replace an existing dataset of this id.
 
     Returns:
         The dataset's folder.
 
     Raises:
-        InvalidEpisodeFile: they don't go together.
-        Occupied: there is a dataset of this id, and `overwrite` isn't asked for.
+        InvalidEpisodeFile: the sources can't be combined.
+        Occupied: there is a dataset of this id, and `overwrite` is false.
     """
     readers = [EpisodeReader(source) for source in sources]
     for name in ("split", "states"):
-        asked = {_states_digest(one) if name == "states" else one.task.split for one in readers}
-        if len(asked) > 1:
+        values = {_states_digest(one) if name == "states" else one.task.split for one in readers}
+        if len(values) > 1:
             raise InvalidEpisodeFile(
-                f"datasets of one split and one state file can be merged; these differ in {name}:"
+                f"datasets to merge must have one split and one state file; these differ in {name}:"
                 f" {', '.join(str(one.path) for one in readers)}"
             )
-    said = [metadata for source in sources if (metadata := metadata_of(source))]
+    known = [metadata for source in sources if (metadata := metadata_of(source))]
     first, task = readers[0], None
     carried = None if ships(first.task.states) else first.states_path()
     if carried is not None:
         task = replace(first.task, states=dataset_id)
     same: dict[str, Any] = {}
     for name in ("code_permalink", "ref_min_score", "ref_max_score", "num_episodes_average_score"):
-        values = {getattr(one, name) for one in said}
-        same[name] = values.pop() if len(values) == 1 and len(said) == len(sources) else None
-    policies = [one.algorithm_name for one in said] or [str(first.labels(0)["policy"])]
+        values = {getattr(one, name) for one in known}
+        same[name] = values.pop() if len(values) == 1 and len(known) == len(sources) else None
+    policies = [one.algorithm_name for one in known] or [str(first.attributes(0)["policy"])]
     metadata = MinariMetadata(
         dataset_id=dataset_id,
         algorithm_name=", ".join(dict.fromkeys(policies)),
         description="\n\n".join(
             [
-                f"Merged of {', '.join(one.dataset_id for one in said) or 'episode files'}.",
-                *(f"{one.dataset_id}: {one.description}" for one in said),
+                f"Merged of {', '.join(one.dataset_id for one in known) or 'episode files'}.",
+                *(f"{one.dataset_id}: {one.description}" for one in known),
             ]
         ),
-        author=tuple({name for one in said for name in one.author}),
-        author_email=tuple({name for one in said for name in one.author_email}),
-        eval_split=said[0].eval_split if said else "test",
-        digests={one.dataset_id: one.digests for one in said if one.digests},
+        author=tuple({name for one in known for name in one.author}),
+        author_email=tuple({name for one in known for name in one.author_email}),
+        eval_split=known[0].eval_split if known else "test",
+        digests={one.dataset_id: one.digests for one in known if one.digests},
         **same,
     )
     for reader in readers:
@@ -270,7 +269,7 @@ def _states_digest(reader: EpisodeReader) -> str:
         return str(reader.task.states or "readable")
     path = reader.states_path()
     if not path.is_file():
-        raise InvalidEpisodeFile(f"{reader.path} was reset from {path}, which isn't there")
+        raise InvalidEpisodeFile(f"{reader.path} was reset from {path}, which doesn't exist")
     return sha256(path)
 
 
@@ -281,10 +280,15 @@ def compact(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write the compact form of a dataset: episodes and metadata without observations, one file.
+    """Write a dataset's compact form: one file of episodes and metadata, without observations.
 
-    `publish([target], metadata_of(target))` makes the dataset again. `count` is told before each
-    episode.
+    `publish([target], metadata_of(target))` restores the dataset.
+
+    Args:
+        source: what `EpisodeReader` takes.
+        target: path of the compact file.
+        count: progress callback, called before each episode.
+        overwrite: replace an existing file.
     """
     require_output(target, folder=False, overwrite=overwrite)
     metadata = metadata_of(source)
@@ -299,20 +303,17 @@ def compact(
 
 
 def metadata_of(source: Any) -> MinariMetadata | None:
-    """The metadata of a dataset, or of the one that a compact file came from.
-
-    None of an episode file that never was one.
-    """
+    """Return a dataset's metadata, also from its compact file; None for other episode files."""
     reader = EpisodeReader(source)
     entries = reader.metadata()
     reader.close()
-    with foreign_bytes_as(InvalidEpisodeFile, f"{reader.path}, its metadata"):
+    with foreign_bytes_as(InvalidEpisodeFile, f"{reader.path}, metadata"):
         return None if entries is None else MinariMetadata(**entries)
 
 
 def minari_entries(metadata: MinariMetadata, task: TaskConfig) -> dict[str, Any]:
-    """The entries of Minari's metadata.json, less the counts."""
-    # here, for they take seconds to import, and reading a dataset needs neither
+    """Return the entries of Minari's metadata.json except the counts."""
+    # imported here, because importing them takes seconds and reading a dataset needs neither
     import minari
     from minari.serialization import serialize_space
 
@@ -338,7 +339,7 @@ def minari_entries(metadata: MinariMetadata, task: TaskConfig) -> dict[str, Any]
 
 
 def _evaluated(task: TaskConfig, split: str) -> TaskConfig:
-    """The environment to evaluate in: of another split all goals, however few were trained on."""
+    """Return the evaluation environment's task; in another split it has all goals."""
     if task.split in CODE_SPLITS and split in STATE_SPLITS:
         split += "-code"
     return replace(task, split=split, max_goals=task.max_goals if split == task.split else None)
@@ -346,9 +347,9 @@ def _evaluated(task: TaskConfig, split: str) -> TaskConfig:
 
 @lru_cache(maxsize=16)
 def _bounds(task: TaskConfig) -> str:
-    """The space of a task's observations as Minari's reader wants it, a number a pixel.
+    """Return the JSON of a task's observation space, with Minari's one bound per pixel.
 
-    Without it that reader would make the environment, and need knotgym to read a file.
+    Without this entry Minari would construct the environment, and need knotgym to read a file.
     """
     from minari.serialization import serialize_space
 
@@ -359,7 +360,7 @@ def _bounds(task: TaskConfig) -> str:
 
 
 def environment_spec(task: TaskConfig) -> gymnasium.envs.registration.EnvSpec:
-    """The registered environment, every setting spelled out: a later default changes nothing."""
+    """Return the environment's spec with every setting, so that later defaults don't matter."""
     spec = copy.deepcopy(gymnasium.spec(f"knotgym/{task.task.capitalize()}-v0"))
     spec.kwargs = as_json(task)
     return spec

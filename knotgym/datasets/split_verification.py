@@ -1,9 +1,8 @@
-"""Whether episodes keep to their split: every start and goal is of the split that the task says,
-and no episode is there twice.
+"""Verify that starts and goals are of the task's split and that no episode occurs twice.
 
-A start or goal belongs to the split of the state that it lies at, whatever its options say. It lies
-at a state when it comes within half of NEAR of it, turned about z and moved: reset noise at its
-default scale stays below 6 mm, and no place is so near to two states of a curated set. The plain
+A start or goal belongs to the split of the state that it matches, whatever its options say. It
+matches a state within NEAR / 2, after the best translation and rotation about z: reset noise at its
+default scale stays below 6 mm, and nothing is that close to two states of a curated set. The plain
 loop, where action sequences begin, belongs to no split.
 """
 
@@ -25,16 +24,16 @@ from knotgym.states.near_duplicates import NEAR, distances
 from knotgym.states.schema import STATE_SPLITS
 from knotgym.states.state_file import States, read_states, shipped
 
-_AT = NEAR / 2  # metres
+_MATCH = NEAR / 2  # metres, root mean square over the beads
 _SAME = 1e-6  # metres; above the rounding of `distances`, far below what any stirring does
 
 
 def split_faults(reader: EpisodeReader) -> list[str]:
-    """Episodes whose start or goal isn't of the split that their file says.
+    """List the episodes whose start or goal isn't of the task's split.
 
-    Configurations are compared with the states that the task resets from: those that the dataset
-    carries, else those that its `states` names, else those that ship. An episode file by itself
-    whose states aren't found can't be checked; a dataset without them is a fault.
+    Configurations are compared with the states that the task resets from: the dataset's own, else
+    those that its `states` names, else the shipped ones. A single episode file whose states aren't
+    found is skipped; a dataset without its states is a fault.
     """
     try:
         sides = _sides(reader)
@@ -48,30 +47,30 @@ def split_faults(reader: EpisodeReader) -> list[str]:
             try:
                 split, own = checked.judge(index)
             except (OSError, KeyError, ValueError, RuntimeError):
-                continue  # an episode that can't be read is named by whoever reads all of it
+                continue  # `verify_episodes` reports unreadable episodes
             if split is not None:
                 found.setdefault(split, set()).add(row)
             faults += [f"{reader.path}, episode {row}: {fault}" for fault in own]
     mixed = {split: rows for split, rows in found.items() if rows}
     if len(mixed) > 1:
-        told = "; ".join(f"{split}: {_ranges(rows)}" for split, rows in mixed.items())
-        faults.append(f"{reader.path}: mixes splits, of starts or goals of episodes {told}")
+        listed = "; ".join(f"{split}: {_ranges(rows)}" for split, rows in mixed.items())
+        faults.append(f"{reader.path}: mixes splits, of starts or goals of episodes {listed}")
     return faults
 
 
 def duplicate_faults(reader: EpisodeReader) -> list[str]:
-    """Episodes that repeat an earlier one: the same start, goal and actions, bit for bit.
+    """List the episodes with the same start, goal and actions, bit for bit, as an earlier one.
 
-    Without reset noise two seeds may give the same episode; then they are no fault.
+    Without reset noise two seeds may give the same episode; then only a repeated seed is a fault.
     """
     faults: list[str] = []
     first: dict[Any, int] = {}
     for index, row in enumerate(reader.rows):
         try:
             names = ("start_qpos", "goal_points", "actions")
-            told = b"".join(reader.column(index, name).tobytes() for name in names)
-            seed = None if reader.task.reset_noise else reader.labels(index).get("seed")
-            key = hashlib.sha256(told).digest(), seed
+            content = b"".join(reader.column(index, name).tobytes() for name in names)
+            seed = None if reader.task.reset_noise else reader.attributes(index).get("seed")
+            key = hashlib.sha256(content).digest(), seed
         except (OSError, KeyError, ValueError, RuntimeError):
             continue
         earlier = first.setdefault(key, row)
@@ -84,7 +83,7 @@ def duplicate_faults(reader: EpisodeReader) -> list[str]:
 
 
 class _Side:
-    """The starts or the goals of a file, and the states they are drawn from."""
+    """The starts or the goals of a file, and the states that they are drawn from."""
 
     def __init__(self, name: str, states: States, reader: EpisodeReader) -> None:
         self.name, self.states, self.reader = name, states, reader
@@ -95,14 +94,14 @@ class _Side:
         self.allowed = {
             *states.rows(reader.task.goal_nx, reader.task.split)[: reader.task.max_goals]
         }
-        # where the ways to the states of a split begin is no other split's
+        # start_qpos of demonstrations: splits must not share start states
         self.origins: set[bytes] = set()
         if name == "start" and "start_qpos" in states.source:
             self.origins = {one.tobytes() for one in states.source["start_qpos"][self.mine]}
 
     def judge(self, index: int) -> tuple[str | None, list[str]]:
-        """The split of an episode's start or goal, None if it can't be told; and its faults."""
-        named = self.reader.labels(index).get(f"options/{self.name}")
+        """Return the split of an episode's start or goal (None if unknown) and its faults."""
+        named = self.reader.attributes(index).get(f"options/{self.name}")
         right, states = self.reader.task.split, self.states
         if named is not None and not 0 <= named < len(states):
             return None, [f"its {self.name} is row {named}, of {len(states)} states"]
@@ -132,14 +131,14 @@ class _Side:
         return split, []
 
     def _row_at(self, index: int) -> int | None:
-        """The state that the start or goal lies at, one of the task's split if there is."""
+        """Return the row of the state that the start or goal matches, or None."""
         what = "start_qpos" if self.name == "start" else "goal_points"
-        lies = self.reader.column(index, what)
-        key = lies.tobytes()
+        stored = self.reader.column(index, what)
+        key = stored.tobytes()
         if key in self.origins:
             return None
         if key not in self.known:
-            points = self.rope.points(lies) if self.name == "start" else lies
+            points = self.rope.points(stored) if self.name == "start" else stored
             self.known[key] = self._nearest(points)
         return self.known[key]
 
@@ -151,14 +150,15 @@ class _Side:
         if self.name == "start" and distances(points, loops).min() < _SAME:
             return None
         apart = distances(points, self.states.points)
+        # a state of the task's own split takes precedence
         for rows in (np.flatnonzero(self.mine), np.flatnonzero(~self.mine)):
-            if len(rows) and apart[rows].min() < _AT:
+            if len(rows) and apart[rows].min() < _MATCH:
                 return int(rows[np.argmin(apart[rows])])
         return None
 
 
 def _split_names(states: States, task: TaskConfig) -> NDArray[np.str_]:
-    """The split of each row, str (n,): where a task's split is a part of one, that part's name."""
+    """Return the split of each row, str (n,); by code, such as "test-code", if the task's is."""
     names = states.split.astype("<U10")
     if task.split not in STATE_SPLITS:
         for nx in (start_nx(task, states), task.goal_nx):
@@ -167,14 +167,14 @@ def _split_names(states: States, task: TaskConfig) -> NDArray[np.str_]:
 
 
 def _sides(reader: EpisodeReader) -> dict[str, States]:
-    """The states that starts and goals are drawn from, as the environment finds them."""
+    """Read the states that starts and goals are drawn from, found as the environment does."""
     task = reader.task
     files = [shipped()]
     if task.states is not None:
-        asked = reader.states_path()
-        if not asked.is_file() and not reader.path.with_name("metadata.json").is_file():
+        own = reader.states_path()
+        if not own.is_file() and not reader.path.with_name("metadata.json").is_file():
             return {}
-        files.insert(0, asked)
+        files.insert(0, own)
     read = [read_states(path, images=False) for path in files]
     return {
         name: next((states for states in read if len(states.rows(nx, task.split))), read[0])
@@ -183,7 +183,7 @@ def _sides(reader: EpisodeReader) -> dict[str, States]:
 
 
 def _ranges(numbers: Iterable[int]) -> str:
-    """Whole numbers in short.
+    """Write whole numbers as ranges.
 
     >>> _ranges([4, 0, 1, 2])
     '0-2, 4'

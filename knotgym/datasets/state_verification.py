@@ -1,4 +1,4 @@
-"""Check of a folder of curated states: nothing is taken on trust, every fault is named."""
+"""Verify state files and the folders that `knotgym generate` writes."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.configuration import from_json
-from knotgym.common.errors import KnotgymError, MissingFile
-from knotgym.common.streams import InvalidSeed, Stream, generator_of, key
+from knotgym.common.errors import KnotgymError, MissingFile, one_line
+from knotgym.common.streams import Stream, generator_of
 from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
 from knotgym.datasets.episode_verification import verify_episodes
 from knotgym.datasets.manifest_check import listed_faults, read_manifest, report_faults
@@ -31,24 +31,24 @@ from knotgym.states.state_measures import (
     repeated_sources,
     source_faults,
     spread_faults,
+    stream_of,
 )
 from knotgym.topology.crossings import find_crossings
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import knot_type
 from knotgym.topology.reference_labeller import pyknotid_code
 
-AT_ONCE = 64  # rows replayed side by side
-# metres by which a drawing made again may differ: other processors round otherwise, and the easing
-# of a drawing makes more of it; the replay from what is stored may not differ at all
-REDRAWN = 1e-4
-_LONGEST = 100_000  # actions of a random walk; more are a slip, and would fill the memory
+_BATCH = 64  # rows replayed in one simulation
+# metres; tolerance for a start that is drawn again from its seed: other processors round
+# differently and the relaxation amplifies that. Replays from the stored start must be exact.
+_REDRAWN = 1e-4
+_LONGEST = 100_000  # actions of a random walk; a corrupted larger number would exhaust the memory
 
 
 def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
-    """Faults of the rows: schema, labels, measures, pictures, replay of the provenance, splits.
+    """Yield the faults of the rows: schema, codes, measures, pictures, replays, splits, checksum.
 
-    Of a file that says the checksum of its columns also whether they are those. `count` is told
-    after each row, and each step that is acted out.
+    `count` is called before each row and after each replayed step.
     """
     rope = Rope()
     if states.attributes.get("rope") != rope.config.fingerprint:
@@ -61,8 +61,8 @@ def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
     if misshapen:
         yield from misshapen
         return
-    for first in range(0, len(states), AT_ONCE):
-        rows = range(first, min(first + AT_ONCE, len(states)))
+    for first in range(0, len(states), _BATCH):
+        rows = range(first, min(first + _BATCH, len(states)))
         ends = _replayed(states, rows, rope, count)
         for row in rows:
             count("states", row, len(states))
@@ -73,14 +73,14 @@ def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
         yield f"states.h5 rows {first} and {row} are the same configuration"
     yield from repeated_sources(states)
     if states.digest and states.image is not None and states.digest != content_digest(states):
-        yield "states.h5: its columns are not those written into it (SHA-256 differs)"
+        yield "states.h5: its columns don't match content_sha256"
 
 
 def folder_faults(folder: Path, count: Count = uncounted) -> Iterator[str]:
-    """Faults of a folder that `knotgym generate` made.
+    """Yield the faults of a folder that `knotgym generate` wrote.
 
-    Manifest and checksums come first, then the rows, then the trajectories, then the splits.
-    `count` is told after each row and episode, and each step that is acted out.
+    Manifest and checksums come first, then the rows, the demonstrations and the splits. `count` is
+    called before each row and episode and after each replayed step.
     """
     manifest, faults = read_manifest(folder)
     yield from faults
@@ -103,7 +103,7 @@ def folder_faults(folder: Path, count: Count = uncounted) -> Iterator[str]:
     if manifest["config"].get("split_by") == "code":
         train, test = (set(states.gauss_code[states.split == split]) for split in STATE_SPLITS)
         for code in sorted(train & test):
-            yield f"code {code or 'loop'} is in both splits, which share no code"
+            yield f"code {code or 'loop'} is in both splits, which should share no code"
     yield from _misplaced(states, manifest)
     summary = manifest.get("summary")
     counts = summary.get("nx") if isinstance(summary, dict) else None
@@ -112,24 +112,30 @@ def folder_faults(folder: Path, count: Count = uncounted) -> Iterator[str]:
             yield from overlap_faults(states, {nx: count.get("overlap")}, "manifest.json")
 
 
-def overlap_faults(states: States, said: Mapping[str, Any], where: str) -> Iterator[str]:
-    """What is said wrongly of what train and test share (`splits.overlap`), by nx, in a file."""
+def overlap_faults(states: States, stored: Mapping[str, Any], where: str) -> Iterator[str]:
+    """Compare a stored overlap of train and test with `splits.overlap`.
+
+    Args:
+        states: the states.
+        stored: nx -> the overlap, as the file `where` has it.
+        where: name of that file.
+    """
     for nx in sorted(set(states.nx.tolist())):
-        told = said.get(str(nx))
-        if not isinstance(told, dict):
+        found = stored.get(str(nx))
+        if not isinstance(found, dict):
             continue
         for name, right in overlap(states, nx).items():
-            stored = told.get(name)
-            if isinstance(right, float) and isinstance(stored, float):
-                wrong = not abs(stored - right) < 1e-6  # metres; other processors round otherwise
+            value = found.get(name)
+            if isinstance(right, float) and isinstance(value, float):
+                wrong = not abs(value - right) < 1e-6  # metres; processors round differently
             else:
-                wrong = stored != right
+                wrong = value != right
             if wrong:
-                yield f"{where}: nx {nx}: {name} of the overlap is {stored}, should be {right}"
+                yield f"{where}: nx {nx}: {name} of the overlap is {value}, should be {right}"
 
 
 def demonstration_faults(states: States, name: str, demonstrations: EpisodeReader) -> Iterator[str]:
-    """Rows that name an episode of the dataset `name` which doesn't lead to them.
+    """Yield the rows that name an episode of the dataset `name` that doesn't lead to them.
 
     The episode of a drawn state ends in its code, with that state as its goal; that of any other
     state ends in the state itself.
@@ -161,7 +167,7 @@ def _unlike(states: States, row: int, episode: Episode, step: int) -> str:
 
 
 def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iterator[str]:
-    """Faults of one row, whose replay ended in `end`; None if the simulation failed."""
+    """Yield the faults of one row; its replay ended at qpos `end`, None if it failed."""
     points, qpos = states.points[row], states.qpos[row]
     if not (np.isfinite(points).all() and np.isfinite(qpos).all()):
         yield "coordinates are not finite"
@@ -203,31 +209,31 @@ def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iter
 
 
 def _drawing_faults(states: States, row: int, rope: Rope) -> Iterator[str]:
-    """Faults of a row that says how its start was drawn: drawn again it is the same."""
+    """Draw the start of a row again and compare."""
     seed = tuple(states.source["seed"][row].tolist())
     try:
         config = from_json(DrawingConfig, json.loads(states.source["drawing"][row]))
-        if seed[0] != Stream.DRAWING or seed != key(Stream.DRAWING, *seed[1:]):
-            raise InvalidSource(f"seed {seed} is no stream of a drawing")
+        if stream_of(states, row) != Stream.DRAWING:
+            raise InvalidSource(f"seed {seed} is not a stream of a drawing")
         code = GaussCode.parse(states.gauss_code_chiral[row])
         again = drawn_curve(code, generator_of(seed), rope, config)
     except (KnotgymError, ValueError, IndexError, TypeError) as error:
-        yield f"its drawing can't be made again: {' '.join(str(error).split())}"
+        yield f"its drawing can't be reproduced: {one_line(error)}"
         return
     off = np.abs(again - rope.points(states.source["start_qpos"][row])).max()
-    if not off <= REDRAWN:
-        yield f"its start is not the drawing that its seed makes, off by {1000 * off:.1f} mm"
+    if not off <= _REDRAWN:
+        yield f"its start differs from the drawing of its seed by {1000 * off:.1f} mm"
 
 
 class InvalidSource(KnotgymError, ValueError):
-    """A row that does not say how to make it again."""
+    """A row whose provenance isn't enough to reproduce it."""
 
 
 def actions_of(states: States, row: int) -> NDArray[np.float32]:
-    """The actions that lead from a row's start to its state, float32 (steps, 6).
+    """Return the actions that lead from a row's start to its state, float32 (steps, 6).
 
     Raises:
-        InvalidSource: they are no actions, or come from no random walk's stream.
+        InvalidSource: an action is out of range, or the seed isn't that of a random walk.
     """
     steps = int(states.source["steps"][row])
     if "actions" in states.source:
@@ -236,21 +242,15 @@ def actions_of(states: States, row: int) -> NDArray[np.float32]:
             raise InvalidSource("an action lies outside [-1, 1]")
         return actions
     seed = tuple(states.source["seed"][row].tolist())
-    try:
-        known = seed == key(Stream(seed[0]), *seed[1:]) and seed[0] == Stream.RANDOM_WALK
-    except (InvalidSeed, ValueError, IndexError, TypeError):
-        known = False
-    if not known:
-        raise InvalidSource(f"seed {seed} is no stream of a random walk's actions")
+    if stream_of(states, row) != Stream.RANDOM_WALK:
+        raise InvalidSource(f"seed {seed} is not a stream of a random walk's actions")
     if not 0 <= steps <= _LONGEST:
         raise InvalidSource(f"a random walk takes 0 to {_LONGEST} actions, got {steps}")
     return drawn_actions(seed, steps)
 
 
 def _replayed(states: States, rows: Sequence[int], rope: Rope, count: Count) -> dict[int, Array]:
-    """Where the replay of rows ends, qpos (nq,); without those that can't be replayed, or whose
-    simulation failed.
-    """
+    """Replay rows; return the final qpos (nq,) of each that could be replayed."""
     actions = {}
     for row in rows:
         try:
@@ -265,7 +265,7 @@ def _replayed(states: States, rows: Sequence[int], rope: Rope, count: Count) -> 
     whole = np.ones(len(left), dtype=bool)
     lengths = np.array([len(actions[row]) for row in left])
     for step in range(int(lengths.max())):
-        count("steps acted out again", int(np.minimum(lengths, step).sum()), int(lengths.sum()))
+        count("steps replayed", int(np.minimum(lengths, step).sum()), int(lengths.sum()))
         ids = np.flatnonzero(whole & (step < lengths))
         if len(ids):
             whole[ids] = simulation.act([actions[left[k]][step] for k in ids], ids)
@@ -274,7 +274,7 @@ def _replayed(states: States, rows: Sequence[int], rope: Rope, count: Count) -> 
 
 
 def _misshapen(states: States, rope: Rope) -> Iterator[str]:
-    """Columns of another type or shape than the schema's; missing ones that replay needs."""
+    """Yield columns of the wrong type or shape, and missing ones that a replay needs."""
     columns = states.columns()
     sizes = {"nq": rope.nq, "beads": rope.config.beads}
     drawn = len(states) > 0 and set(states.source.get("policy", ())) == {RANDOM_WALK}
@@ -294,7 +294,7 @@ def _misshapen(states: States, rope: Rope) -> Iterator[str]:
 
 
 def _misplaced(states: States, manifest: Mapping[str, Any]) -> Iterator[str]:
-    """Splits that the manifest's own list doesn't have."""
+    """Yield the rows whose split differs from the manifest's list."""
     listed = manifest.get("splits")
     if isinstance(listed, list):
         for row, (stored, right) in enumerate(zip(states.split.tolist(), listed, strict=False)):
@@ -303,7 +303,7 @@ def _misplaced(states: States, manifest: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _leaks(states: States) -> Iterator[str]:
-    """Near-duplicates and shared trajectories between the splits."""
+    """Yield near-duplicates and shared trajectories between train and test."""
     train, test = np.flatnonzero(states.split == "train"), np.flatnonzero(states.split == "test")
     for i, k, apart in pairs_within(states.points[test], states.points[train]):
         yield (

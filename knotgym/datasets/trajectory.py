@@ -1,11 +1,12 @@
-"""Episodes: T actions and the T + 1 states around them; and hindsight relabelling.
+"""Episodes (T actions and the T + 1 states around them) and hindsight relabelling.
 
-In hindsight a code that was reached becomes the goal.
+Hindsight relabelling makes a code that the episode reached its goal.
 
 states   s0  s1  s2  s3     action t leads from s[t] to s[t + 1]; no action leaves s3
 actions    a0  a1  a2       rewards, terminations and truncations go with the actions
-infos    i0  i1  i2  i3     labels of the states; bead, force, applied_share and move say what led
-                            to the state, nothing led to s0; expert_action what an expert would do
+infos    i0  i1  i2  i3     one entry per state; bead, force, applied_share and move describe the
+                            step that led to the state (none led to s0); expert_action is what the
+                            expert would do there
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -27,97 +27,73 @@ from knotgym.rope.towing import TowBound
 
 RELABEL = ("last", "all")
 
-# name -> dtype, how many there are beyond T (None: one an episode), shape of each ("beads" for the
-# rope's)
-_ARRAYS: dict[str, tuple[Any, int | None, tuple[Any, ...]]] = {
-    "start_qpos": (np.float64, None, (None,)),
-    "goal_points": (np.float64, None, ("beads", 3)),
-    "points": (np.float64, 1, ("beads", 3)),
-    "actions": (np.float32, 0, (6,)),
-    "rewards": (np.float64, 0, ()),
-    "terminations": (np.bool_, 0, ()),
-    "truncations": (np.bool_, 0, ()),
-    "gauss_code": (np.str_, 1, ()),
-    "gauss_code_chiral": (np.str_, 1, ()),
-    "crossings": (np.int64, 1, ()),
-    "bead": (np.int64, 1, ()),
-    "force": (np.float64, 1, (3,)),
-    "applied_share": (np.float64, 1, ()),
-    "is_success": (np.bool_, 1, ()),
-    "simulation_failed": (np.bool_, 1, ()),
-    "move": (np.str_, 1, ()),
-    "expert_action": (np.float32, 1, (6,)),
-}
-_KINDS = {
-    np.float64: "float64",
-    np.float32: "float32",
-    np.int64: "int64",
-    np.bool_: "bool",
-    np.str_: "text",
-}
-INFOS = (
-    "gauss_code",
-    "gauss_code_chiral",
-    "crossings",
-    "bead",
-    "force",
-    "applied_share",
-    "is_success",
-    "simulation_failed",
-    "move",
-    "expert_action",
+# "steps" is T, "states" T + 1; arrays without either are stored once per episode
+_COLUMNS = (
+    Column("start_qpos", "float64", (None,), finite=True),
+    Column("goal_points", "float64", ("beads", 3), finite=True),
+    Column("points", "float64", ("states", "beads", 3), finite=True),
+    Column("actions", "float32", ("steps", 6), finite=True),
+    Column("rewards", "float64", ("steps",), finite=True),
+    Column("terminations", "bool", ("steps",)),
+    Column("truncations", "bool", ("steps",)),
 )
-OPTIONAL = ("move", "expert_action")  # infos that only some episodes have
-
-
-@cache
-def array_column(name: str) -> Column:
-    """What a file says of one of the arrays of an `Episode`; sizes are "steps", T, and "states"."""
-    dtype, beyond, each = _ARRAYS[name]
-    whole = each if beyond is None else (("steps", "states")[beyond], *each)
-    return Column(name, _KINDS[dtype], whole, finite=_KINDS[dtype].startswith("float"))
+_INFOS = (
+    Column("gauss_code", "text", ("states",)),
+    Column("gauss_code_chiral", "text", ("states",)),
+    Column("crossings", "int64", ("states",)),
+    Column("bead", "int64", ("states",)),
+    Column("force", "float64", ("states", 3), finite=True),
+    Column("applied_share", "float64", ("states",), finite=True),
+    Column("is_success", "bool", ("states",)),
+    Column("simulation_failed", "bool", ("states",)),
+    Column("move", "text", ("states",)),
+    Column("expert_action", "float32", ("states", 6), finite=True),
+)
+ARRAYS = {column.name: column for column in (*_COLUMNS, *_INFOS)}  # in the order of the digest
+INFOS = tuple(column.name for column in _INFOS)
+OPTIONAL = ("move", "expert_action")  # infos that an episode may lack
 
 
 class InvalidEpisode(KnotgymError, ValueError):
-    """Arrays that make no episode, or a cut that cannot be made."""
+    """Arrays that don't form an episode, or a cut that is impossible."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Episode:
     """T actions, at least one, and the T + 1 states around them.
 
-    Two are the same when their digests are.
+    Two episodes are equal when their digests are.
 
     Attributes:
-        start_qpos: float64 (nq,); laid there at rest (`Simulation.lay`) and stepped by `actions`
-            (`Simulation.act`), the rope goes through `points` bit for bit.
+        start_qpos: float64 (nq,); a rope laid at rest there (`Simulation.lay`) and stepped with
+            `actions` (`Simulation.act`) passes through `points` bit for bit.
         points: float64 (T + 1, beads, 3), metres.
-        goal_points: float64 (beads, 3), metres, the goal's exemplar.
+        goal_points: float64 (beads, 3), metres: a configuration that shows the goal code.
         actions: float32 (T, 6), in [-1, 1].
         rewards: float64 (T,).
         terminations, truncations: bool (T,).
         gauss_code, gauss_code_chiral: str (T + 1,).
         crossings: int64 (T + 1,).
-        bead, force: int64 (T + 1,) and float64 (T + 1, 3), newtons: which bead the step that led
-            here pulled, and the force applied to it; -1 and 0 at the start.
-        applied_share: float64 (T + 1,), of the force asked for, see `Simulation.step`; 1 at the
-            start.
-        is_success, simulation_failed: bool (T + 1,), as the environment's infos.
-        move: str (T + 1,), the policy's reason for the step, "" at the start; None where the policy
+        bead, force: int64 (T + 1,) and float64 (T + 1, 3), newtons: the bead pulled in the step
+            that led here and the force applied to it; -1 and 0 at the start.
+        applied_share: float64 (T + 1,), applied force / requested force, see `Simulation.step`; 1
+            at the start.
+        is_success, simulation_failed: bool (T + 1,), as in the environment's infos.
+        move: str (T + 1,), the policy's reason for the step, "" at the start; None if the policy
             gives no reasons.
-        expert_action: float32 (T + 1, 6), in [-1, 1]: how an expert's plan from each state begins,
-            zeros at the last; None where none was asked.
+        expert_action: float32 (T + 1, 6), in [-1, 1]: the first action of the expert's plan from
+            each state, zeros at the last state; None if the expert wasn't run.
         goal_gauss_code: the code to reach.
-        seed: of the reset, None where no seed makes this episode.
-        options: of the reset: rows `start` and `goal` of the state file.
-        policy: who acted.
-        relabelled: the goal is a state that was reached; then no reset has this goal.
-        hold: consecutive steps that the goal was to be shown in this episode, None where as the
-            task says; demonstrations of curated states go on past their code until the rope lies
-            open.
+        seed: seed of the reset; None if no seed reproduces this episode.
+        options: options of the reset: rows `start` and `goal` of the state file.
+        policy: name of the policy that acted.
+        relabelled: whether the goal is a state that was reached; no reset gives such a goal.
+        hold: consecutive steps for which this episode had to show the goal, None for the task's
+            value. Demonstrations of curated states continue after the code is reached, until
+            the rope lies open.
 
     Raises:
-        InvalidEpisode: an array of another dtype, shape or length.
+        InvalidEpisode: an array has the wrong dtype, shape or length.
     """
 
     start_qpos: NDArray[np.float64]
@@ -146,37 +122,35 @@ class Episode:
 
     def __post_init__(self) -> None:
         if not len(self.actions):
-            raise InvalidEpisode("an episode has at least 1 action, got none")
+            raise InvalidEpisode("an episode has at least 1 action, got 0")
         beads = np.shape(self.goal_points)[0]
+        sizes = {"steps": len(self), "states": len(self) + 1, "beads": beads}
         for name, array in self.arrays().items():
-            dtype, beyond, each = _ARRAYS[name]
-            right = (
-                *(() if beyond is None else (len(self) + beyond,)),
-                *(beads if n == "beads" else n for n in each),
-            )
+            kind, shape = ARRAYS[name].kind, ARRAYS[name].shape or ()
+            right = tuple(sizes[n] if isinstance(n, str) else n for n in shape)
             fits = array.ndim == len(right) and all(
                 n is None or n == m for n, m in zip(right, array.shape, strict=True)
             )
-            if not fits or not np.issubdtype(array.dtype, dtype):
+            if not fits or (array.dtype.kind != "U" if kind == "text" else array.dtype != kind):
                 raise InvalidEpisode(
-                    f"{name} must be {np.dtype(dtype).name} of shape {right}, got {array.dtype} of"
-                    f" shape {array.shape}"
+                    f"{name} must be {kind} of shape {right}, got {array.dtype} of shape"
+                    f" {array.shape}"
                 )
 
     def __len__(self) -> int:
-        """T, the actions."""
+        """Return T, the number of actions."""
         return len(self.actions)
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """Every array there is, by its attribute's name."""
+        """Return all arrays that aren't None, by attribute name."""
         return {
             name: np.asarray(getattr(self, name))
-            for name in _ARRAYS
+            for name in ARRAYS
             if getattr(self, name) is not None
         }
 
-    def labels(self) -> dict[str, Any]:
-        """What is said once an episode, JSON-able."""
+    def attributes(self) -> dict[str, Any]:
+        """Return everything but the arrays; every value can be written as JSON."""
         names = ("goal_gauss_code", "seed", "policy", "relabelled", "hold")
         return {
             **{name: getattr(self, name) for name in names},
@@ -184,8 +158,8 @@ class Episode:
         }
 
     def digest(self) -> str:
-        """Hexadecimal SHA-256 of all it holds."""
-        hashed = hashlib.sha256(json.dumps(self.labels(), sort_keys=True).encode())
+        """Return the SHA-256 of all arrays and attributes, hexadecimal."""
+        hashed = hashlib.sha256(json.dumps(self.attributes(), sort_keys=True).encode())
         for name, array in self.arrays().items():
             whole = (
                 "\n".join(array.tolist()).encode()
@@ -198,9 +172,9 @@ class Episode:
 
 
 def goals_reached(codes: Sequence[str] | NDArray[np.str_], hold: int = 1) -> list[int]:
-    """The states that reach another code than the first, shown for the `hold`-th time running.
+    """List the steps at which a new code has been shown for `hold` consecutive states.
 
-    Only the first time counts for each code.
+    The start's own code doesn't count, and each other code counts once, at its first such step.
 
     >>> goals_reached(["", "1+,1-", "", "1+,1-", "1-,1+"])
     [1, 4]
@@ -217,10 +191,7 @@ def goals_reached(codes: Sequence[str] | NDArray[np.str_], hold: int = 1) -> lis
 
 
 def goal_steps(codes: Sequence[str] | NDArray[np.str_], relabel: str, hold: int = 1) -> list[int]:
-    """Where to cut an episode that shows these codes; perhaps nowhere.
-
-    At the "last" of `goals_reached`, or at "all" of them.
-    """
+    """List the steps to cut an episode at: the "last" of `goals_reached`, or "all" of them."""
     if relabel not in RELABEL:
         raise InvalidEpisode(f"relabel must be {' or '.join(map(repr, RELABEL))}, got {relabel!r}")
     steps = goals_reached(codes, hold)
@@ -230,12 +201,12 @@ def goal_steps(codes: Sequence[str] | NDArray[np.str_], relabel: str, hold: int 
 def codes_in_bounds(
     codes: NDArray[np.str_], points: NDArray[np.float64], tow_limit: float | None
 ) -> NDArray[np.str_]:
-    """The codes of an episode up to the state, if any, that lies beyond the bound on towing.
+    """Drop the codes from the first state on that exceeds the bound on towing.
 
     Args:
-        codes: (T + 1,).
+        codes: str (T + 1,).
         points: float64 (T + 1, beads, 3), metres.
-        tow_limit: see `TaskConfig`.
+        tow_limit: see `TaskConfig`; None for no bound.
     """
     if tow_limit is None:
         return codes
@@ -251,17 +222,17 @@ def relabelled(
     reward: float = SUCCESS_REWARD,
     tow_limit: float | None = None,
 ) -> Episode:
-    """Cut an episode so that the last state left is the goal, reached for the first time.
+    """Cut an episode at a state that becomes its goal, reached there for the first time.
 
     Args:
-        episode: T actions; left as it was.
-        goal_step: which state becomes the goal, one of `goals_reached`.
-        hold: consecutive steps the goal code must show.
-        reward: paid at success.
-        tow_limit: of the task; no state beyond it is a goal.
+        episode: the episode to cut; not modified.
+        goal_step: the state that becomes the goal, one of `goals_reached`.
+        hold: consecutive states that must show the goal code.
+        reward: reward for success.
+        tow_limit: the task's bound on towing; states that exceed it can't be goals.
 
     Raises:
-        InvalidEpisode: the goal would not be reached there, or would be before.
+        InvalidEpisode: the goal isn't reached at that state, or is reached earlier.
     """
     codes = codes_in_bounds(episode.gauss_code, episode.points, tow_limit)
     possible = goals_reached(codes, hold)
@@ -271,16 +242,17 @@ def relabelled(
             f" {goal_step}"
         )
     outcome = success_at_last(goal_step, reward)
+    left = {"steps": goal_step, "states": goal_step + 1}
     cut = {
-        name: array[: goal_step + (_ARRAYS[name][1] or 0)]
+        name: array[: left[size]]
         for name, array in episode.arrays().items()
-        if _ARRAYS[name][1] is not None
+        if (size := str((ARRAYS[name].shape or ("",))[0])) in left
     }
     return replace(
         episode,
         **{
             **cut,
-            "expert_action": None,  # it led to the episode's own goal
+            "expert_action": None,  # planned for the original goal
             "goal_points": episode.points[goal_step],
             "goal_gauss_code": str(episode.gauss_code[goal_step]),
             "rewards": outcome.rewards,
@@ -301,7 +273,7 @@ def relabel_all(
     reward: float = SUCCESS_REWARD,
     tow_limit: float | None = None,
 ) -> Iterator[Episode]:
-    """Yield each episode cut at its `goal_steps`, nothing of one that shows no other code."""
+    """Yield every episode cut at each of its `goal_steps`; skip those that show a single code."""
     for episode in episodes:
         codes = codes_in_bounds(episode.gauss_code, episode.points, tow_limit)
         for step in goal_steps(codes, relabel, hold):

@@ -1,6 +1,4 @@
-"""Whether a dataset of any kind tells the truth: one function that finds out what a path or an id
-holds and asks the check that is for it.
-"""
+"""Verify a dataset of any kind: detect what a path or an id holds and run its checks."""
 
 from __future__ import annotations
 
@@ -19,25 +17,24 @@ from knotgym.datasets.state_verification import folder_faults, overlap_faults, s
 from knotgym.states.schema import FORMAT
 from knotgym.states.state_file import read_states, shipped
 
-# what the faults of replays say, which another machine's rounding may be behind
-_REPLAYED = ("bit for bit", "acted out again")
-OVERLAPS = "overlaps.json"  # beside the sets that ship: file -> nx -> `splits.overlap`
+# phrases in the faults of replays, which may differ on another machine because of rounding
+_REPLAYED = ("bit for bit", "replayed, the rope")
+OVERLAPS = "overlaps.json"  # beside the shipped sets: file -> nx -> `splits.overlap`
 Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # as the built-in `map`
 
 
 def verify(source: str | os.PathLike[str]) -> list[str]:
-    """Check everything that a dataset says: checksums, schema, labels by two labellers, replays bit
-    for bit, pictures, splits.
+    """Verify a dataset: checksums, schema, codes by two labellers, exact replays, pictures, splits.
 
     Args:
         source: a folder or a file that knotgym wrote, or the id of a Minari dataset.
 
     Returns:
-        Faults, each naming the file and where it can the row or step; empty when all is well.
+        Faults; each names the file and, where possible, the row or step. Empty if there are none.
 
     Raises:
         FileNotFoundError: there is nothing at `source`.
-        MissingExtra: it is a perception table and pyarrow isn't installed.
+        MissingExtra: `source` is a table of pictures and pyarrow isn't installed.
     """
     return list(faults(source))
 
@@ -45,11 +42,15 @@ def verify(source: str | os.PathLike[str]) -> list[str]:
 def faults(
     source: str | os.PathLike[str], each: Map = map, count: Count = uncounted
 ) -> Iterator[str]:
-    """As `verify`, each fault as soon as it is found; `each` as of `image_faults`, and `count` told
-    what is looked at, how many were, and of how many.
+    """Yield the faults that `verify` lists, each as soon as it is found.
 
-    Where nothing is wrong but that replays end elsewhere, and the run names another machine than
-    this, the last line says so.
+    If only replays differ and the dataset was generated on another machine, a last line says how
+    that machine differs from this one.
+
+    Args:
+        source: as for `verify`.
+        each: replacement for `map` that may run in parallel, see `image_faults`.
+        count: progress callback.
     """
     elsewhere, wrong = False, False
     for fault in _faults(source, each, count):
@@ -57,18 +58,18 @@ def faults(
         elsewhere, wrong = elsewhere or replayed, wrong or not replayed
         yield fault
     given = Path(source)
-    unlike = others(given) if elsewhere and not wrong and given.is_dir() else ""
-    if unlike:
+    differences = others(given) if elsewhere and not wrong and given.is_dir() else ""
+    if differences:
         yield (
-            f"{given}: made on another machine, {unlike}, which may round otherwise; all but the"
-            " replays is as it was written"
+            f"{given}: generated on another machine, {differences}, which may round differently;"
+            " everything but the replays is as it was written"
         )
 
 
 def _faults(source: str | os.PathLike[str], each: Map, count: Count) -> Iterator[str]:
     given = Path(source)
     if is_images(given):
-        # here, because it alone needs pyarrow and the walks' simulation
+        # imported here, because only this check needs pyarrow
         from knotgym.datasets.image_verification import image_faults
 
         yield from image_faults(given, each, count)
@@ -77,7 +78,7 @@ def _faults(source: str | os.PathLike[str], each: Map, count: Count) -> Iterator
     elif given.is_file() and hdf5_format(given) in (FORMAT, None):
         states = read_states(given)
         yield from state_faults(states, count)
-        said = read_json(given.with_name(OVERLAPS)) if given.parent == shipped().parent else {}
-        yield from overlap_faults(states, said.get(given.name, {}), OVERLAPS)
+        stored = read_json(given.with_name(OVERLAPS)) if given.parent == shipped().parent else {}
+        yield from overlap_faults(states, stored.get(given.name, {}), OVERLAPS)
     else:
         yield from verify_episodes(str(source), act_out=True, threads=0, count=count)

@@ -1,14 +1,14 @@
-"""`walks.h5`: the walks that the configurations of a perception table come from.
+"""`walks.h5`: the walks that the configurations in a table of pictures come from.
 
-It holds the states that walks set out from and the steps of every walk that a row comes from, so
-that each configuration can be made again without the archive.
+It holds the start states of the walks and the steps of every walk that a row uses, so that each
+configuration can be reproduced without the archive.
 
     /       attributes: format, format_version, rope
-    state   float64 (s, nstate)     integration states, each that some walk sets out from
-    number  int64 (w,)              of the walk, as rows name it
-    start   int64 (w,)              row of `state`
-    beads   int16 (w, T)            stepped, one after the other
-    forces  float32 (w, T, 3)       in units of the largest force; a shorter walk ends with zeros
+    state   float64 (s, nstate)     MuJoCo integration states that walks start from
+    number  int64 (w,)              number of the walk, as rows refer to it
+    start   int64 (w,)              row of `state` that the walk starts from
+    beads   int16 (w, T)            bead pulled in each step
+    forces  float32 (w, T, 3)       its force / the largest force; shorter walks end with zeros
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,14 +41,14 @@ _COMPRESSED = {"compression": "gzip", "compression_opts": 4, "shuffle": True}
 
 
 class InvalidWalks(KnotgymError, ValueError):
-    """A file that holds no walks this version can make again."""
+    """A file of walks that this version can't read or reproduce."""
 
 
 class WalksMade(Protocol):
-    """Walks as they were made.
+    """Walks as a worker returns them.
 
     Attributes:
-        numbers, bases: int64 (w,), of the walk and of the state it set out from.
+        numbers, bases: int64 (w,), numbers of the walk and of the state it starts from.
         beads, forces: as in `Walks`.
     """
 
@@ -64,7 +64,7 @@ class WalksMade(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Walks:
-    """The columns of the file, by name; see the module."""
+    """The columns of the file; the module's docstring has shapes and units."""
 
     state: Array
     number: NDArray[np.int64]
@@ -74,51 +74,41 @@ class Walks:
 
 
 def walks_of(states: Array, made: Sequence[WalksMade], used: set[int]) -> Walks:
-    """The walks whose numbers are used, of all that were made.
+    """Select the walks that are used, and the states that they start from.
 
     Args:
-        states: float64 (n, nstate), that `bases` count in.
-        made: in any pieces.
-        used: numbers of walks, at least one.
+        states: float64 (n, nstate), the states that `bases` index.
+        made: all walks, in batches.
+        used: numbers of the walks to keep, at least one.
     """
-    walks = [
-        (number, piece, row)
-        for piece in made
-        for row, number in enumerate(piece.numbers.tolist())
-        if number in used
-    ]
-    bases, start = np.unique([piece.bases[row] for _, piece, row in walks], return_inverse=True)
-    longest = max(piece.beads.shape[1] for _, piece, _ in walks)
+    kept = [(piece, np.flatnonzero(np.isin(piece.numbers, [*used]))) for piece in made]
+    kept = [(piece, rows) for piece, rows in kept if len(rows)]
+    bases = np.concatenate([piece.bases[rows] for piece, rows in kept])
+    bases, start = np.unique(bases, return_inverse=True)
     return Walks(
         state=states[bases],
-        number=np.array([number for number, _, _ in walks], dtype=np.int64),
+        number=np.concatenate([piece.numbers[rows] for piece, rows in kept]),
         start=start.astype(np.int64),
-        beads=np.stack([_padded(piece.beads[row], longest) for _, piece, row in walks]),
-        forces=np.stack([_padded(piece.forces[row], longest) for _, piece, row in walks]),
+        beads=_padded([piece.beads[rows] for piece, rows in kept]),
+        forces=_padded([piece.forces[rows] for piece, rows in kept]),
     )
 
 
 def joined_walks(pieces: Sequence[Walks]) -> Walks:
-    """The walks of several files, whose numbers differ, one file after the other."""
+    """Concatenate the walks of several files; their numbers must differ."""
     firsts = np.cumsum([0, *(len(piece.state) for piece in pieces[:-1])])
-    longest = max(piece.beads.shape[1] for piece in pieces)
+    starts = [piece.start + first for piece, first in zip(pieces, firsts, strict=True)]
     return Walks(
         state=np.concatenate([piece.state for piece in pieces]),
         number=np.concatenate([piece.number for piece in pieces]),
-        start=np.concatenate(
-            [piece.start + first for piece, first in zip(pieces, firsts, strict=True)]
-        ),
-        beads=np.concatenate(
-            [np.stack([_padded(walk, longest) for walk in piece.beads]) for piece in pieces]
-        ),
-        forces=np.concatenate(
-            [np.stack([_padded(walk, longest) for walk in piece.forces]) for piece in pieces]
-        ),
+        start=np.concatenate(starts),
+        beads=_padded([piece.beads for piece in pieces]),
+        forces=_padded([piece.forces for piece in pieces]),
     )
 
 
 def write_walks(path: str | os.PathLike[str], walks: Walks) -> None:
-    """Write the file; it appears whole or not at all."""
+    """Write the file atomically."""
     with atomic_write(path) as temporary, new_hdf5(temporary) as file:
         file.attrs["format"], file.attrs["format_version"] = FORMAT, FORMAT_VERSION
         file.attrs["rope"] = RopeConfig().fingerprint
@@ -131,8 +121,9 @@ def read_walks(path: str | os.PathLike[str]) -> Walks:
     """Read the file.
 
     Raises:
-        MissingFile: there is none.
-        InvalidWalks: foreign, truncated, of a format this version doesn't know, or of another rope.
+        MissingFile: there is no such file.
+        InvalidWalks: the file is foreign, truncated, of an unknown format version or of another
+            rope model.
     """
     with opened_hdf5(
         path, what="file of walks", format=FORMAT, versions=(FORMAT_VERSION,), error=InvalidWalks
@@ -140,23 +131,23 @@ def read_walks(path: str | os.PathLike[str]) -> Walks:
         rope = read_attribute(file, Column("rope", "text", ()))
         if rope != RopeConfig().fingerprint:
             raise InvalidWalks(
-                f"{path} was made with rope model {rope}, this version has"
+                f"{path} was generated with rope model {rope}, this version has"
                 f" {RopeConfig().fingerprint}"
             )
         sizes: dict[str, int] = {}
         walks = Walks(**{column.name: read_column(file, column, sizes) for column in _COLUMNS})
         if len(walks.start) and walks.start.max() >= len(walks.state):
             raise InvalidWalks(
-                f"{path}: a walk sets out from state {walks.start.max()} of {len(walks.state)}"
+                f"{path}: a walk starts from state {walks.start.max()} of {len(walks.state)}"
             )
         return walks
 
 
 def retrace(states: Array, beads: NDArray[np.int16], forces: NDArray[np.float32]) -> Array:
-    """Make walks again: where each rope was after every step.
+    """Replay walks; return the configuration before the first and after every step.
 
     Args:
-        states: float64 (w, nstate), where they begin.
+        states: float64 (w, nstate), the states that they start from.
         beads, forces: as in `Walks`.
 
     Returns:
@@ -173,6 +164,13 @@ def retrace(states: Array, beads: NDArray[np.int16], forces: NDArray[np.float32]
     return np.stack(frames, axis=1)
 
 
-def _padded(steps: NDArray[np.generic], longest: int) -> NDArray[np.generic]:
-    """The steps of a walk, then as many without force, which no row looks at, as make `longest`."""
-    return np.pad(steps, [(0, longest - len(steps)), *[(0, 0)] * (steps.ndim - 1)])
+def _padded(walks: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Concatenate walks (w, T, ...), padded to the longest T by steps of bead 0 without force.
+
+    No row refers to the added steps.
+    """
+    longest = max(steps.shape[1] for steps in walks)
+    whole = [(0, 0)] * (walks[0].ndim - 2)
+    return np.concatenate(
+        [np.pad(steps, [(0, 0), (0, longest - steps.shape[1]), *whole]) for steps in walks]
+    )

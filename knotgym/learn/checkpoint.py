@@ -26,7 +26,7 @@ from knotgym.common.hdf5_files import require_regular
 from knotgym.learn.reader import Reader
 from knotgym.learn.rope_model import FIRST_GUESS
 
-FORMAT, FORMAT_VERSION = "knotgym-policy", 2
+FORMAT, FORMAT_VERSION = "knotgym-policy", 1
 CARD, WEIGHTS = "policy.json", "weights.safetensors"
 PRETRAINED = "pretrained"  # the name of the folder that ships
 

@@ -83,7 +83,7 @@ class Transitions:
         self._action_column = "expert_action" if labels else "actions"
         if labels and relabel is not None:
             raise NoLabels("an expert's labels lead to the episode's own goal: leave out relabel")
-        if labels and not self._reader.has_labels:
+        if labels and not self._reader.has_expert_actions:
             raise NoLabels(
                 f"{self._reader.path} has no expert's labels: collect it with --labels expert"
             )

@@ -1,1 +1,1 @@
-"""Files of rope states: schema, reading, writing, splits; the curated sets that ship."""
+"""Files of rope states: schema, reading, writing, splits, and the shipped sets."""

@@ -1,18 +1,21 @@
-"""Near-duplicates: configurations so alike that not one may be for training, one for testing.
+"""Near-duplicates: configurations too similar to be in different splits.
 
-Two configurations are near-duplicates when a symmetry of the rope (`topology.symmetry`) brings one
-within NEAR of the other: root mean square distance of their beads, which is three pixels of the
-picture. The symmetries are moves and turns about z, reflection (x -> -x) and switch (z -> -z), the
-other base bead and the other direction of walking. A reflection or a switch changes the Gauss code
-and a shifted base may; all the same it is one geometry, and who has learned to untie the one has
-learned the other.
+Two configurations are near-duplicates if a symmetry of the rope (`topology.symmetry`) brings them
+within NEAR of each other: root mean square distance over the beads; NEAR is three pixels of the
+picture. The symmetries are translation, rotation about z, reflection (x -> -x), switch (z -> -z),
+a shift of the base bead and reversal of the direction along the rope. Reflection and switch change
+the Gauss code, and a base shift may. The geometry is the same nevertheless: a policy that can untie
+one can untie the other.
 
-Distances are found by cyclic correlation. With the flat parts as complex numbers, p of one rope and
-q of the other, both centred, the best turn about z of q shifted by s agrees with p by
-|sum_j q[j + s] conj(p[j])|; a reflection conjugates q, a switch changes the sign of the agreement
-in z, walking the other way reverses q. All shifts at once are an inverse Fourier transform of a
-product of transforms. The moduli of those transforms bound the agreement from above, whatever the
-symmetry, and so most pairs are ruled out by a product of matrices.
+Method: write the centred x, y of the beads as complex numbers, p[j] and q[j], and the heights as
+u[j] and v[j]. For bead shift s the squared distance, minimized over rotations about z, is
+
+    sum |p|^2 + |q|^2 + u^2 + v^2  -  2 (|sum_j q[j + s] conj(p[j])| + sum_j v[j + s] u[j])
+
+The bracket is called the agreement. Reflection conjugates q, a switch negates v, reversal reverses
+both. The sums for all s at once are one inverse FFT of a product of spectra. Sums of products of
+the spectra's moduli bound the agreement for every symmetry, so that one matrix product rules out
+most pairs.
 """
 
 from __future__ import annotations
@@ -25,16 +28,16 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-NEAR = 0.015  # metres
-_BLOCK = 1024  # rows, or pairs, at once in memory
+NEAR = 0.015  # metres, root mean square over the beads
+_BLOCK = 1024  # rows, or pairs, held in memory at once
 
 
 class Spectra(NamedTuple):
-    """Configurations, centred, as Fourier transforms along the rope.
+    """Discrete Fourier transforms, along the rope, of centred configurations.
 
     Attributes:
-        flat: complex128 (n, beads), of x + iy.
-        upright: complex128 (n, beads), of z.
+        flat: complex128 (n, beads), transform of x + iy.
+        upright: complex128 (n, beads), transform of z.
         square: float64 (n,), sum of squared distances of the vertices from their mean, m^2.
     """
 
@@ -44,7 +47,7 @@ class Spectra(NamedTuple):
 
     @classmethod
     def of(cls, points: Array) -> Spectra:
-        """Those of configurations float64 (n, beads, 3), metres."""
+        """Transform configurations, float64 (n, beads, 3), metres."""
         centred = points - points.mean(axis=1, keepdims=True)
         return cls(
             np.fft.fft(centred[..., 0] + 1j * centred[..., 1], axis=1),
@@ -53,40 +56,43 @@ class Spectra(NamedTuple):
         )
 
     def least_distances(self, others: Spectra) -> Array:
-        """Bounds that no symmetry's distance is below: float64 (n, len(others)), metres."""
+        """Bound the distance of all pairs from below: float64 (n, len(others)), metres."""
         a, b = np.abs(self.flat), np.abs(others.flat)
-        # Parseval: a sum over beads is one over frequencies divided by their number, and at most
-        # that of the moduli. Walking the other way or reflecting pairs frequency k with -k.
+        # Parseval: a sum over beads is the sum over frequencies / beads, and its modulus is at most
+        # the sum of the moduli. A shift or rotation changes phases only. Reversal or reflection
+        # pairs frequency k with -k; both together pair k with k again.
         flat = np.maximum(a @ b.T, a @ _negated(b).T)
         agreement = (flat + np.abs(self.upright) @ np.abs(others.upright).T) / a.shape[1]
         return self._distances(self.square[:, None], others.square[None], agreement)
 
     def pair_distances(self, others: Spectra) -> Array:
-        """The distance of row k to row k of others, at the best symmetry: float64 (n,), metres."""
+        """Compute the distance of row k to row k of others: float64 (n,), metres."""
         best = np.full(len(self.flat), -np.inf)
         flat, upright = self.flat.conj(), self.upright.conj()
         for reverse in (False, True):
-            walked = _negated(others.flat) if reverse else others.flat
-            raised = _negated(others.upright) if reverse else others.upright
-            z = np.abs(np.fft.ifft(raised * upright, axis=1).real)
-            # the transform of the conjugate is the conjugate at the negative frequencies
-            for seen in (walked, _negated(walked).conj()):
-                both = np.abs(np.fft.ifft(seen * flat, axis=1)) + z
+            flat_other = _negated(others.flat) if reverse else others.flat
+            upright_other = _negated(others.upright) if reverse else others.upright
+            # the modulus, because a switch may choose the sign
+            z = np.abs(np.fft.ifft(upright_other * upright, axis=1).real)
+            # reflection: the transform of conj(q) is the conjugate of q's at negated frequencies
+            for shown in (flat_other, _negated(flat_other).conj()):
+                both = np.abs(np.fft.ifft(shown * flat, axis=1)) + z
                 best = np.maximum(best, both.max(axis=1))
         return self._distances(self.square, others.square, best)
 
     def turned_distances(self, others: Spectra) -> Array:
-        """The `distances` of the one row to all rows of others: float64 (len(others),), metres."""
-        # Parseval again: agreement bead by bead is agreement frequency by frequency
+        """Compute `distances` from a single row to others: float64 (len(others),), metres."""
+        # Parseval: a sum over beads of products is the sum over frequencies / beads
         flat = np.abs(others.flat @ self.flat[0].conj())
         agreement = flat + (others.upright @ self.upright[0].conj()).real
         return self._distances(self.square, others.square, agreement / self.flat.shape[1])
 
     def taken(self, rows: NDArray[np.integer]) -> Spectra:
-        """Some rows, in that order."""
+        """Select rows, in the order given."""
         return Spectra(*(one[rows] for one in self))
 
     def _distances(self, square: Array, others: Array, agreement: Array) -> Array:
+        # rounding can make the square of a vanishing distance negative
         apart = np.maximum(0.0, square + others - 2 * agreement)
         return np.asarray(np.sqrt(apart / self.flat.shape[1]))
 
@@ -94,15 +100,15 @@ class Spectra(NamedTuple):
 def pairs_within(
     points: Array, others: Array | None = None, limit: float = NEAR
 ) -> list[tuple[int, int, float]]:
-    """The pairs of a row and a row of others that a symmetry brings nearer than a limit.
+    """Find the pairs of configurations that a symmetry brings within a limit.
 
     Args:
         points: float64 (n, beads, 3), metres.
-        others: float64 (m, beads, 3), metres; None for pairs of rows of `points`, each once.
+        others: float64 (m, beads, 3), metres; None to compare `points` with itself, each pair once.
         limit: metres.
 
     Returns:
-        Row, other row and distance of each pair, in order.
+        Row, other row and distance of each pair, sorted.
     """
     a = Spectra.of(points)
     b = a if others is None else Spectra.of(others)
@@ -125,12 +131,16 @@ def pairs_within(
 
 
 def families(points: Array, within: float = NEAR) -> NDArray[np.int64]:
-    """Number configurations so that those that a symmetry brings near each other share a number.
+    """Number the families: components of the graph that connects near-duplicates.
 
     Args:
         points: float64 (n, beads, 3), metres.
         within: metres.
+
+    Returns:
+        int64 (n,), the family of each configuration.
     """
+    # leader: the lowest row of the component; each pair merges two components
     leader = np.arange(len(points))
     for row, other, _ in pairs_within(points, limit=within):
         low, high = sorted((leader[row], leader[other]))
@@ -139,21 +149,20 @@ def families(points: Array, within: float = NEAR) -> NDArray[np.int64]:
 
 
 def nearest(points: Array, others: Array) -> tuple[Array, NDArray[np.int64]]:
-    """How near the nearest of others is to each configuration, and which it is, at the best
-    symmetry.
+    """Find the nearest of others to each configuration, at the best symmetry.
 
     Args:
         points: float64 (n, beads, 3), metres.
         others: float64 (m, beads, 3), at least one, metres.
 
     Returns:
-        float64 (n,), metres, and int64 (n,).
+        Distances, float64 (n,), metres, and rows of others, int64 (n,).
     """
     a, b = Spectra.of(points), Spectra.of(others)
     least = a.least_distances(b)
     distance, row = np.full(len(points), np.inf), np.zeros(len(points), dtype=np.int64)
     for k, bounds in enumerate(least):
-        # by rising bound, until none of those left can be nearer than what was found
+        # in order of rising bound; stop when no remaining bound is below the best distance
         order = np.argsort(bounds, kind="stable")
         for first in range(0, len(order), 64):
             some = order[first : first + 64]
@@ -166,16 +175,17 @@ def nearest(points: Array, others: Array) -> tuple[Array, NDArray[np.int64]]:
 
 
 def apart(points: Array) -> NDArray[np.bool_]:
-    """Which configurations to keep: those not near an earlier one that is kept, by `distances`.
+    """Thin configurations greedily: keep each that is not near an earlier kept one (`distances`).
 
     Args:
         points: float64 (n, beads, 3), metres.
 
     Returns:
-        bool (n,).
+        bool (n,), whether each is kept.
     """
     centred = points - points.mean(axis=1, keepdims=True)
-    # those of near-duplicates differ by less than NEAR
+    # By the triangle inequality the root mean square radii of near-duplicates differ by less than
+    # NEAR: compare each configuration only with those in that window of the sorted radii.
     size = np.sqrt((centred**2).sum(axis=(1, 2)) / points.shape[1])
     order = np.argsort(size, kind="stable")
     first, last = (np.searchsorted(size[order], size + sign * NEAR) for sign in (-1, 1))
@@ -188,7 +198,7 @@ def apart(points: Array) -> NDArray[np.bool_]:
 
 
 def repeated(points: Array) -> list[tuple[int, int]]:
-    """Which rows repeat an earlier one bit for bit: pairs of the first such row and the later one.
+    """List the rows that equal an earlier one bit for bit, as pairs (first such row, row).
 
     >>> repeated(np.array([[1.0], [2.0], [1.0]]))
     [(0, 2)]
@@ -199,10 +209,10 @@ def repeated(points: Array) -> list[tuple[int, int]]:
 
 
 def distances(points: Array, others: Array) -> Array:
-    """How far each of `others` is from a configuration, bead by bead, after the best turn about z.
+    """Compute bead-by-bead distances after the best translation and rotation about z.
 
-    No other symmetry is tried: this tells whether a rope lies at a state, not whether two states
-    are alike.
+    No other symmetry is tried: this decides whether a rope is at a state, not whether two states
+    are near-duplicates.
 
     Args:
         points: float64 (beads, 3), metres.
@@ -214,12 +224,12 @@ def distances(points: Array, others: Array) -> Array:
     a = points - points.mean(axis=0)
     b = others - others.mean(axis=1, keepdims=True)
     flat_a, flat_b = a[:, 0] + 1j * a[:, 1], b[..., 0] + 1j * b[..., 1]
-    # the best turn makes the sum of conj(a) b real and positive
+    # the best rotation makes the sum of b conj(a) real and positive
     agreement = np.abs(flat_b @ flat_a.conj()) + b[..., 2] @ a[:, 2]
     square = np.maximum(0.0, (a**2).sum() + (b**2).sum(axis=(1, 2)) - 2 * agreement)
     return np.asarray(np.sqrt(square / len(points)))
 
 
 def _negated(spectra: NDArray[Any]) -> NDArray[Any]:
-    """Spectra (n, beads) at the negative frequencies: those of the ropes walked the other way."""
+    """Reorder spectra (n, beads) from frequency k to -k: the spectra of the reversed ropes."""
     return np.roll(spectra[:, ::-1], 1, axis=1)

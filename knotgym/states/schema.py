@@ -1,7 +1,7 @@
-"""The columns of the state file, `states.h5`: their names, types, shapes and units.
+"""The columns of the state file, `states.h5`: names, types, shapes and units.
 
-What is read, written, merged and verified follows this one list. The file's attributes are `format`
-and `format_version`, ATTRIBUTES and DIGEST; `quality/*` may hold other measures too.
+Reading, writing, merging and verification all use this list. The file's attributes are `format`,
+`format_version`, ATTRIBUTES and DIGEST; `quality/*` may contain further measures.
 """
 
 from __future__ import annotations
@@ -10,13 +10,10 @@ from knotgym.common.hdf5_files import Column
 from knotgym.quality.limits import UNITS
 
 FORMAT = "knotgym-states"
-# 2: demonstrations of each split are a dataset of their own, which `source/dataset` names
-# 3: drawn states, and `source/drawing`
-FORMAT_VERSION = 3
-READ_VERSIONS = (1, 2, FORMAT_VERSION)
+FORMAT_VERSION = 1
 
 STATE_SPLITS = ("train", "test")
-# parts of "train" and "test" that share no diagram, see `States.rows`
+# parts of "train" and "test" without a common diagram, see `States.rows`
 CODE_SPLITS = ("train-code", "test-code")
 
 ATTRIBUTES = {
@@ -25,56 +22,42 @@ ATTRIBUTES = {
     "rope": "fingerprint of the rope model, see `RopeConfig.fingerprint`",
     "config": "the generating configuration, JSON; a list of them in a merged file",
 }
-DIGEST = "content_sha256"  # an attribute too: of all columns, see `states.content_digest`
+DIGEST = "content_sha256"  # attribute: checksum of all columns, see `states.content_digest`
 
 ROOT = (
     Column(
-        "qpos",
-        "float64",
-        ("nq",),
-        "m, quaternions",
-        "MuJoCo generalized positions, at rest",
-        finite=True,
+        "qpos", "float64", ("nq",), "m, quaternions", "generalized positions, at rest", finite=True
     ),
     Column("points", "float64", ("beads", 3), "m", "vertices of the rope, z up", finite=True),
-    Column("image", "uint8", (None, None, 3), "levels", "RGB, as the environment shows it"),
-    Column("gauss_code", "text", (), "", 'as "1+,1-,2+,2-"'),
-    Column("gauss_code_chiral", "text", (), "", 'as "1+a,1-a,2+c,2-c"'),
-    Column("knot", "text", (), "", 'knot type, as "0_1"'),
-    Column("nx", "int64", (), "crossings", "how many the picture shows", least=0),
+    Column("image", "uint8", (None, None, 3), "levels", "RGB, as the environment renders it"),
+    Column("gauss_code", "text", (), "", 'such as "1+,1-,2+,2-"'),
+    Column("gauss_code_chiral", "text", (), "", 'such as "1+a,1-a,2+c,2-c"'),
+    Column("knot", "text", (), "", 'knot type, such as "0_1"'),
+    Column("nx", "int64", (), "crossings", "crossings in the picture", least=0),
     Column("split", "text", (), "", '"train" or "test"'),
 )
 QUALITY = tuple(
     Column(f"quality/{name}", "float64", (), unit, "see `knotgym.quality.limits.Quality`")
     for name, unit in UNITS.items()
 )
-# Laid at rest at start_qpos, a rope that takes the first `steps` actions ends in the row's qpos bit
-# for bit. A file whose `policy` is RANDOM_WALK in all rows has no column of actions: those of a row
-# are drawn from its stream (`knotgym.rope.actions.drawn_actions`).
+# A rope laid at rest at start_qpos and stepped with the first `steps` actions ends in the row's
+# qpos bit for bit. If `policy` is RANDOM_WALK in all rows, there is no column of actions: they come
+# from the row's random stream (`knotgym.rope.actions.drawn_actions`).
 SOURCE = (
-    Column(
-        "source/start_qpos",
-        "float64",
-        ("nq",),
-        "m, quaternions",
-        "where the rope is laid",
-        finite=True,
-    ),
-    Column(
-        "source/actions", "float32", (None, 6), "", "taken from there on; then zeros", finite=True
-    ),
-    Column("source/steps", "int64", (), "actions", "how many of them are taken", least=0),
-    Column("source/seed", "int64", (None,), "", "key of the random stream it was drawn from"),
-    Column("source/policy", "text", (), "", "who acted"),
-    Column("source/dataset", "text", (), "", "Minari dataset that its demonstration is in"),
-    Column("source/trajectory", "int64", (), "", "its episode in that dataset; a rope; or -1"),
+    Column("source/start_qpos", "float64", ("nq",), "m, quaternions", "at rest", finite=True),
+    Column("source/actions", "float32", (None, 6), "", "actions, padded with zeros", finite=True),
+    Column("source/steps", "int64", (), "actions", "number of actions", least=0),
+    Column("source/seed", "int64", (None,), "", "key of the state's random stream"),
+    Column("source/policy", "text", (), "", "policy that acted"),
+    Column("source/dataset", "text", (), "", "Minari dataset of the demonstration"),
+    Column("source/trajectory", "int64", (), "", "episode of that dataset; the walk's rope; or -1"),
     Column("source/step", "int64", (), "actions", "state of that episode"),
-    Column("source/drawing", "text", (), "", 'how start_qpos was drawn, JSON; "" if it was not'),
+    Column("source/drawing", "text", (), "", '"" or parameters of the drawing, JSON'),
 )
 COLUMNS = (*ROOT, *QUALITY, *SOURCE)
 
-# In source/policy, where a state comes from; "demonstrations" in files of curated states.
+# values of source/policy; files of curated states have "demonstrations"
 RANDOM_WALK, DRAWING, PLAY = "random-walk", "drawing", "play"
 
-# without these a row can't be made again
+# columns that reproducing a row needs
 REPLAYED = ("source/start_qpos", "source/actions", "source/steps", "source/seed")

@@ -1,7 +1,7 @@
-"""Splits: which rows are for training, and how states are dealt out to train and test.
+"""Assignment of states to train and test.
 
-Rows that a symmetry of the rope brings near each other (`near_duplicates`) are of one split. What
-splits of a state file by code are, `States.rows` says.
+Near-duplicates (`near_duplicates`) are always in the same split. For splits by code see
+`States.rows`.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from knotgym.topology.symmetry import diagram_form
 if TYPE_CHECKING:
     from knotgym.states.state_file import States
 
-# of pictures; test-code shows codes that only it and test-nx show, test-nx more crossings
+# splits of pictures: test-code has held-out codes, test-nx a held-out crossing number
 IMAGE_SPLITS = (*STATE_SPLITS, "test-code", "test-nx")
 
 
 def split(
     codes: Sequence[GaussCode], by: str, train_share: float, rng: np.random.Generator
 ) -> NDArray[np.str_]:
-    """Assign states to "train" and "test", the states of each code as evenly as can be.
+    """Assign states to "train" and "test", splitting the states of each code as evenly as possible.
 
     Args:
-        codes: of the states, compared without chirality.
+        codes: codes of the states, compared without chirality.
         by: "state", or "code" for splits that share no code.
-        train_share: of the states, or of the codes.
-        rng: decides.
+        train_share: fraction of the states (or codes) that go to train.
+        rng: generator of all random choices.
 
     Returns:
-        str (n,).
+        str (n,), the split of each state.
     """
     plain = [code.plain for code in codes]
     kinds = sorted(set(plain), key=lambda code: code.visits)
@@ -47,8 +47,8 @@ def split(
         train = {kinds[k] for k in order[: round(train_share * len(kinds))]}
         assigned[[code in train for code in plain]] = "train"
         return assigned
-    # one walk over all states, code by code in random order: every stretch of the walk is split in
-    # the same proportion
+    # Order all states code by code, with codes and the states of each code shuffled. State i goes
+    # to train where floor(i * share + 1/2) steps up: every stretch is split in the same proportion.
     walk = [
         index
         for k in order
@@ -87,13 +87,13 @@ def kept_together(
 
 
 def overlap(states: States, nx: int) -> dict[str, Any]:
-    """What the test states of an nx share with train, JSON-able.
+    """Measure what the test states of an nx share with train.
 
     Returns:
-        "test_states"; of them, "code_in_train": those whose code, without chirality, a train state
-        of the same nx shows; "diagram_in_train": those whose code one shows up to symmetry
-        (`topology.symmetry.diagram_form`); and "nearest", metres: the least distance of any to any
-        train state of the file, at the best symmetry (`near_duplicates`), None without both.
+        Values for JSON: "test_states", their number; "code_in_train", how many have a code (without
+        chirality) of a train state of the same nx; "diagram_in_train", the same up to symmetry
+        (`topology.symmetry.diagram_form`); "nearest", the smallest distance in metres to any train
+        state of the file at the best symmetry (`near_duplicates`), None if either split is empty.
     """
     train, test = (states.rows(nx, split) for split in STATE_SPLITS)
     codes = {

@@ -1,8 +1,7 @@
-"""Spread: how unlike each other a set's configurations are.
+"""Spread: how diverse the configurations of a set are.
 
-Each number means the same for any set of the rope: how far from each other the ropes lie, bead by
-bead and as mere curves, how crumpled they are, how high they reach, and where along the rope they
-cross.
+The measures are comparable between sets: distances between configurations (bead by bead, and as
+curves), radii of gyration, heights, and where along the rope the crossings are.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from knotgym.states.near_duplicates import distances
 from knotgym.topology.crossings import find_crossings
 
-MOST = 500  # configurations that pairs are made of
+MOST = 500  # configurations that are compared pairwise
 
 
 @dataclass(frozen=True)
@@ -25,17 +24,17 @@ class Spread:
     """The spread of at least one configuration.
 
     Attributes:
-        distance: median and least distance of all pairs, metres: root mean square over the beads,
-            after the best turn about z and the best shift; None of a single one.
-        shape: the same of the curves alone, at the best base bead and direction of walking too. The
-            bead by bead distance of two equal circles walked in opposite directions is 1.4 radii.
-        gyration: least and largest radius of gyration, metres: root mean square distance of the
+        distance: median and minimum over all pairs, metres: root mean square over the beads, after
+            the best rotation about z and translation; None for a single configuration.
+        shape: the same, also at the best base bead and direction along the rope. (Bead by bead, two
+            equal circles traversed in opposite directions are 1.4 radii apart.)
+        gyration: minimum and maximum radius of gyration, metres: root mean square distance of the
             vertices from their mean. A circle as long as the rope has 0.212.
-        height: least and largest height of the highest vertex above the lowest, metres.
-        visits: how far along the rope a visit to a crossing is from one in another configuration,
-            on average, beads: a quarter of the rope's if crossings lie anywhere, 0 if always at one
-            place; None without crossings, or of a single one.
-        bare: the longest stretch of the rope where no configuration crosses, beads; None without
+        height: minimum and maximum height of the highest vertex above the lowest, metres.
+        visits: mean distance along the rope, in beads, between a crossing in one configuration and
+            a crossing in another: a quarter of the rope's beads if crossings are uniform along the
+            rope, 0 if all are at one position; None without crossings or with one configuration.
+        bare: longest stretch of the rope where no configuration crosses, beads; None without
             crossings.
     """
 
@@ -47,7 +46,7 @@ class Spread:
     bare: float | None
 
     def as_json(self) -> dict[str, Any]:
-        """JSON-able, tuples as lists."""
+        """Return the measures as values for JSON, tuples as lists."""
         return {
             name: list(value) if isinstance(value, tuple) else value
             for name, value in asdict(self).items()
@@ -55,9 +54,9 @@ class Spread:
 
 
 def spread_of(points: NDArray[np.float64]) -> Spread:
-    """Measure configurations, the same for any order of them.
+    """Measure the spread of configurations; their order doesn't matter for up to MOST of them.
 
-    Of more than MOST, pairs are made of MOST that are evenly taken.
+    Of more than MOST, only MOST evenly spaced ones are compared pairwise.
 
     Args:
         points: float64 (n, beads, 3), n at least 1, metres.
@@ -72,21 +71,21 @@ def spread_of(points: NDArray[np.float64]) -> Spread:
     centred = points - points.mean(axis=1, keepdims=True)
     gyration = np.sqrt((centred**2).sum(axis=2).mean(axis=1))
     height = np.ptp(points[..., 2], axis=1)
-    places = [_places(one) for one in few]
+    positions = [_visit_positions(one) for one in few]
     return Spread(
-        distance=_middle_and_least(pairs[0]),
-        shape=_middle_and_least(pairs[1]),
+        distance=_median_and_minimum(pairs[0]),
+        shape=_median_and_minimum(pairs[1]),
         gyration=(float(gyration.min()), float(gyration.max())),
         height=(float(height.min()), float(height.max())),
-        visits=visit_distance(places, points.shape[1]),
-        bare=bare_stretch(np.concatenate(places), points.shape[1]),
+        visits=visit_distance(positions, points.shape[1]),
+        bare=bare_stretch(np.concatenate(positions), points.shape[1]),
     )
 
 
 def shape_distances(
     points: NDArray[np.float64], others: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """As `distances`, also over the base bead and the direction that each is walked in.
+    """Compute `distances` minimized also over the base bead and the direction along the rope.
 
     Args:
         points: float64 (beads, 3), metres.
@@ -99,55 +98,59 @@ def shape_distances(
     b = others - others.mean(axis=1, keepdims=True)
     best = np.full(len(others), -np.inf)
     for walked in (b, b[:, ::-1]):
-        # sums over beads for every base bead at once, see `distances`
+        # the agreement of `distances`, for every shift of the base bead at once
         flat = _correlation(walked[..., 0] + 1j * walked[..., 1], a[:, 0] + 1j * a[:, 1])
         upright = _correlation(walked[..., 2], a[:, 2]).real
         best = np.maximum(best, (np.abs(flat) + upright).max(axis=1))
+    # |a|^2 + |b|^2 - 2 agreement; rounding can make it negative
     square = np.maximum(0.0, (a**2).sum() + (b**2).sum(axis=(1, 2)) - 2 * best)
     return np.asarray(np.sqrt(square / len(points)))
 
 
-def visit_distance(places: Sequence[NDArray[np.float64]], beads: int) -> float | None:
-    """Mean distance along the rope of visits in different configurations, beads.
+def visit_distance(positions: Sequence[NDArray[np.float64]], beads: int) -> float | None:
+    """Compute the mean distance, in beads, between visits of different configurations.
 
     Args:
-        places: of the visits of each configuration, in [0, beads].
-        beads: of the rope.
+        positions: positions along the rope of each configuration's visits, in [0, beads].
+        beads: number of beads of the rope.
 
     >>> visit_distance([np.array([98.0]), np.array([2.0, 48.0])], 100)
     27.0
     """
     total, count = 0.0, 0
-    for k, own in enumerate(places):
-        others = np.concatenate([np.empty(0), *places[k + 1 :]])
-        for place in own:
-            apart = np.abs(others - place)
+    for k, own in enumerate(positions):
+        others = np.concatenate([np.empty(0), *positions[k + 1 :]])
+        for position in own:
+            # the rope is closed: the shorter of the two ways along it
+            apart = np.abs(others - position)
             total += float(np.minimum(apart, beads - apart).sum())
             count += len(others)
     return total / count if count else None
 
 
-def bare_stretch(places: NDArray[np.float64], beads: int) -> float | None:
-    """Length of the longest stretch of the rope without a visit, beads.
+def bare_stretch(positions: NDArray[np.float64], beads: int) -> float | None:
+    """Compute the length, in beads, of the longest stretch of the rope without a visit.
 
     >>> bare_stretch(np.array([90.0, 10.0, 40.0]), 100)
     50.0
     """
-    if not len(places):
+    if not len(positions):
         return None
-    ordered = np.sort(places)
+    # the gap after the last position wraps around to the first
+    ordered = np.sort(positions)
     return float(np.diff(ordered, append=ordered[0] + beads).max())
 
 
 def _correlation(rows: NDArray[Any], one: NDArray[Any]) -> NDArray[Any]:
-    """Sums of row times conjugate of `one` at every cyclic shift: complex (n, beads)."""
+    """Correlate rows with `one` at every cyclic shift: complex (n, beads)."""
+    # sum_j row[j + s] conj(one[j]) for all s, by the correlation theorem
     return np.asarray(np.fft.ifft(np.fft.fft(rows, axis=1) * np.fft.fft(one).conj(), axis=1))
 
 
-def _middle_and_least(values: NDArray[np.float64]) -> tuple[float, float] | None:
+def _median_and_minimum(values: NDArray[np.float64]) -> tuple[float, float] | None:
     return (float(np.median(values)), float(values.min())) if len(values) else None
 
 
-def _places(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _visit_positions(points: NDArray[np.float64]) -> NDArray[np.float64]:
     crossings = find_crossings(points)
     return np.concatenate([crossings.over_place, crossings.under_place])

@@ -1,6 +1,6 @@
-"""The state file, `states.h5`: curated rope states that an environment resets from, a row a state.
+"""The state file, `states.h5`: one row per rope state that an environment can reset to.
 
-Its columns and attributes are listed in `state_schema`.
+`schema` lists its columns and attributes.
 """
 
 from __future__ import annotations
@@ -37,7 +37,6 @@ from knotgym.states.schema import (
     DIGEST,
     FORMAT,
     FORMAT_VERSION,
-    READ_VERSIONS,
     ROOT,
 )
 from knotgym.topology.gauss import GaussCode
@@ -48,26 +47,26 @@ _GROUPS = ("quality", "source")
 
 
 class InvalidStates(KnotgymError, ValueError):
-    """A file that isn't a state file this version can read, or arrays that don't make one."""
+    """A state file that this version can't read, or arrays that don't form one."""
 
 
 @dataclass(frozen=True)
 class States:
-    """The rows of a state file; arrays are read-only.
+    """The rows of a state file, as read-only arrays.
 
     Attributes:
         qpos: float64 (n, nq), MuJoCo generalized positions, at rest.
         points: float64 (n, beads, 3), metres.
-        image: uint8 (n, size, size, 3), or None where not asked for.
+        image: uint8 (n, size, size, 3); None if read without pictures.
         gauss_code, gauss_code_chiral, knot, split: str (n,).
         nx: int64 (n,).
         quality: measure -> float64 (n,).
         units: measure -> its unit.
-        source: name -> (n, ...); `start_qpos` float64 (n, nq) laid at rest, then `actions` float32
-            (n, T, 6), of which the first `steps` are taken, end in the row's qpos bit for bit;
-            `seed`, `policy`, `dataset` and `trajectory` say where from.
-        attributes: of the file.
-        digest: `content_digest` of the file when it was written; "" where that isn't known.
+        source: name -> (n, ...), the provenance. A rope laid at rest at `start_qpos`, float64
+            (n, nq), and stepped with the first `steps` of `actions`, float32 (n, T, 6), ends in the
+            row's qpos bit for bit; for the other columns see `schema`.
+        attributes: attributes of the file.
+        digest: `content_digest` when the file was written; "" if the file has none.
     """
 
     qpos: NDArray[np.float64]
@@ -96,7 +95,7 @@ class States:
         return len(self.qpos)
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Every column by its name in the file, such as "nx" and "source/steps"."""
+        """Return all columns by their path in the file, such as "nx" and "source/steps"."""
         root = {column.name: getattr(self, column.name) for column in ROOT}
         grouped = {
             f"{group}/{name}": values
@@ -106,16 +105,16 @@ class States:
         return {name: values for name, values in {**root, **grouped}.items() if values is not None}
 
     def with_columns(self, columns: Mapping[str, NDArray[Any]]) -> States:
-        """The same with all its columns replaced; those not given are gone."""
+        """Replace all columns; columns that aren't given are dropped."""
         return replace(self, **_fields_of(columns), digest="")
 
     def rows(self, nx: int, split: str) -> NDArray[np.int64]:
-        """Indices of the rows with nx crossings in a split.
+        """Return the indices of the rows with nx crossings in a split.
 
-        Of "train-code" and "test-code" those of "train" and "test" whose diagram is not, or is,
-        held out: diagrams that test shows alone, then those that train shows in fewest rows, to a
-        quarter of the diagrams of the nx; train keeps one. Loops and curls, of which there is one
-        diagram each, are in both.
+        "train-code" has the rows of "train" whose diagram isn't held out, "test-code" those of
+        "test" whose diagram is. Held out are the diagrams that occur in test only and then those
+        that are rarest in train, up to a quarter of the diagrams of the nx; train keeps at least
+        one diagram. Loops and curls have a single diagram each and are in both.
         """
         base, by_code, _ = split.partition("-code")
         rows = np.flatnonzero((self.nx == nx) & (self.split == base))
@@ -125,19 +124,20 @@ class States:
             [diagram_form(GaussCode.parse(code)) for code in self.gauss_code[own].tolist()]
             for own in (self.rows(nx, "train"), self.rows(nx, "test"))
         )
+        # diagrams of test in the order in which they are held out: absent from train first
         seen = Counter(train)
         rarest = sorted({*test}, key=lambda form: (seen[form], form.visits))
         wanted = math.ceil(len({*train, *test}) / 4)
         held = {
             form
-            for place, form in enumerate(rarest)
-            if form not in train or (place < wanted and {*train} - {*rarest[: place + 1]})
+            for rank, form in enumerate(rarest)
+            if form not in train or (rank < wanted and {*train} - {*rarest[: rank + 1]})
         }
         own = train if base == "train" else test
         return rows[[(form in held) == (base == "test") for form in own]]
 
     def taken(self, rows: NDArray[np.integer]) -> States:
-        """Some rows, in that order."""
+        """Select rows, in the order given."""
         return self.with_columns({name: values[rows] for name, values in self.columns().items()})
 
 
@@ -149,35 +149,38 @@ SHIPPED = {  # name -> file
 
 
 def shipped(name: str = "readable") -> Path:
-    """A set of states that comes with the package.
+    """Return the path of a set of states that ships with the package.
 
     Args:
-        name: of those with 17 loops and 40 states for each nx to 4, "readable", curated to be read
-            off the picture, or "random-walk", as random play meets them, only over-twisted ones
-            left out; or "hard-unknots", unknots with 7, 10 and 11 crossings; those with 10
-            and 11 have neither kink nor bigon.
+        name: "readable", curated so that the code can be read off the picture, or "random-walk", as
+            random play reaches them without over-twisted ones, each with 17 loops and 40 states for
+            each nx from 1 to 4; or "hard-unknots", unknots with 7, 10 and 11 crossings, of which
+            those with 10 and 11 have neither kinks nor bigons.
 
     Raises:
-        InvalidStates: no set has that name.
+        InvalidStates: there is no set of that name.
     """
     if name not in SHIPPED:
-        raise InvalidStates(f"no set of states {name!r} ships; there is {', '.join(SHIPPED)}")
+        raise InvalidStates(f"no shipped set of states {name!r}; there are {', '.join(SHIPPED)}")
     return Path(str(files("knotgym.states") / "curated" / SHIPPED[name]))
 
 
 def ships(named: str | None) -> bool:
-    """Whether these are states that come with the package; None is "readable"."""
+    """Whether a task's `states` names a shipped set; None means "readable"."""
     return named is None or named in SHIPPED
 
 
 def minari_root() -> Path:
-    """The folder under which a dataset's id is found: MINARI_DATASETS_PATH, else Minari's own."""
+    """Return the root folder of Minari datasets: MINARI_DATASETS_PATH, else Minari's default."""
     return Path(os.environ.get("MINARI_DATASETS_PATH") or Path.home() / ".minari" / "datasets")
 
 
 def states_file(named: str | None) -> Path:
-    """The state file that is meant: by the name of a set that ships (None is "readable"), by the id
-    of a Minari dataset that carries one, or by its path or that of the run that made it.
+    """Resolve a task's `states` to a file.
+
+    Args:
+        named: the name of a shipped set (None for "readable"), the id of a Minari dataset that
+            includes a state file, or the path of a state file or of the folder with `states.h5`.
     """
     if named is None or named in SHIPPED:
         return shipped(named or "readable")
@@ -187,20 +190,19 @@ def states_file(named: str | None) -> Path:
 
 
 def states_at(path: Path) -> Path:
-    """The state file that a path means: its own, or of a folder the one in it."""
+    """Return a path itself, or `states.h5` in it if it is a folder."""
     return path / "states.h5" if path.is_dir() else path
 
 
 def leads_out(named: str | os.PathLike[str]) -> bool:
-    """Whether a name is no id: it may lead out of the folder that it is looked up in."""
+    """Whether a path is absolute or contains "..", and so may lead out of a folder."""
     return Path(named).is_absolute() or ".." in Path(named).parts
 
 
 def demonstrations_id(nx: int, split: str = "train", knot: str = "0_1") -> str:
-    """The Minari dataset of the demonstrations of the states of a knot with nx crossings in a
-    split.
+    """Return the id of the Minari dataset that demonstrates the states of an nx, split and knot.
 
-    A loop has nothing to tie: the way to one is an episode of an unknot task.
+    Demonstrations of loops (nx 0) are episodes of an unknot task, because nothing is tied.
 
     >>> demonstrations_id(3)
     'knotgym/tie-nx3/demonstrations-v0'
@@ -215,15 +217,15 @@ def demonstrations_id(nx: int, split: str = "train", knot: str = "0_1") -> str:
 
 
 def write_states(path: str | os.PathLike[str], states: States) -> None:
-    """Write a state file; it appears under its name whole or not at all."""
+    """Write a state file atomically."""
     if states.image is None:
-        raise InvalidStates("a state file holds images; these states were read without")
+        raise InvalidStates("a state file needs images, but these states were read without")
     with atomic_write(path) as temporary, new_hdf5(temporary) as file:
         file.attrs["format"], file.attrs["format_version"] = FORMAT, FORMAT_VERSION
         for name, value in states.attributes.items():
             file.attrs[name] = json.dumps(value) if isinstance(value, dict) else value
         file.attrs[DIGEST] = content_digest(states)
-        for group in _GROUPS:  # there even if empty
+        for group in _GROUPS:  # even if empty
             file.create_group(group)
         for name, values in states.columns().items():
             written = _write(file, name, values)
@@ -236,27 +238,20 @@ def read_states(path: str | os.PathLike[str], *, images: bool = True) -> States:
     """Read a state file.
 
     Args:
-        path: of the file.
-        images: whether to read the pictures, most of the bytes.
+        path: path of the file.
+        images: whether to read the pictures, which are most of the bytes.
 
     Raises:
-        MissingFile: there is none.
-        InvalidStates: foreign, truncated, or of a format this version doesn't know.
+        MissingFile: there is no such file.
+        InvalidStates: the file is foreign, truncated or of an unknown format version.
     """
     with opened_hdf5(
-        path, what="state file", format=FORMAT, versions=READ_VERSIONS, error=InvalidStates
+        path, what="state file", format=FORMAT, versions=(FORMAT_VERSION,), error=InvalidStates
     ) as file:
         names = [column.name for column in ROOT if images or column.name != "image"]
         names += [f"{group}/{name}" for group in _GROUPS for name in members(file, group)]
         sizes: dict[str, int] = {}
         columns = {name: read_column(file, _whole(name), sizes) for name in names}
-        if file.attrs["format_version"] == 1 and "source/trajectory" in columns:
-            # then demonstrations of both splits were in the dataset that now is train's alone
-            mixed = [
-                demonstrations_id(nx) if nx else "knotgym/unknot-nx1/demonstrations-v0"
-                for nx in columns["nx"].tolist()
-            ]
-            columns["source/dataset"] = np.array(mixed, dtype=np.str_)
         return States(
             **_fields_of(columns),
             units={
@@ -272,20 +267,18 @@ def read_states(path: str | os.PathLike[str], *, images: bool = True) -> States:
 
 
 def content_digest(states: States) -> str:
-    """SHA-256 of all columns with their names, hexadecimal; how they are stored doesn't matter."""
+    """Hash all columns and their names (SHA-256, hexadecimal), however they are compressed."""
     whole = hashlib.sha256()
     for name, values in sorted(states.columns().items()):
         text = values.dtype.kind == "U"
-        told = [name, "text" if text else values.dtype.str, values.shape]
-        whole.update(json.dumps([*told, values.tolist()] if text else told).encode())
+        header = [name, "text" if text else values.dtype.str, values.shape]
+        whole.update(json.dumps([*header, values.tolist()] if text else header).encode())
         whole.update(b"" if text else np.ascontiguousarray(values).tobytes())
     return whole.hexdigest()
 
 
 def _whole(name: str) -> Column:
-    """What the schema says of a whole column by its name; a measure or provenance that it doesn't
-    know may be there too.
-    """
+    """Return the schema of a column with its rows; unknown measures and provenance are allowed."""
     for column in COLUMNS:
         if column.name == name:
             return replace(column, shape=("rows", *(column.shape or ())))
@@ -295,7 +288,7 @@ def _whole(name: str) -> Column:
 
 
 def _attributes(file: h5py.File) -> dict[str, Any]:
-    """The attributes beside format and version; those the schema knows are text, `config` JSON."""
+    """Read all attributes but format, version and digest; check that `config` is JSON."""
     found = {
         name: read_attribute(file, Column(name, "text" if name in ATTRIBUTES else "any", ()))
         for name in file.attrs
@@ -306,23 +299,23 @@ def _attributes(file: h5py.File) -> dict[str, Any]:
 
 
 def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
-    """Put the rows of several state files together, in order of nx; those of one nx keep theirs.
+    """Merge the rows of several state files, stably sorted by nx.
 
     Args:
-        parts: read with images; made for the same rope, with the same measures.
-        distinct: refuse states that are the same bit for bit.
+        parts: states of the same rope with the same measures, read with images.
+        distinct: refuse states that are equal bit for bit.
 
     Raises:
-        InvalidStates: they don't go together, or two that are to be distinct are the same.
+        InvalidStates: the parts can't be combined, or states are equal although `distinct` is set.
     """
     if not parts:
-        raise InvalidStates("nothing to merge: name at least one state file")
+        raise InvalidStates("nothing to merge: give at least one state file")
     parts = [_with_drawings(part, parts) for part in parts]
     first = parts[0]
     for other in parts[1:]:
         if other.attributes.get("rope") != first.attributes.get("rope"):
             raise InvalidStates(
-                f"states of one rope model can be merged, got {first.attributes.get('rope')} and"
+                f"states to merge must have one rope model, got {first.attributes.get('rope')} and"
                 f" {other.attributes.get('rope')}"
             )
         if set(other.quality) != set(first.quality) or set(other.source) != set(first.source):
@@ -338,19 +331,19 @@ def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
     twice = repeated(merged.points) if distinct else []
     if twice:
         raise InvalidStates(
-            f"{len(twice)} states are there twice, rows {twice[0][0]} and {twice[0][1]} of the"
-            " merged file to begin with; merge sets that share no state"
+            f"{len(twice)} states occur twice, first in rows {twice[0][0]} and {twice[0][1]} of the"
+            " merged file; merge sets that share no state"
         )
     return replace(merged, attributes={**first.attributes, "config": config})
 
 
 def merged_order(parts: Sequence[States]) -> NDArray[np.int64]:
-    """Where the rows of `merge_states` come from, all parts' rows counted one after another."""
+    """Return the row of the concatenated parts that each row of `merge_states` comes from."""
     return np.argsort(np.concatenate([part.nx for part in parts]), kind="stable")
 
 
 def _with_actions_padded(part: States, parts: Sequence[States]) -> States:
-    """A part whose actions end with zeros, so that they are as many as the most of any part."""
+    """Pad a part's actions with zeros to the longest of all parts."""
     if "actions" not in part.source:
         return part
     longest = max(other.source["actions"].shape[1] for other in parts)
@@ -360,7 +353,7 @@ def _with_actions_padded(part: States, parts: Sequence[States]) -> States:
 
 
 def _with_drawings(part: States, parts: Sequence[States]) -> States:
-    """A part that says of its rows that none was drawn, if rows of another part were."""
+    """Add an empty `source/drawing` to a part if another part has that column."""
     if "drawing" in part.source or not any("drawing" in other.source for other in parts):
         return part
     return replace(part, source={**part.source, "drawing": np.full(len(part), "", dtype=np.str_)})
@@ -372,7 +365,7 @@ def _configs(part: States) -> list[Any]:
 
 
 def _fields_of(columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    """Columns by name as the fields of `States` that hold them."""
+    """Convert columns by name to the fields of `States`."""
     arrays: dict[str, Any] = {column.name: columns.get(column.name) for column in ROOT}
     for group in _GROUPS:
         arrays[group] = {

@@ -626,7 +626,7 @@ def test_verify_takes_all_that_a_run_made_and_says_what_it_checked(
     if not name:
         assert "checksums" in last
         assert {("states", 7, 8), ("episodes", 1, 2)} <= counted
-        acted = {said[1:] for said in counted if said[0] == "steps acted out again"}
+        acted = {said[1:] for said in counted if said[0] == "steps replayed"}
         assert any(0 < done < total for done, total in acted)
 
 

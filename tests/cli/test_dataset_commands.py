@@ -459,9 +459,9 @@ def test_merged_trajectories_hold_every_episode(curated: Path, tmp_path: Path) -
 @pytest.mark.parametrize(
     ("names", "said"),
     [
-        ((WAYS, WAYS), "are the same; merge sets that share no episode"),
-        ((WAYS, TEST_WAYS), "files of one task can be merged"),
-        (("states.h5", ""), "8 states are there twice"),
+        ((WAYS, WAYS), "are the same; merge datasets that share no episode"),
+        ((WAYS, TEST_WAYS), "files to merge must have one task"),
+        (("states.h5", ""), "8 states occur twice"),
     ],
 )
 def test_a_set_is_not_merged_with_itself_nor_train_with_test(

@@ -304,7 +304,7 @@ def test_loaders_take_the_folder_of_a_run_for_its_demonstrations(
     shutil.copytree(curated / name, tmp_path / name)
     found = arrays(tmp_path, observation="state")
     assert np.array_equal(found["actions"], arrays(curated / name)["actions"])
-    with pytest.raises(InvalidEpisodeFile, match="holds several datasets; name one of them"):
+    with pytest.raises(InvalidEpisodeFile, match="holds several datasets; choose one of them"):
         arrays(curated)
 
 

@@ -658,7 +658,7 @@ def test_a_share_of_the_force_that_was_not_applied_is_found_by_replay(
     path = write(tmp_path / "a.h5", task, {0: eased})
     assert not verify_episodes(path)
     (fault,) = verify_episodes(path, act_out=True)
-    assert "step 3: acted out again" in fault and "another share of the force" in fault
+    assert "step 3: replayed" in fault and "another share of the force" in fault
 
 
 def test_verification_names_wrong_counts(tmp_path: Path, root: Path) -> None:

@@ -38,7 +38,7 @@ def test_replays_that_end_elsewhere_on_another_machine_are_told_to_be_that(
 ) -> None:
     made_on(tmp_path, {**machine(), "instructions": "NEON"})
     fault, told = found(tmp_path, monkeypatch, REPLAYED)
-    assert fault == REPLAYED and "made on another machine, instructions NEON (here " in told
+    assert fault == REPLAYED and "generated on another machine, instructions NEON (here " in told
 
 
 def test_on_the_same_machine_a_replay_that_ends_elsewhere_is_wrong(

@@ -43,7 +43,7 @@ def test_a_sound_manifest_has_no_fault(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["../x", "/etc/hostname", "", "a\x1b[2J"])
 def test_a_name_that_is_no_file_in_the_folder_is_a_fault(tmp_path: Path, name: str) -> None:
     manifest, (fault,) = read_manifest(written(tmp_path, files={name: "0"}))
-    assert manifest == {} and "which is no file in the folder" in fault and fault.isprintable()
+    assert manifest == {} and "which is not a file in the folder" in fault and fault.isprintable()
 
 
 @pytest.mark.parametrize(
@@ -111,6 +111,4 @@ def test_a_data_file_that_is_not_listed_is_a_fault(tmp_path: Path) -> None:
 def test_a_report_that_counts_rejections_counts_attempts_too(tmp_path: Path) -> None:
     lacking = {name: own for name, own in SOUND["report"].items() if name != "attempts"}
     manifest, _ = read_manifest(written(tmp_path, report=lacking))
-    assert report_faults(manifest) == [
-        "manifest.json: report.rejected counts without report.attempts"
-    ]
+    assert report_faults(manifest) == ["manifest.json: report.rejected needs report.attempts"]

@@ -6,9 +6,7 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import h5py
 import numpy as np
 import pytest
 
@@ -20,7 +18,7 @@ from knotgym.datasets.state_verification import demonstration_faults, state_faul
 from knotgym.datasets.trajectory import Episode
 from knotgym.envs.tasks import TaskConfig
 from knotgym.loaders import arrays
-from knotgym.states.state_file import States, demonstrations_id, read_states, shipped, write_states
+from knotgym.states.state_file import States, demonstrations_id, read_states
 
 
 def ways(curated: Path, split: str) -> EpisodeReader:
@@ -213,16 +211,3 @@ def test_states_that_are_there_twice_are_named(curated: Path) -> None:
     states = read_states(curated / "states.h5")
     twice = states.taken(np.array([0, 5, 0]))
     assert "states.h5 rows 0 and 2 are the same configuration" in list(state_faults(twice))
-
-
-def test_states_of_before_name_the_dataset_that_held_both_splits(tmp_path: Path) -> None:
-    new = read_states(shipped())
-    write_states(tmp_path / "states.h5", new.taken(np.array([0, 60])))
-    with h5py.File(tmp_path / "states.h5", "a") as file:
-        file.attrs["format_version"] = 1
-        del file["source/dataset"]
-    old: Any = read_states(tmp_path / "states.h5")
-    assert old.source["dataset"].tolist() == [
-        "knotgym/unknot-nx1/demonstrations-v0",  # as that of nx 0 was called then
-        demonstrations_id(old.nx[1]),
-    ]

@@ -235,7 +235,9 @@ def test_a_code_in_both_splits_is_a_fault_where_they_should_share_none(light: Pa
     manifest["config"]["split_by"] = "code"
     (light / "manifest.json").write_text(json.dumps(manifest))
     (code,) = set(read_states(light / "states.h5").gauss_code)
-    assert f"code {code} is in both splits, which share no code" in list(folder_faults(light))
+    assert f"code {code} is in both splits, which should share no code" in list(
+        folder_faults(light)
+    )
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.99])

@@ -176,7 +176,7 @@ def test_another_format_version_is_refused(saved: Path) -> None:
         file.attrs["format_version"] = 99
     with pytest.raises(
         InvalidArchive,
-        match="version 99; this version reads 'knotgym-archive' version 3",
+        match="version 99; this version reads 'knotgym-archive' version 1",
     ):
         Archive.load(saved)
 

@@ -536,7 +536,7 @@ def test_a_limit_of_goals_is_kept_stored_and_verified(tmp_path: Path) -> None:
     assert knotgym(*random, "--observation", "state", *words, "--out", tmp_path) == 0
     (folder,) = tmp_path.glob("knotgym/tie-nx3/random-state-rules*-v0")  # a set of its own
     reader = EpisodeReader(folder)
-    goals = [reader.labels(k)["options/goal"] for k in range(6)]
+    goals = [reader.attributes(k)["options/goal"] for k in range(6)]
     env = gym.make("knotgym/Tie-v0", nx=3, max_goals=2).unwrapped
     assert reader.task.max_goals == 2 and {*goals} == {*env.episodes.rows("goal")}  # type: ignore[attr-defined]
     said = json.loads((folder / "data" / "metadata.json").read_text())

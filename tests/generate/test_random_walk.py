@@ -85,8 +85,8 @@ def test_a_unit_gives_the_same_states_again(walked: Path, unit: Walked) -> None:
         ("source/steps", 3, "replay of its start"),
         ("source/steps", 10**7, "a random walk takes 0 to 100000 actions, got 10000000"),
         ("source/seed", (30, 9, 0, 0, 0), "replay of its start"),
-        ("source/seed", (8, 0, 0, 0, 0), "seed (8, 0, 0, 0, 0) is no stream of a random walk's"),
-        ("source/seed", (-1, 0, 0, 0, 0), "seed (-1, 0, 0, 0, 0) is no stream"),
+        ("source/seed", (8, 0, 0, 0, 0), "seed (8, 0, 0, 0, 0) is not a stream of a random walk's"),
+        ("source/seed", (-1, 0, 0, 0, 0), "seed (-1, 0, 0, 0, 0) is not a stream"),
         ("source/policy", "somebody", "states.h5: source/actions is missing"),
     ],
 )

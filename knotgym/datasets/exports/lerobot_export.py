@@ -127,7 +127,7 @@ class _Writer:
     def _columns(self, k: int) -> list[Any]:
         """The columns of an episode, in the order of the features; notes it down."""
         length = int(self.reader.lengths[k])
-        goal = task_text(str(self.reader.labels(k)["goal_gauss_code"]))
+        goal = task_text(str(self.reader.attributes(k)["goal_gauss_code"]))
         number = self.tasks.setdefault(goal, len(self.tasks))
         first = self.episodes[-1]["dataset_to_index"] if self.episodes else 0
         steps = np.arange(length)

@@ -115,6 +115,6 @@ def _rope_alone(seen: NDArray[Any], layout: str) -> NDArray[Any]:
 def _name(source: Any, reader: EpisodeReader) -> str:
     """Task, crossings, policy and version; the policy without dashes, which OGBench goes by."""
     metadata, task = metadata_of(source), reader.task
-    told = metadata.dataset_id if metadata else f"{reader.labels(0)['policy']}-v0"
+    told = metadata.dataset_id if metadata else f"{reader.attributes(0)['policy']}-v0"
     policy, _, version = told.rpartition("/")[2].rpartition("-")
     return f"{task.task}-nx{task.nx}-{re.sub(r'[^0-9A-Za-z_]', '_', policy)}-{version}"

@@ -30,7 +30,7 @@ from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import mirror_images
 
 FORMAT = "knotgym-archive"
-FORMAT_VERSION = 3
+FORMAT_VERSION = 1
 _COMPRESSED = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 _COLUMNS = (
     Column("code", "text", ("elites",)),

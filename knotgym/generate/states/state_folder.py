@@ -151,7 +151,7 @@ def finish(
     (folder / "README.md").write_text(card(states, report, request["config"]), encoding="utf-8")
     manifest = {
         "format": "knotgym-manifest",
-        "format_version": 2,
+        "format_version": 1,
         **request,
         "machines": machines or [machine()],
         "report": report,
