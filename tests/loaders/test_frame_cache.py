@@ -102,7 +102,7 @@ def test_a_batch_is_those_rows_of_the_arrays(
     cached: bool, observation: str, files: dict[str, Path], tmp_path: Path
 ) -> None:
     if cached and observation in ("state", "symbolic"):
-        with pytest.raises(NoCache, match=f"observation '{observation}' shows none"):
+        with pytest.raises(NoCache, match=f"observation '{observation}' has none"):
             arrays(files["stored"], observation=observation, cache=tmp_path)
         return
     rows = [3, 0, 9, 3, -1]
