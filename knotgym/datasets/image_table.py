@@ -81,7 +81,7 @@ COLUMNS: dict[str, Any] = {
         "reflect": "bool",
         "switch": "bool",
         "reverse": "bool",
-        "roll": "int64",
+        "base_shift": "int64",
         "family": "int64",
         "seed": "int64",
         "row": "int64",

@@ -278,7 +278,7 @@ def _walk_faults(batch: _WalkBatch) -> list[str]:
             reflect=source["reflect"],
             switch=source["switch"],
             reverse=source["reverse"],
-            base_shift=source["roll"],
+            base_shift=source["base_shift"],
         )
         if points is None or not np.array_equal(symmetry.configuration(points), stored):
             faults.append(f"row {row}: its walk, repeated, does not end in its points bit for bit")

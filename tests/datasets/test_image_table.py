@@ -21,7 +21,7 @@ from knotgym.topology.gauss import GaussCode
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed"
 )
-SOURCE = dict.fromkeys(("walk", "pulls", "rounds", "roll", "family", "seed", "row"), 0)
+SOURCE = dict.fromkeys(("walk", "pulls", "rounds", "base_shift", "family", "seed", "row"), 0)
 UNMOVED = dict.fromkeys(("reflect", "switch", "reverse"), False)
 
 

@@ -228,7 +228,7 @@ def test_a_walk_that_ends_elsewhere_is_found(folder: Path, tmp_path: Path) -> No
     shutil.copytree(folder, copy)
     first = shards(copy, "train")[0]
     some = list(read_rows(first))
-    some[0]["source"]["roll"] += 1
+    some[0]["source"]["base_shift"] += 1
     write_rows(first, some)
     assert any("does not end in its points" in fault for fault in image_faults(copy))
 
