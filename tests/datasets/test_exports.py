@@ -1,5 +1,6 @@
-"""Exports to other formats: every row is the episode's, read by NumPy, pyarrow and, with -m
-clients, by the houses themselves.
+"""Exports to other formats keep every row of an episode.
+
+They are read back with NumPy and pyarrow and, with -m clients, with the target libraries.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ def test_the_episodes_are_those_of_a_replay(task: TaskConfig, episodes: list[Epi
 
 
 def wanted(dataset: Path, observation: str, rows: list[int]) -> dict[str, Any]:
-    """What OGBench's arrays must be, from the definition."""
+    """Compute the expected OGBench arrays from their definition."""
     reader = EpisodeReader(dataset)
     seen = [reader.observations(k, observation=observation) for k in rows]
     half = [one[:, :300] if observation == "state" else one[:, :, :16] for one in seen]
@@ -144,7 +145,7 @@ def test_what_has_no_place_in_a_form_is_refused(
 def two(
     tmp_path: Path, task: TaskConfig, episodes: list[Episode], monkeypatch: pytest.MonkeyPatch
 ) -> list[str]:
-    """Two datasets in Minari's folder, either with the states that both were reset from."""
+    """Two datasets in a Minari root, each with a copy of the states that they start from."""
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
     ids = [f"knotgym/tie-nx2/{name}-v0" for name in ("a", "b")]
     for k, own in enumerate(ids):

@@ -1,4 +1,4 @@
-"""Parquet shards from strangers: refused in a line, or every fault named."""
+"""Corrupted Parquet shards are refused in one line, or every fault is reported."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ UNMOVED = dict.fromkeys(("reflect", "switch", "reverse"), False)
 
 @pytest.fixture(scope="module")
 def shard(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A shard of one picture."""
+    """A shard with one picture."""
     states = read_states(shipped(), images=False).taken(np.array([20]))
     code = GaussCode.parse(states.gauss_code_chiral[0])
     row = Row(states.points[0], code, "train", {**SOURCE, **UNMOVED})
@@ -37,7 +37,7 @@ def shard(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def changed(shard: Path, tmp_path: Path, change: Callable[[Any], Any]) -> Path:
-    """A copy whose table is another."""
+    """Write a copy with a changed table."""
     from pyarrow import parquet
 
     path = tmp_path / shard.name
@@ -46,7 +46,7 @@ def changed(shard: Path, tmp_path: Path, change: Callable[[Any], Any]) -> Path:
 
 
 def with_cell(shard: Path, tmp_path: Path, *place: Any) -> Path:
-    """A copy with one value, the last of `place`, in the column, or in its part, before it."""
+    """Write a copy with one value changed: `place` is the column, its fields, and the value."""
     import pyarrow as pa
 
     def change(table: Any) -> Any:

@@ -35,7 +35,7 @@ VARIANTS = {
 
 
 def episode(rope: Rope, k: int) -> Episode:
-    """Ropes with ever other curls; two episodes share each goal."""
+    """Ropes with a different curl in every state; pairs of episodes share a goal."""
     steps = STEPS[k]
     points = np.stack(
         [rope.from_curve(curled((k + step) % 3, 0.1 * (k + step))) for step in range(steps + 1)]
