@@ -73,11 +73,10 @@ def gathered(read: Transitions) -> Callable[[NDArray[np.int64]], Any]:
     """A function that gathers a batch from a plain memory map of the cache's file."""
     kept = read._frames
     assert kept is not None
-    shape = json.loads((kept.place / "made.json").read_text())["shape"]
-    mapped = np.memmap(kept.place / "frames.bin", np.uint8, "r", shape=tuple(shape))
+    mapped = np.memmap(kept.path, np.uint8, "r", shape=kept.frames.shape)
     segments = np.repeat(np.arange(read.segments), np.diff(read.starts))
-    frames = np.arange(len(read)) + segments  # an episode has a state more than actions
-    goals = kept.goals[segments]
+    frames = np.arange(len(read)) + 2 * segments  # an episode of T actions has T + 2 frames
+    goals = kept.offsets[segments + 1] - 1
     return lambda rows: (mapped[frames[rows]], mapped[frames[rows] + 1], mapped[goals[rows]])
 
 

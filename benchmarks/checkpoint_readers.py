@@ -2,13 +2,14 @@
 
 Searches and random walks are the JSON file of a staging folder with what lies beside and
 below it; episode files that of a shard, walk files one of pictures, trainings the arrays beside
-their request, replies the lines of a prompted run, caches what a frame cache says of its pictures,
+their request, replies the lines of a prompted run, caches the file of a frame cache
 beside the episode file that they are of.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from collections.abc import Callable
 from functools import partial
@@ -102,21 +103,13 @@ def told_caches(path: Path) -> Told:
     from knotgym.loaders.frame_cache import CachedFrames, FrameCache, _key
 
     reader = EpisodeReader(path.parent / "main_data.hdf5")
-    key = digest(json.dumps(_key(reader, None), sort_keys=True))[:32]
-    place = path.parent / "cache" / key
-    shutil.rmtree(place.parent, ignore_errors=True)
-    place.mkdir(parents=True)
-    for name in ("frames.bin", "goals.npy", "made.json"):
-        one = path.parent / name
-        if one.is_file() and not one.is_symlink():
-            (place / name).write_bytes(one.read_bytes())
-        elif one.exists() or one.is_symlink():
-            one.rename(place / name)
-    frames = CachedFrames(reader, None, FrameCache(place.parent))
-    return [], {
-        "frames": digest(frames.frames.tobytes()),
-        "goals": digest(frames.goals.tobytes()),
-    }
+    folder = path.parent / "cache"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    if os.path.lexists(path):
+        path.rename(folder / f"{_key(reader, None)}.frames")
+    frames = CachedFrames(reader, None, FrameCache(folder))
+    return [], {"frames": digest(frames.frames.tobytes())}
 
 
 CHECKPOINTS: dict[str, Callable[[Path], Told]] = {

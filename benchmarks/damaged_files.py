@@ -166,11 +166,6 @@ def request_changed(path: Path, rng: Random) -> None:
     pick(rng, (value_changed, value_missing, not_json, no_file))(request, rng)
 
 
-def goals_changed(path: Path, rng: Random) -> None:
-    """Which picture is the goal of which episode, another."""
-    pick(rng, (bytes_changed, cut_short, no_file))(path.with_name("goals.npy"), rng)
-
-
 def text_changed(path: Path, rng: Random) -> None:
     """A word or character of a text another."""
     text = path.read_text(encoding="utf-8")
@@ -211,7 +206,7 @@ DAMAGES: dict[str, tuple[Damage, ...]] = {
     "walk_files": _BYTES,
     "trainings": (*_BYTES, beside_changed),
     "replies": _JSON,
-    "caches": (*_JSON, goals_changed),
+    "caches": (cut_short, not_json, no_file),
 }
 # of files that are read with others, which
 _WITH = {

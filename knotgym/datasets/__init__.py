@@ -1,7 +1,7 @@
-"""The three kinds of data: curated states, episodes, labelled pictures; their schemas, how they are
-written, read and verified, and the curated states that ship.
+"""Datasets of episodes and labelled pictures: schemas, readers, writers, verification, exports.
 
-The names below are imported when they are first used.
+The state files of `knotgym.states` are re-exported here. The names below are imported when first
+used.
 """
 
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""Contact sheets of ropes: states and ends of episodes as knot diagrams, pictures as they are."""
+"""Contact sheets: knot diagrams of states and of final states of episodes, and pictures."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from knotgym.rendering.video import OUTCOMES
 from knotgym.states.state_file import States
 from knotgym.topology.crossings import label
 
-SHOWN = 64  # episodes or pictures of a gallery, at most
+SHOWN = 64  # maximum number of episodes or pictures in a gallery
 WHITE = (225, 225, 225)
-_TILE, _EDGE, _LINE = 192, 6, 14  # pixels: a tile, round it, and a line of text below
+_TILE, _EDGE, _LINE = 192, 6, 14  # pixels: tile, margin, height of a line of text
 _FONT, _LETTERS, _GREY = cv2.FONT_HERSHEY_SIMPLEX, 0.4, (40, 40, 40)
 
 
 class Tile(NamedTuple):
-    """A picture of a contact sheet.
+    """A picture in a contact sheet.
 
     Attributes:
         picture: uint8 (size, size, 3), RGB.
-        captions: lines of text below; a long one goes on in the next line.
-        colour: RGB of the text, and of a frame around the picture unless it is WHITE.
+        captions: lines of text below; long lines are wrapped.
+        colour: RGB of the text. Unless it is WHITE, the picture gets a frame of this colour.
     """
 
     picture: NDArray[np.uint8]
@@ -44,7 +44,11 @@ class Tile(NamedTuple):
 
 
 def contact_sheet(tiles: Sequence[Tile], columns: int = 8) -> NDArray[np.uint8]:
-    """Lay pictures of one size out in rows of at most `columns`: uint8 (height, width, 3)."""
+    """Arrange pictures of one size in rows of at most `columns`.
+
+    Returns:
+        uint8 (height, width, 3), RGB.
+    """
     size = len(tiles[0].picture) if tiles else _TILE
     wrapped = [[part for line in one.captions for part in _wrapped(line, size)] for one in tiles]
     wide = size + 2 * _EDGE
@@ -66,7 +70,7 @@ def contact_sheet(tiles: Sequence[Tile], columns: int = 8) -> NDArray[np.uint8]:
 
 
 def _wrapped(line: str, width: int) -> list[str]:
-    """A line of text in lines of at most `width` pixels, parted after commas and spaces."""
+    """Wrap text at commas and spaces into lines of at most `width` pixels."""
     parts = [""]
     for word in re.split("(?<=[, ])", line):
         if parts[-1] and _width(parts[-1] + word.rstrip()) > width:
@@ -76,12 +80,12 @@ def _wrapped(line: str, width: int) -> list[str]:
 
 
 def _width(line: str) -> int:
-    """Of a line of text, pixels."""
+    """Return the width of a line of text in pixels."""
     return int(cv2.getTextSize(line, _FONT, _LETTERS, 1)[0][0])
 
 
 def write_gallery(path: str | os.PathLike[str], states: States, columns: int = 8) -> None:
-    """Write a contact sheet of every state, by crossings and code, train before test, as PNG."""
+    """Write a PNG contact sheet of all states, sorted by crossings, code and split."""
     order = sorted(
         range(len(states)),
         key=lambda i: (states.nx[i], states.gauss_code[i], states.split[i] != "train"),
@@ -102,7 +106,7 @@ def write_gallery(path: str | os.PathLike[str], states: States, columns: int = 8
 def write_episode_gallery(
     path: str | os.PathLike[str], datasets: Sequence[Path], columns: int = 8
 ) -> int:
-    """Write how the first episodes ended, as PNG; return how many are shown, at most SHOWN."""
+    """Write a PNG of the final states of the first SHOWN episodes; return how many there are."""
     tiles: list[Tile] = []
     for dataset in datasets:
         reader, name = EpisodeReader(dataset), dataset_name(dataset).removeprefix("knotgym/")
@@ -120,7 +124,7 @@ def write_episode_gallery(
 def write_picture_gallery(
     path: str | os.PathLike[str], table: str | os.PathLike[str], columns: int = 8
 ) -> int:
-    """Write the first pictures of a perception table, as PNG; return how many, at most SHOWN."""
+    """Write a PNG of the first SHOWN pictures of a perception table; return how many there are."""
     rows = read_rows(table, columns=["image", "gauss_code_chiral", "split"])
     tiles = [
         Tile(
@@ -135,9 +139,11 @@ def write_picture_gallery(
 
 
 def write_png(path: str | os.PathLike[str], image: NDArray[np.uint8]) -> None:
-    """Write an RGB picture, uint8 (height, width, 3), whole or not at all."""
+    """Write an RGB picture, uint8 (height, width, 3), atomically."""
     encoded, data = cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 9])
     if not encoded:
-        raise PictureError(f"no PNG can be made of an array of shape {image.shape}")
+        raise PictureError(
+            f"can't write an array of shape {image.shape} as PNG; it must be (height, width, 3)"
+        )
     with atomic_write(path) as temporary:
         temporary.write_bytes(data.tobytes())

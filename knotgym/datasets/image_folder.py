@@ -1,4 +1,4 @@
-"""What goes beside the Parquet files of a perception table: the walks, the card, the manifest."""
+"""Files beside the Parquet files of a perception table: walks, card and manifest."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ def finish(
     states: Array,
     walks: Sequence[WalksMade],
 ) -> None:
-    """Write walks, card and manifest into a folder whose Parquet files are written.
+    """Write walks, card and manifest into a folder that has its Parquet files.
 
     Args:
-        folder: the manifest comes last.
+        folder: the output folder; the manifest is written last.
         shards: its Parquet files.
         request: `config` and `source` of the run.
-        report: of the run, see `image_card.card`.
-        states: float64 (n, nstate), that the walks set out from.
-        walks: all that were made; those that a row comes from are written.
+        report: report of the run, see `image_card.card`.
+        states: float64 (n, nstate), simulator states that the walks start from.
+        walks: all walks of the run; only those that a row comes from are written.
     """
     used = {walk for path in shards for walk in _walks_used(path)}
     write_walks(folder / "walks.h5", walks_of(states, walks, used))
@@ -45,8 +45,9 @@ def write_card_and_manifest(
     report: Mapping[str, Any],
     machines: Sequence[dict[str, str]] | None = None,
 ) -> None:
-    """Write card and manifest into a folder that has everything else, made on these machines or on
-    this one; see `finish`.
+    """Write card and manifest into a folder that has everything else; see `finish`.
+
+    `machines` describes where it was made; None for this machine.
     """
     facts = summary(folder)
     text = card(facts, request["config"], report, sum(path.stat().st_size for path in shards))

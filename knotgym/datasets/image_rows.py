@@ -1,6 +1,6 @@
-"""Rows of a perception table: chosen configurations measured, drawn and written.
+"""Rows of a perception table: label, measure, render and write configurations.
 
-The same rows give the same bytes, whoever writes them.
+The same rows give the same bytes on any worker.
 """
 
 from __future__ import annotations
@@ -25,22 +25,21 @@ from knotgym.topology.knots import knot_type
 from knotgym.topology.reference_labeller import pyknotid_code
 
 _RGB = ("first", "last", "background")
-NOISE = TaskConfig.reset_noise  # that `noise_survival` is measured with
+NOISE = TaskConfig.reset_noise  # noise level at which `noise_survival` is measured
 
 
 class UntrueLabel(KnotgymError, RuntimeError):
-    """A label is not what the coordinates say."""
+    """A label doesn't match the coordinates."""
 
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """A picture to be made.
+    """A picture to render.
 
     Attributes:
         points: float64 (beads, 3), metres.
-        code: that it must show, with chirality.
-        source: as in `image_table.COLUMNS`; `seed` and `row` decide its appearance and its noise
-            draws.
+        code: the Gauss code that it must show, with chirality.
+        source: as in `image_table.COLUMNS`; `seed` and `row` seed its appearance and its noise.
     """
 
     points: Array
@@ -51,7 +50,7 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class TableFile:
-    """A file to be written, and a file for its checksum, by which a resumed run knows it whole."""
+    """A file to write, and a file for its checksum, which shows that it is complete on resume."""
 
     path: Path
     seal: Path
@@ -60,10 +59,10 @@ class TableFile:
 
 
 def write_table_file(file: TableFile) -> Path:
-    """Write a file of the table unless it is there already, unspoilt; it appears whole.
+    """Write a file of the table atomically, unless it exists with the right checksum.
 
     Raises:
-        UntrueLabel: one of the two labellers reads another code than the row's.
+        UntrueLabel: one of the two labellers reads another code than that of the row.
     """
     if not (
         file.path.is_file()
@@ -77,12 +76,12 @@ def write_table_file(file: TableFile) -> Path:
 
 
 def record(row: Row, config: AppearanceConfig) -> dict[str, Any]:
-    """Every column of a row by name, `image` as PNG bytes."""
+    """Return all columns of a row by name, `image` as PNG bytes."""
     crossings, second = find_crossings(row.points), pyknotid_code(row.points)
     if not crossings.code == second == row.code:
         raise UntrueLabel(
-            f"row {row.source['row']} should show {row.code.chiral}; ours reads"
-            f" {crossings.code.chiral}, pyknotid {second.chiral}"
+            f"row {row.source['row']} should show {row.code.chiral}, but our labeller reads"
+            f" {crossings.code.chiral} and pyknotid reads {second.chiral}"
         )
     look = appearance(
         row.points,
@@ -98,10 +97,10 @@ def record(row: Row, config: AppearanceConfig) -> dict[str, Any]:
 
 
 def labels(points: Array, crossings: Crossings, look: Appearance) -> dict[str, Any]:
-    """The columns that say what is shown, and where in a picture of that appearance."""
+    """Return the columns that label a configuration, with pixels for this appearance."""
     pixels = crossing_pixels(crossings, points, look.picture())
-    places = crossings.over_place, crossings.under_place
-    columns = pixels[:, 0], pixels[:, 1], *places, crossings.sign
+    positions = crossings.over_place, crossings.under_place
+    columns = pixels[:, 0], pixels[:, 1], *positions, crossings.sign
     return {
         "gauss_code": str(crossings.code),
         "gauss_code_chiral": crossings.code.chiral,
@@ -118,7 +117,7 @@ def labels(points: Array, crossings: Crossings, look: Appearance) -> dict[str, A
 
 
 def measures(points: Array, crossings: Crossings, source: dict[str, Any]) -> dict[str, Any]:
-    """The columns that say where it is from, and how well the published picture of it reads."""
+    """Return the columns of origin and of quality, measured in the published picture."""
     survival = noise_survival(
         points, NOISE, generator(Stream.IMAGE_NOISE, source["seed"], source["row"])
     )
@@ -135,7 +134,7 @@ def measures(points: Array, crossings: Crossings, source: dict[str, Any]) -> dic
 
 
 def picture(points: Array, look: Appearance) -> dict[str, Any]:
-    """The picture and how it was drawn."""
+    """Render the picture; return it with its appearance."""
     return {
         "image": encode(render(points, look)),
         "appearance": {**asdict(look), **{name: list(getattr(look, name)) for name in _RGB}},
@@ -143,5 +142,5 @@ def picture(points: Array, look: Appearance) -> dict[str, Any]:
 
 
 def appearance_of(column: dict[str, Any]) -> Appearance:
-    """How a picture was drawn, from its row's column `appearance`."""
+    """Read the appearance of a picture from the column `appearance` of its row."""
     return Appearance(**{**column, **{name: tuple(column[name]) for name in _RGB}})

@@ -1,9 +1,10 @@
-"""Perception tables: pictures of ropes and all that is known of them, a row a picture, as Parquet.
+"""Perception tables: labelled pictures of ropes as Parquet files, one row per picture.
 
-A folder holds `data/SPLIT-00000-of-00012.parquet` (`test-code` is spelt `test_code` there, for
-Hugging Face's sake), the walks that led to the configurations (`walks.h5`), a card and a manifest.
-Pixel coordinates are `knotgym.rendering.picture`'s: continuous, x to the right and y down. Pictures
-are PNG, lossless, in the layout of Hugging Face's Image feature. pyarrow is imported when needed.
+A folder holds `data/SPLIT-00000-of-00012.parquet` (`test-code` is written `test_code` there, as
+Hugging Face requires), the walks that led to the configurations (`walks.h5`), a card and a
+manifest. Pixel coordinates are those of `knotgym.rendering.picture`: continuous, x right and y
+down. Pictures are lossless PNG in the layout of Hugging Face's Image feature. pyarrow is imported
+on demand.
 """
 
 from __future__ import annotations
@@ -29,16 +30,16 @@ from knotgym.states.splits import IMAGE_SPLITS
 
 FORMAT = "knotgym-images"
 FORMAT_VERSION = 1
-DIGEST = "content_sha256"  # beside them: of all rows, see `row_line`
+DIGEST = "content_sha256"  # metadata key of the digest of all rows, see `row_line`
 GRADES = ("easy", "medium", "hard", "extreme")
-ROW_GROUP = 100  # rows that are read together at least
-_LEAST_ROW = 64  # bytes that a shard stores of a row, and more: each has a picture of its own
-_MOST_EXPANDED = 1000  # bytes of a shard for each that it stores
-_LARGEST = 4096  # pixels of a side of a picture that is decoded
+ROW_GROUP = 100  # rows per Parquet row group, the smallest unit that can be read
+_LEAST_ROW = 64  # bytes; every row stores more, because it has its own picture
+_MOST_EXPANDED = 1000  # limit of uncompressed bytes per stored byte
+_LARGEST = 4096  # pixels, side of the largest picture that is decoded
 _PNG = b"\x89PNG\r\n\x1a\n"
 
-# A column's type: the name of a value's type, {name: type} for a struct, [type, length or None] for
-# a list. Both schemas, pyarrow's and Hugging Face's, are made from this one.
+# The type of a column is a type name, {name: type} for a struct, or [type, length or None] for a
+# list. The schemas of pyarrow and of Hugging Face are both derived from this one.
 COLUMNS: dict[str, Any] = {
     "image": "image",
     "gauss_code": "string",
@@ -80,7 +81,7 @@ COLUMNS: dict[str, Any] = {
         "reflect": "bool",
         "switch": "bool",
         "reverse": "bool",
-        "roll": "int64",
+        "base_shift": "int64",
         "family": "int64",
         "seed": "int64",
         "row": "int64",
@@ -89,7 +90,7 @@ COLUMNS: dict[str, Any] = {
 
 
 class InvalidImages(KnotgymError, ValueError):
-    """A folder or file that holds no perception table this version can read."""
+    """A folder or file is not a perception table that this version can read."""
 
 
 def arrow(module: str = "pyarrow") -> Any:
@@ -105,7 +106,7 @@ def arrow(module: str = "pyarrow") -> Any:
 
 
 def schema() -> Any:
-    """The pyarrow schema of a shard, with Hugging Face's features in its metadata."""
+    """Return the pyarrow schema of a shard, with Hugging Face features in its metadata."""
     pa = arrow()
     features = {name: feature(kind) for name, kind in COLUMNS.items()}
     metadata = {
@@ -118,24 +119,24 @@ def schema() -> Any:
 
 
 def write_rows(path: str | os.PathLike[str], rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write a shard, whole or not at all; the same rows give the same bytes.
+    """Write a shard atomically; the same rows give the same bytes.
 
     Args:
-        path: of the shard.
-        rows: every column of COLUMNS by name, `image` as PNG bytes.
+        path: the new file.
+        rows: all columns of COLUMNS by name, `image` as PNG bytes.
     """
     full = [{**row, "image": {"bytes": row["image"], "path": None}} for row in rows]
     write_table(path, arrow().Table.from_pylist(full, schema=schema()))
 
 
 def write_table(path: str | os.PathLike[str], table: Any) -> None:
-    """As `write_rows`, of a pyarrow.Table that has the schema."""
+    """Write a pyarrow.Table with the schema as a shard, as `write_rows` does."""
     digest = hashlib.sha256()
     for row in _rows(table):
         digest.update(row_line(row))
     named = {"format": FORMAT, "format_version": FORMAT_VERSION, DIGEST: digest.hexdigest()}
-    told = {**table.schema.metadata, b"knotgym": json.dumps(named, sort_keys=True)}
-    table = table.replace_schema_metadata(told)
+    metadata = {**table.schema.metadata, b"knotgym": json.dumps(named, sort_keys=True)}
+    table = table.replace_schema_metadata(metadata)
     with atomic_write(path) as temporary:
         arrow("pyarrow.parquet").write_table(
             table, temporary, row_group_size=ROW_GROUP, compression="zstd", write_page_index=True
@@ -143,34 +144,38 @@ def write_table(path: str | os.PathLike[str], table: Any) -> None:
 
 
 def encode(image: NDArray[np.uint8]) -> bytes:
-    """A picture, uint8 (size, size, 3), RGB, as PNG."""
+    """Encode a picture, uint8 (size, size, 3), RGB, as PNG."""
     done, data = cv2.imencode(
         ".png", np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_PNG_COMPRESSION, 9]
     )
     if not done:
-        raise InvalidImages(f"a picture is uint8 (size, size, 3), got {image.dtype} {image.shape}")
+        raise InvalidImages(
+            f"a picture must be uint8 (size, size, 3), got {image.dtype} {image.shape}"
+        )
     return bytes(data)
 
 
 def decode(data: bytes) -> NDArray[np.uint8]:
-    """The picture of a PNG: uint8 (size, size, 3), RGB.
+    """Decode a PNG to uint8 (size, size, 3), RGB.
 
     Raises:
-        InvalidImages: it is none, or larger than any of ours.
+        InvalidImages: it isn't a PNG, or larger than knotgym writes.
     """
     if len(data) < 33 or data[:8] != _PNG:
-        raise InvalidImages(f"{len(data)} bytes are no picture")
+        raise InvalidImages(f"{len(data)} bytes that aren't a PNG picture")
     width, height = struct.unpack(">II", data[16:24])
     if not (0 < width <= _LARGEST and 0 < height <= _LARGEST):
-        raise InvalidImages(f"a picture of {width} x {height} pixels, none of ours is so large")
+        raise InvalidImages(
+            f"a picture may have at most {_LARGEST} pixels a side, got {width} x {height}"
+        )
     image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_COLOR)
     if image is None:
-        raise InvalidImages(f"{len(data)} bytes are no picture")
+        raise InvalidImages(f"{len(data)} bytes that aren't a PNG picture")
     return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
 
 
 def shard_name(split: str, index: int, count: int) -> str:
-    """A shard's place in its folder, as Hugging Face's libraries find splits by it.
+    """Name a shard in its folder, in the pattern by which Hugging Face finds splits.
 
     >>> shard_name("test-code", 0, 2)
     'data/test_code-00000-of-00002.parquet'
@@ -179,26 +184,26 @@ def shard_name(split: str, index: int, count: int) -> str:
 
 
 def file_stem(split: str) -> str:
-    """How a split is spelt in the names of files, for Hugging Face's sake: with underscores."""
+    """Write a split for file names: with underscores, as Hugging Face requires."""
     return split.replace("-", "_")
 
 
 def shards(path: str | os.PathLike[str], split: str | None = None) -> list[Path]:
-    """The shards of a folder, or the one file, in order.
+    """List the shards of a folder, or the one file, in order.
 
     Args:
-        path: a folder with shards in it or in its `data`, or a shard.
-        split: only this split's.
+        path: a shard, or a folder with shards in it or in its `data`.
+        split: list the shards of this split only.
 
     Raises:
-        MissingFile: there is nothing.
-        InvalidImages: no shard is there, or none of that split.
+        MissingFile: nothing exists at path.
+        InvalidImages: there are no shards, or none of this split.
     """
     given = Path(path)
     if not given.exists():
         raise MissingFile(f"no perception table at {path}")
     if split is not None and split not in IMAGE_SPLITS:
-        raise InvalidImages(f"no split {split!r}; there are {', '.join(IMAGE_SPLITS)}")
+        raise InvalidImages(f"no split {split!r}; splits are {', '.join(IMAGE_SPLITS)}")
     inside = given / "data" if (given / "data").is_dir() else given
     files = [given] if given.is_file() else sorted(inside.glob("*.parquet"))
     if split is not None and given.is_dir():
@@ -210,7 +215,7 @@ def shards(path: str | os.PathLike[str], split: str | None = None) -> list[Path]
 
 
 def is_images(path: str | os.PathLike[str]) -> bool:
-    """Whether a path means a perception table: a Parquet file, or a folder with some."""
+    """Check whether a path is a perception table: a Parquet file, or a folder with some."""
     given = Path(path)
     if given.is_file():
         return given.suffix == ".parquet"
@@ -223,11 +228,11 @@ def read_table(
     """Read a table, or some of its columns, as a pyarrow.Table.
 
     Args:
-        path, split: as of `shards`.
-        columns: names; all if None.
+        path, split: as in `shards`.
+        columns: names of columns; None for all.
 
     Raises:
-        InvalidImages: a file is foreign, truncated, or of a format this version doesn't know.
+        InvalidImages: a file is not a shard, truncated, or of an unknown format version.
     """
     pa = arrow()
     wanted = None if columns is None else [*columns]
@@ -242,7 +247,7 @@ def read_table(
 def read_rows(
     path: str | os.PathLike[str], split: str | None = None, columns: Sequence[str] | None = None
 ) -> Iterator[dict[str, Any]]:
-    """Read row by row, shard by shard: dicts of Python values, `image` as PNG bytes.
+    """Iterate over rows as dicts of Python values, `image` as PNG bytes.
 
     Arguments and errors are those of `read_table`.
     """
@@ -251,7 +256,7 @@ def read_rows(
 
 
 def _rows(table: Any) -> Iterator[dict[str, Any]]:
-    """The rows of a table, see `read_rows`."""
+    """Iterate over the rows of a pyarrow.Table, see `read_rows`."""
     for batch in table.to_batches():
         for row in batch.to_pylist():
             if "image" in row:
@@ -260,21 +265,23 @@ def _rows(table: Any) -> Iterator[dict[str, Any]]:
 
 
 def row_line(row: Mapping[str, Any]) -> bytes:
-    """A row as a line of JSON, its values by column and its picture's SHA-256 in its place: the
-    SHA-256 of all lines is a shard's `content_sha256`, however it is stored.
+    """Serialize a row as a line of JSON, with the SHA-256 of its picture instead of the picture.
+
+    The SHA-256 of all lines is `content_sha256` of a shard; it doesn't depend on how Parquet stores
+    the rows.
     """
-    told = {**row, "image": hashlib.sha256(row["image"]).hexdigest()}
-    line = json.dumps([told[name] for name in sorted(COLUMNS)], sort_keys=True)
+    values = {**row, "image": hashlib.sha256(row["image"]).hexdigest()}
+    line = json.dumps([values[name] for name in sorted(COLUMNS)], sort_keys=True)
     return f"{line}\n".encode()
 
 
 def stored_digest(shard: Path) -> str:
-    """The checksum of its rows that a shard was written with; "" where that isn't known."""
+    """Return the `content_sha256` that a shard was written with, or "" if it has none."""
     return str(_named(arrow("pyarrow.parquet").ParquetFile(shard)).get(DIGEST, ""))
 
 
 def points_of(table: Any) -> NDArray[np.float64]:
-    """Configurations float64 (n, beads, 3), metres, of a table's column `points`."""
+    """Return the column `points` of a table as float64 (n, beads, 3), metres."""
     flat = table["points"].combine_chunks().flatten().to_numpy(zero_copy_only=False)
     return np.asarray(flat, dtype=np.float64).reshape(len(table), -1 if len(table) else 0, 3)
 
@@ -296,7 +303,7 @@ def _read(path: Path, columns: list[str] | None) -> Any:
         table.validate(full=True)
         for column, values in zip(table.column_names, table.columns, strict=True):
             if column in COLUMNS and any(map(_has_nulls, values.chunks)):
-                raise InvalidImages(f"column {column} lacks values")
+                raise InvalidImages(f"column {column} has missing values")
         return table
     except (OSError, KeyError, ValueError, RecursionError, MemoryError, pa.ArrowException) as error:
         if str(error).startswith(f"{path} has format"):
@@ -305,37 +312,37 @@ def _read(path: Path, columns: list[str] | None) -> Any:
 
 
 def _named(file: Any) -> dict[str, Any]:
-    """What an open shard says of itself."""
+    """Read the metadata of an open shard under the key "knotgym"."""
     named = json.loads((file.schema_arrow.metadata or {}).get(b"knotgym", b"{}"))
     return named if isinstance(named, dict) else {}
 
 
 def _require_schema(file: Any, stored: int) -> None:
-    """Refuse a shard of other columns or types, or one that declares far more than it stores.
+    """Refuse a shard with other columns or types, or with sizes that its stored bytes can't hold.
 
     Raises:
-        InvalidImages: it is.
+        InvalidImages: the shard is refused.
     """
-    there = file.schema_arrow
+    found = file.schema_arrow
     for wanted in schema():
-        at = there.get_all_field_indices(wanted.name)
+        at = found.get_all_field_indices(wanted.name)
         if len(at) != 1:
-            raise InvalidImages(f"column {wanted.name} is there {len(at)} times")
-        if there.field(at[0]).type != wanted.type:
-            found = there.field(at[0]).type
-            raise InvalidImages(f"column {wanted.name} is {found}, should be {wanted.type}")
-    told = file.metadata
-    groups = [told.row_group(k) for k in range(told.num_row_groups)]
+            raise InvalidImages(f"column {wanted.name} must exist once, found {len(at)}")
+        kind = found.field(at[0]).type
+        if kind != wanted.type:
+            raise InvalidImages(f"column {wanted.name} is {kind}, should be {wanted.type}")
+    metadata = file.metadata
+    groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
     size = sum(group.total_byte_size for group in groups)
     rows = sum(group.num_rows for group in groups)
-    if rows != told.num_rows or not 0 <= rows * _LEAST_ROW <= stored:
-        raise InvalidImages(f"it declares {told.num_rows} rows and stores {stored} bytes")
+    if rows != metadata.num_rows or not 0 <= rows * _LEAST_ROW <= stored:
+        raise InvalidImages(f"it declares {metadata.num_rows} rows but stores {stored} bytes")
     if not 0 <= size <= _MOST_EXPANDED * stored:
-        raise InvalidImages(f"it declares {size} bytes and stores {stored}")
+        raise InvalidImages(f"it declares {size} bytes but stores {stored}")
 
 
 def _has_nulls(values: Any) -> bool:
-    """Whether a value is missing anywhere in an array of Arrow; the path of a picture always is."""
+    """Check an Arrow array for missing values, except in the path of a picture, which is unused."""
     pa = arrow()
     if values.null_count:
         return True
@@ -348,7 +355,7 @@ def _has_nulls(values: Any) -> bool:
 
 
 def arrow_type(pa: Any, kind: Any) -> Any:
-    """The pyarrow type of a column's type, as COLUMNS spells them."""
+    """Convert a type in the notation of COLUMNS to a pyarrow type."""
     if isinstance(kind, dict):
         return pa.struct([(name, arrow_type(pa, inner)) for name, inner in kind.items()])
     if isinstance(kind, list):
@@ -359,7 +366,7 @@ def arrow_type(pa: Any, kind: Any) -> Any:
 
 
 def feature(kind: Any) -> Any:
-    """Hugging Face's feature of a column's type, as COLUMNS spells them."""
+    """Convert a type in the notation of COLUMNS to a Hugging Face feature."""
     if isinstance(kind, dict):
         return {name: feature(inner) for name, inner in kind.items()}
     if isinstance(kind, list):

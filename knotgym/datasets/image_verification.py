@@ -1,6 +1,7 @@
-"""Check of a perception table: nothing is taken on trust, every fault is named.
+"""Verification of perception tables.
 
-Every label, measure and picture is recomputed, every walk made again, and splits share nothing.
+Every label, measure and picture is recomputed, every walk is repeated in the simulator, and splits
+are checked for overlap. Each fault is reported as one line.
 """
 
 from __future__ import annotations
@@ -44,26 +45,28 @@ from knotgym.topology.crossings import find_crossings
 from knotgym.topology.reference_labeller import pyknotid_code
 from knotgym.topology.symmetry import Symmetry
 
-_HUGE = 1e3  # metres; a rope is 1.3 m long
-_BATCH = 32  # walks made again side by side
-_MOST_ROUNDS = 10_000  # of relaxing; more are a slip, and would take for ever
+_HUGE = 1e3  # metres; coordinates beyond this are corrupted, a rope is 1.3 m long
+_BATCH = 32  # walks simulated together
+_MOST_ROUNDS = 10_000  # of relaxation; a larger number is corrupted and would run for hours
 _COLOURS = ("published", "single", "gradient")
 _DRAWN_WITH, _MOST_DRAWN = ("zoom", "width", "noise", "blur"), 1000.0
 
-Map = Callable[[Callable[[Any], Any], Iterable[Any]], Iterable[Any]]  # as the built-in `map`
+Map = Callable[
+    [Callable[[Any], Any], Iterable[Any]], Iterable[Any]
+]  # the built-in `map`, or that of a pool
 
 
 class _WalkRow(NamedTuple):
-    """A row that comes from a walk: its own number, and which of a batch's walks."""
+    """A row that comes from a walk: its number, and the index of the walk in its batch."""
 
     row: int
-    place: int
+    walk: int
     source: dict[str, Any]
     points: Array
 
 
 class _WalkBatch(NamedTuple):
-    """Some walks to be made again, see `walks_file.retrace`, and the rows that come from them."""
+    """Walks to repeat together, see `walks_file.retrace`, and the rows that come from them."""
 
     states: Array
     beads: NDArray[np.int16]
@@ -73,14 +76,13 @@ class _WalkBatch(NamedTuple):
 
 
 def image_faults(path: str | Path, each: Map = map, count: Count = uncounted) -> Iterator[str]:
-    """Faults of a table: manifest and checksums first, then rows, then splits, then walks.
+    """Yield the faults of a table: manifest and checksums, then rows, splits and walks.
 
     Args:
-        path: a folder that `knotgym images` made, or a shard, of which only the rows can be
-            checked.
-        each: does the work on shards and walks, in any order or place, and returns the results in
-            order: `map`, or a pool's.
-        count: told after each file of pictures and each batch of walks.
+        path: a folder made by `knotgym images`, or a single shard, whose rows alone are checked.
+        each: `map` or a pool's map: applies a function to shards and batches of walks, and returns
+            the results in order.
+        count: progress callback, called after each file of pictures and each batch of walks.
     """
     folder = Path(path)
     arrow()
@@ -103,15 +105,15 @@ def image_faults(path: str | Path, each: Map = map, count: Count = uncounted) ->
         batches, faults = _walk_batches(folder)
         yield from faults
         rows, done = sum(len(batch.rows) for batch in batches), 0
-        count("walks made again", done, rows)
+        count("walks repeated", done, rows)
         for batch, faults in zip(batches, each(_walk_faults, batches), strict=True):
             done += len(batch.rows)
-            count("walks made again", done, rows)
+            count("walks repeated", done, rows)
             yield from faults
 
 
 def shard_faults(path: Path) -> list[str]:
-    """Faults of the rows of a shard, each by itself, and whether they are those written into it."""
+    """List the faults of the rows of a shard, and compare the rows with its `content_sha256`."""
     faults, now = [], hashlib.sha256()
     try:
         for n, row in enumerate(read_rows(path)):
@@ -121,20 +123,20 @@ def shard_faults(path: Path) -> list[str]:
     except (InvalidImages, MissingFile) as error:
         return [str(error)]
     if digest not in ("", now.hexdigest()):
-        faults.append(f"{path.name}: its rows are not those written into it (SHA-256 differs)")
+        faults.append(f"{path.name}: its rows were changed after writing (SHA-256 differs)")
     return faults
 
 
 def _all_faults(row: dict[str, Any]) -> list[str]:
-    """Faults of a row, that it can't be drawn or measured among them."""
+    """List the faults of a row; failing to render or measure it is one."""
     try:
         return list(row_faults(row))
     except (KnotgymError, ValueError, TypeError, ArithmeticError, LookupError, cv2.error) as error:
-        return [f"what it says can't be drawn or measured again: {one_line(error)}"]
+        return [f"it can't be rendered or measured: {one_line(error)}"]
 
 
 def row_faults(row: dict[str, Any]) -> Iterator[str]:
-    """Faults of one row, as `read_rows` gives it."""
+    """Yield the faults of one row, as `read_rows` gives it."""
     points = np.array(row["points"], dtype=np.float64).reshape(-1, 3)
     if not np.isfinite(points).all():
         yield "coordinates are not finite"
@@ -160,7 +162,7 @@ def row_faults(row: dict[str, Any]) -> Iterator[str]:
         yield f"appearance.colours is {look.colours!r}, should be {' or '.join(_COLOURS)}"
     second = pyknotid_code(points)
     if second != crossings.code:
-        yield f"pyknotid reads {second.chiral} where ours is {crossings.code.chiral}"
+        yield f"pyknotid reads {second.chiral}, our labeller reads {crossings.code.chiral}"
     if row["split"] not in IMAGE_SPLITS or row["grade"] not in GRADES:
         yield f"split is {row['split']!r} and grade {row['grade']!r}"
     if (
@@ -169,15 +171,15 @@ def row_faults(row: dict[str, Any]) -> Iterator[str]:
         or pressed_together(right["quality"]["clearance"])
     ):
         yield (
-            "the label is in doubt: crossings too close along the rope, at the base bead, or"
-            " pressed together"
+            "the label is ambiguous: crossings too close along the rope, at the base bead, or with"
+            " strands pressed together"
         )
     if row["image"] != encode(render(points, look)):
-        yield "image is not the picture of points with this appearance"
+        yield "image is not the rendering of points with this appearance"
 
 
 def _folder_faults(folder: Path) -> Iterator[str]:
-    """Manifest and checksums; and Parquet files that the manifest doesn't list."""
+    """Yield faults of the manifest and checksums, and Parquet files that it doesn't list."""
     manifest, faults = read_manifest(folder)
     yield from faults
     yield from listed_faults(folder, manifest)
@@ -188,13 +190,13 @@ def _folder_faults(folder: Path) -> Iterator[str]:
 
 
 def _split_faults(table: Any) -> Iterator[str]:
-    """What splits share: near-duplicates, families, codes and crossings where they don't belong."""
+    """Yield what splits share: near-duplicates and families; and codes or nx in the wrong split."""
     split, codes, nx = (np.array(table[name].to_pylist()) for name in ("split", "gauss_code", "nx"))
     sources = table["source"].to_pylist()
-    number = [source["row"] for source in sources]
+    numbers = [source["row"] for source in sources]
     for row, other in _near_across_splits(points_of(table), split):
         yield (
-            f"rows {number[row]} ({split[row]}) and {number[other]} ({split[other]}) are"
+            f"rows {numbers[row]} ({split[row]}) and {numbers[other]} ({split[other]}) are"
             " near-duplicates"
         )
     family = np.array([source["family"] for source in sources])
@@ -202,19 +204,19 @@ def _split_faults(table: Any) -> Iterator[str]:
         sharing = sorted(set(split[family == shared].tolist()))
         if len(sharing) > 1:
             yield f"family {shared} is in splits {' and '.join(sharing)}"
-    taught = set(codes[np.isin(split, ("train", "test"))].tolist())
-    for code in sorted(set(codes[split == "test-code"].tolist()) & taught):
+    seen = set(codes[np.isin(split, ("train", "test"))].tolist())
+    for code in sorted(set(codes[split == "test-code"].tolist()) & seen):
         yield f"code {code or 'loop'} is in test-code and in train or test"
     harder, trained = nx[split == "test-nx"], nx[split == "train"]
     if len(harder) and len(trained) and harder.min() <= trained.max():
         yield "test-nx has pictures with no more crossings than train"
-    if len(set(number)) != len(number):
+    if len(set(numbers)) != len(numbers):
         yield "two rows have the same number"
 
 
 def _near_across_splits(points: Array, split: NDArray[np.str_]) -> Iterator[tuple[int, int]]:
-    """Pairs of rows of different splits that are near-duplicates."""
-    # what isn't finite or is huge has faults of its own, and no distance
+    """Yield pairs of rows of different splits that are near-duplicates."""
+    # rows with non-finite or huge coordinates are reported elsewhere and have no distance
     sound = (np.abs(points) < _HUGE).all(axis=(1, 2))
     for one, other in combinations(sorted(set(split.tolist())), 2):
         rows, others = (np.flatnonzero(sound & (split == name)) for name in (one, other))
@@ -223,17 +225,17 @@ def _near_across_splits(points: Array, split: NDArray[np.str_]) -> Iterator[tupl
 
 
 def _walk_batches(folder: Path) -> tuple[list[_WalkBatch], list[str]]:
-    """The walks of a folder in batches, with their rows; and faults met on the way."""
+    """Group the walks of a folder and their rows into batches; return them with faults found."""
     try:
         walks = read_walks(folder / "walks.h5")
     except (InvalidWalks, MissingFile) as error:
         return [], [str(error)]
     table = read_table(folder, columns=["points", "source"])
-    place = {number: row for row, number in enumerate(walks.number.tolist())}
+    index = {number: row for row, number in enumerate(walks.number.tolist())}
     faults: list[str] = []
     rows: dict[int, list[_WalkRow]] = {}
     for source, points in zip(table["source"].to_pylist(), points_of(table), strict=True):
-        at = place.get(source["walk"])
+        at = index.get(source["walk"])
         if at is None:
             faults.append(f"row {source['row']}: walk {source['walk']} is not in walks.h5")
         else:
@@ -250,7 +252,7 @@ def _walk_batches(folder: Path) -> tuple[list[_WalkBatch], list[str]]:
 
 
 def _relaxation(folder: Path) -> RelaxationConfig:
-    """How the configurations of a folder were relaxed; as by default if its manifest can't say."""
+    """Read the relaxation settings from a folder's manifest; the default if it has none."""
     manifest, _ = read_manifest(folder)
     try:
         return from_json(RelaxationConfig, manifest["config"]["walk"]["relaxation"])
@@ -259,27 +261,25 @@ def _relaxation(folder: Path) -> RelaxationConfig:
 
 
 def _walk_faults(batch: _WalkBatch) -> list[str]:
-    """Rows whose walk, made again, relaxed and moved by its symmetry, ends elsewhere."""
+    """Repeat walks, relax, apply symmetries; list the rows whose points differ."""
     rope, faults = Rope(), []
     traces = retrace(batch.states, batch.beads, batch.forces)
-    for row, place, source, stored in batch.rows:
+    for row, walk, source, stored in batch.rows:
         if not (0 <= source["pulls"] < traces.shape[1] and 0 <= source["rounds"] <= _MOST_ROUNDS):
             faults.append(
                 f"row {row}: its walk has {traces.shape[1] - 1} steps and at most {_MOST_ROUNDS}"
                 f" rounds, its source says {source['pulls']} and {source['rounds']}"
             )
             continue
-        frame = traces[place, source["pulls"]]
+        frame = traces[walk, source["pulls"]]
         rounds = source["rounds"]
         points = relaxed(frame, rounds, rope, batch.relaxation) if rounds else frame
         symmetry = Symmetry(
             reflect=source["reflect"],
             switch=source["switch"],
             reverse=source["reverse"],
-            base_shift=source["roll"],
+            base_shift=source["base_shift"],
         )
         if points is None or not np.array_equal(symmetry.configuration(points), stored):
-            faults.append(
-                f"row {row}: its walk, made again, does not end in its points bit for bit"
-            )
+            faults.append(f"row {row}: its walk, repeated, does not end in its points bit for bit")
     return faults

@@ -1,23 +1,23 @@
-"""Datasets turned into what learners eat.
+"""Load datasets for training: arrays, torch datasets, d3rlpy buffers, TensorDicts.
 
-Every loader takes a dataset as a Minari id, a folder, an episode file (compact ones too), a
-`minari.MinariDataset`, or the folder of a run of `knotgym generate` for its demonstrations of the
-train split, and
+Every loader takes a dataset as a Minari id, a folder, an episode file (compact or not), a
+`minari.MinariDataset`, or the output folder of `knotgym generate` (for its demonstrations of the
+train split). The other arguments are
 
-    observation     "pixels", "state", "both" or "symbolic"; None for what the dataset's environment
-                    shows
-    picture         a `knotgym.rendering.picture.PictureConfig`, to draw pictures of another size,
-                    camera or colours, from other views, with depth or without
-    relabel         "last" or "all": hindsight, the code reached becomes the goal (see
-                    `Transitions`)
-    labels          True: actions are what an expert would have done, where the dataset says it
+    observation     "pixels", "state", "both" or "symbolic"; None for the observation of the
+                    dataset's environment
+    picture         a `knotgym.rendering.picture.PictureConfig`, to render pictures with another
+                    size, camera, colours or views, with or without depth
+    relabel         hindsight relabelling, "last" or "all": a code that was reached becomes the goal
+                    (see `Transitions`)
+    labels          True to use the expert's actions instead of those taken, if the dataset has them
                     (`knotgym collect --labels expert`)
-    cache           a folder for pictures, uncompressed, each once, made when first asked for: then
-                    batches come quickly; or a `FrameCache`, which says how much it may take. The
-                    pictures are the same to the byte
+    cache           a folder, or a `FrameCache` with a size limit, for uncompressed pictures. They
+                    are written on first use and make random batches fast. The pictures are the
+                    same, byte for byte
 
-Torch, d3rlpy and TensorDict are imported only by the loaders that are for them; the names below
-when they are first used.
+Torch, d3rlpy and TensorDict are imported only by the loaders that need them, and the names below
+only when first used.
 """
 
 from typing import TYPE_CHECKING

@@ -1,9 +1,11 @@
-"""Datasets for the learners' own libraries: torch's Dataset, d3rlpy's buffer, a TensorDict."""
+"""Convert datasets for other libraries: torch Dataset, d3rlpy ReplayBuffer, TensorDict."""
 
 from __future__ import annotations
 
 import importlib
+import sys
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,17 +15,18 @@ from knotgym.common.errors import KnotgymError, MissingExtra, install_command
 from knotgym.loaders.rows import rows
 from knotgym.loaders.transitions import Transitions
 
-# d3rlpy 2.8.1 pins gymnasium 1.0.0, which all of this runs with; an extra would pin it for everyone
-# who asks for all extras
-_HOW = {
+# d3rlpy has no extra: 2.8.1 pins gymnasium 1.0.0 (which knotgym supports), and an extra would pin
+# it for everyone who installs all extras
+_INSTALL = {
+    "datasets": install_command("huggingface"),
     "torch": install_command("torch"),
     "tensordict": install_command("torchrl"),
-    "d3rlpy": "pip install d3rlpy (it pins Gymnasium 1.0.0, with which all of this works)",
+    "d3rlpy": "pip install d3rlpy (it pins Gymnasium 1.0.0, which knotgym supports)",
 }
 
 
 class UnknownKind(KnotgymError, ValueError):
-    """A loader gives nothing of this kind."""
+    """The loader has no items of this kind."""
 
     def __init__(self, kind: str, known: Iterable[str]) -> None:
         super().__init__(f"kind must be one of {', '.join(known)}, got {kind!r}")
@@ -39,30 +42,30 @@ def torch_dataset(
     labels: bool = False,
     cache: Any = None,
 ) -> Any:
-    """Make a `torch.utils.data.Dataset` that reads from the file when asked.
+    """Make a `torch.utils.data.Dataset` that reads each item from the file on demand.
 
-    Any number of DataLoader workers may share it.
+    Any number of DataLoader workers can share it.
 
     Args:
         dataset, observation, picture, relabel, labels, cache: see `knotgym.loaders`.
         kind: what an item is:
-            "transitions": observation, action, reward, next_observation, terminal, timeout; asked
-                for a list of numbers, as a BatchSampler does, a batch of them;
-            "episodes": observations (T + 1, ...), actions, rewards, terminals, timeouts (T, ...),
-                of unequal T;
-            "frames": observation, gauss_code, crossings, episode, step: a state, the last of an
-                episode too.
+            "transitions": observation, action, reward, next_observation, terminal, timeout; a list
+                of indices, as from a BatchSampler, gives a batch;
+            "episodes": observations (T + 1, ...), actions, rewards, terminals, timeouts (T, ...);
+                T differs between episodes;
+            "frames": observation, gauss_code, crossings, episode, step of one state; the last state
+                of an episode is included.
 
     Returns:
-        A Dataset of dicts of tensors: observations uint8 (views * size, 2 size, 3 or 4) as the
-        environment's, or float32 (6 beads,), a dict of both, or int16 (2, symbols); rewards
-        float32; frames' gauss_code a str.
+        A Dataset of dicts of tensors: observations uint8 (views * size, 2 size, 3 or 4) as in the
+        environment, or float32 (6 beads,), a dict of both, or int16 (2, symbols); rewards float32.
+        The gauss_code of a frame is a str.
 
     Raises:
         MissingExtra: torch isn't installed.
-        UnknownKind: there is no such kind.
+        UnknownKind: kind is none of these.
     """
-    _needed("torch")
+    import_client("torch")
     from knotgym.loaders.pytorch import KINDS
 
     if kind not in KINDS:
@@ -88,13 +91,13 @@ def to_d3rlpy(
     labels: bool = False,
     cache: Any = None,
 ) -> Any:
-    """Make a `d3rlpy.dataset.ReplayBuffer` that holds every transition.
+    """Make a `d3rlpy.dataset.ReplayBuffer` of all transitions.
 
-    Pictures are channels first, "both" is a tuple of pixels and state.
+    Pictures are channels first; "both" is a tuple of pixels and state.
 
     d3rlpy keeps T observations for T actions and drops the last transition of an episode that
-    didn't terminate, here the one that pays for failing. So such an episode has its last state as
-    one more step, of a zero action and reward: no transition starts there, one ends there.
+    didn't terminate, which here is the one with the reward for failing. To keep that transition,
+    such an episode gets its last state as one more step, with zero action and reward.
 
     Args:
         dataset, observation, picture, relabel, labels, cache: see `knotgym.loaders`.
@@ -102,7 +105,7 @@ def to_d3rlpy(
     Raises:
         MissingExtra: d3rlpy isn't installed.
     """
-    d3rlpy = _needed("d3rlpy")
+    d3rlpy = import_client("d3rlpy")
     transitions = Transitions(
         dataset,
         observation=observation,
@@ -144,20 +147,21 @@ def to_tensordict(
     labels: bool = False,
     cache: Any = None,
 ) -> Any:
-    """Make a `tensordict.TensorDict` of N transitions, ready for a TorchRL buffer's `extend`.
+    """Make a `tensordict.TensorDict` of all N transitions, to `extend` a TorchRL buffer with.
 
     Args:
         dataset, observation, picture, relabel, labels, cache: see `knotgym.loaders`.
 
     Returns:
-        batch size [N]: observation (or pixels and state, for "both"), action, done, terminated,
-        truncated (N, 1), all False; episode int64 (N,), the number of the segment, a SliceSampler's
-        `traj_key`; and under next: observation, reward float32 (N, 1), done, terminated, truncated.
+        Batch size [N]. Keys: observation (for "both", pixels and state); action; done, terminated
+        and truncated bool (N, 1), all False; episode int64 (N,), the index of the segment, which is
+        the `traj_key` for a SliceSampler. Keys under next: observation, reward float32 (N, 1),
+        done, terminated, truncated.
 
     Raises:
         MissingExtra: tensordict or torch isn't installed.
     """
-    tensordict = _needed("tensordict")
+    tensordict = import_client("tensordict")
     transitions = Transitions(
         dataset,
         observation=observation,
@@ -199,8 +203,17 @@ def _channels_first(observations: NDArray[Any]) -> NDArray[Any]:
     return np.ascontiguousarray(np.moveaxis(observations, -1, 1))
 
 
-def _needed(module: str) -> Any:
+def import_client(module: str) -> Any:
+    """Import an optional library; raise MissingExtra with its install command if it is missing.
+
+    A checkout of knotgym has a link `datasets` at its top, which would shadow Hugging Face's
+    `datasets` when Python runs from there, so such entries of `sys.path` are skipped.
+    """
+    searched, link = list(sys.path), ("knotgym", module)
+    sys.path[:] = [one for one in searched if (Path(one) / module).resolve().parts[-2:] != link]
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
-        raise MissingExtra(str(error.name), _HOW[module]) from error
+        raise MissingExtra(str(error.name), _INSTALL[module]) from error
+    finally:
+        sys.path[:] = searched

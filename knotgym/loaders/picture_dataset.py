@@ -1,4 +1,4 @@
-"""A torch dataset over a perception table; imported only by who has torch."""
+"""A torch dataset over a perception table. Importing this module needs torch."""
 
 from __future__ import annotations
 
@@ -15,29 +15,31 @@ from knotgym.datasets.image_table import GRADES, InvalidImages, arrow, read_tabl
 from knotgym.topology.gauss import GaussCode
 
 _COLUMNS = ("image", "gauss_code_chiral", "nx", "crossings", "grade", "accepted", "split")
-_OF_A_CROSSING = ("x", "y", "over_place", "under_place")
+_CROSSING_FIELDS = ("x", "y", "over_place", "under_place")
 
 
 class PictureDataset(Dataset[dict[str, Any]]):
-    """An item is a picture and its labels, padded with 0 to max_nx crossings.
+    """Pictures with labels, zero-padded to max_nx crossings. An item is a dict of tensors:
 
         image       uint8 (3, size, size), RGB
         nx          int64 ()
-        visits      int64 (2 max_nx,): +label over, -label under, in the order of the walk
-        signs       int64 (max_nx,): +1 for "c", -1 for "a", in order of labels
-        crossings   float32 (max_nx, 4): pixel x, y, places of over and under strand, beads
+        visits      int64 (2 max_nx,): +k at the over strand of crossing k, -k at its under strand,
+                    in the order of the walk
+        signs       int64 (max_nx,): +1 for "c", -1 for "a", by crossing number
+        crossings   float32 (max_nx, 4): x and y in pixels, positions of the over and the under
+                    strand along the rope in beads
         grade       int64 (): index in `knotgym.datasets.image_table.GRADES`
         accepted    bool ()
 
-    The PNGs stay in memory, about 3 kB a picture of 128 x 128, shared by forked workers; labels are
-    tensors from the start. Pictures of one size batch by themselves; those of several sizes need a
-    batch sampler or a collate function of your own.
+    The PNGs are kept in memory (about 3 kB for a picture of 128 x 128) and shared by forked
+    workers; they are decoded on demand. Pictures of one size batch with the default collate
+    function; for several sizes, pass your own batch sampler or collate function.
 
     Attributes:
-        max_nx: crossings that labels are padded to.
+        max_nx: number of crossings that labels are padded to.
         codes: str (n,), the Gauss codes.
         splits: str (n,).
-        labels: name -> tensor (n, ...), all of the above but the images.
+        labels: name -> tensor (n, ...); all of the above except the images.
     """
 
     def __init__(
@@ -49,7 +51,7 @@ class PictureDataset(Dataset[dict[str, Any]]):
         most = int(nx.max(initial=0)) if max_nx is None else max_nx
         if nx.max(initial=0) > most:
             raise InvalidImages(
-                f"labels can't be padded to {most} crossings: a picture has {nx.max()}"
+                f"max_nx must be at least {nx.max()}, the crossings of a picture here, got {most}"
             )
         self.max_nx = most
         self._png = arrow("pyarrow.compute").struct_field(table["image"].combine_chunks(), "bytes")
@@ -85,7 +87,7 @@ class PictureDataset(Dataset[dict[str, Any]]):
         }
 
     def picture(self, row: int) -> NDArray[np.uint8]:
-        """The picture of a row, uint8 (3, size, size), RGB."""
+        """Decode the picture of a row: uint8 (3, size, size), RGB."""
         image = cv2.imdecode(
             np.frombuffer(self._png[row].as_buffer(), dtype=np.uint8), cv2.IMREAD_COLOR_RGB
         )
@@ -95,6 +97,6 @@ class PictureDataset(Dataset[dict[str, Any]]):
 def _crossings(rows: list[list[dict[str, float]]], most: int) -> NDArray[np.float32]:
     padded = np.zeros((len(rows), most, 4), dtype=np.float32)
     for row, crossings in enumerate(rows):
-        for place, crossing in enumerate(crossings):
-            padded[row, place] = [crossing[name] for name in _OF_A_CROSSING]
+        for number, crossing in enumerate(crossings):
+            padded[row, number] = [crossing[name] for name in _CROSSING_FIELDS]
     return padded

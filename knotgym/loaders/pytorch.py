@@ -1,4 +1,4 @@
-"""Torch datasets over `Transitions`, one for each kind of item; imported only by who has torch."""
+"""Torch datasets over `Transitions`, one class per kind of item. Importing this needs torch."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from knotgym.loaders.transitions import Transitions
 
 
 class TransitionDataset(Dataset[dict[str, Any]]):
-    """An item is a transition; asked for a list of them, a batch.
+    """Transitions. An index gives one, a list of indices gives a batch.
 
-    So `DataLoader(data, sampler=BatchSampler(RandomSampler(data), 256, False), batch_size=None)`
-    reads batches whole.
+    `DataLoader(data, sampler=BatchSampler(RandomSampler(data), 256, False), batch_size=None)` reads
+    whole batches at once.
     """
 
     def __init__(self, transitions: Transitions) -> None:
@@ -57,7 +57,7 @@ class TransitionDataset(Dataset[dict[str, Any]]):
 
 
 class EpisodeDataset(Dataset[dict[str, Any]]):
-    """An item is an episode."""
+    """Whole episodes."""
 
     def __init__(self, transitions: Transitions) -> None:
         self.transitions = transitions
@@ -78,7 +78,7 @@ class EpisodeDataset(Dataset[dict[str, Any]]):
 
 
 class FrameDataset(Dataset[dict[str, Any]]):
-    """An item is a state and what it shows."""
+    """Single states with their Gauss codes."""
 
     def __init__(self, transitions: Transitions) -> None:
         self.transitions = transitions

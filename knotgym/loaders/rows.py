@@ -1,4 +1,4 @@
-"""A whole dataset in memory: a dict of arrays, a row a transition (keys of D4RL and OGBench)."""
+"""A whole dataset as a dict of arrays, one row per transition (the keys of D4RL and OGBench)."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ def arrays(
     labels: bool = False,
     cache: Any = None,
 ) -> dict[str, Any]:
-    """Load a dataset of N transitions, episode after episode.
+    """Load all N transitions of a dataset, in the order of its episodes.
 
     Args:
         dataset, observation, picture, relabel, labels, cache: see `knotgym.loaders`.
 
     Returns:
         observations, next_observations: uint8 (N, views * size, 2 size, 3 or 4), float32
-            (N, 6 beads), dicts of both, or int16 (N, 2, symbols). They hold each picture twice:
-            200 kB a transition at size 128, one view and no depth.
+            (N, 6 beads), dicts of both, or int16 (N, 2, symbols). Each picture is held twice,
+            which takes 200 kB per transition at size 128 with one view and no depth.
         actions: float32 (N, 6).
         rewards: float64 (N,).
-        terminals, timeouts: bool (N,); each episode's last row has one of them set.
+        terminals, timeouts: bool (N,); exactly one of them is true in the last row of an episode.
     """
     return rows(
         Transitions(
@@ -44,7 +44,7 @@ def arrays(
 
 
 def rows(transitions: Transitions) -> dict[str, Any]:
-    """As `arrays`, of transitions already chosen."""
+    """Load opened transitions; return what `arrays` does."""
     before: dict[str, Any] = {}
     after: dict[str, Any] = {}
     plain = False

@@ -1,8 +1,8 @@
-"""A dataset as one long row of transitions.
+"""A dataset as one indexed sequence of transitions, in consecutive segments.
 
-Small columns are kept once they are read, observations are read or drawn when asked for. Segments
-lie one after another: an episode as it was, or, with hindsight, the part of one that leads to a
-code it reached.
+A segment is a whole episode or, with hindsight relabelling, the start of an episode up to a code
+that it reached. Actions, rewards and ends are cached when first read; observations are read or
+rendered on demand.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from knotgym.datasets.trajectory import codes_in_bounds, goal_steps
 from knotgym.envs.reward import success_at_last
 from knotgym.loaders.frame_cache import CachedFrames, FrameCache, NoCache, goal_axis
 
-_KEPT = 256  # segments whose codes are kept
+_CACHED_SEGMENTS = 256  # segments whose codes stay in memory
 
 
 class NoLabels(KnotgymError, ValueError):
-    """An expert's labels are asked for where there are none."""
+    """The dataset has no expert actions, or they can't be used with hindsight."""
 
 
 class Columns(NamedTuple):
-    """What is small of the T transitions of a segment: (T, 6), and (T,) each."""
+    """The T transitions of a segment without observations: actions (T, 6), the others (T,)."""
 
     actions: NDArray[np.float32]
     rewards: NDArray[np.float64]
@@ -36,14 +36,14 @@ class Columns(NamedTuple):
 
 
 class Transitions:
-    """N transitions in S segments; pickles, and reads from any process.
+    """N transitions in S segments. Can be pickled, and read from any process.
 
-    Columns are read when needed, so a million open at once.
+    Data are read when needed, so opening is fast; only relabel reads all codes.
 
     Attributes:
-        episode: int64 (S,), index in the dataset of the episode that a segment is of.
-        goal_step: int64 (S,), which of its states is the goal, -1 where the goal is the episode's
-            own.
+        episode: int64 (S,), index of the segment's episode in the dataset.
+        goal_step: int64 (S,), which state of the episode is the goal; -1 for the episode's own
+            goal.
         starts: int64 (S + 1,), the first transition of each segment, then N.
         actions: float32 (N, 6).
         rewards: float64 (N,).
@@ -60,32 +60,34 @@ class Transitions:
         labels: bool = False,
         cache: Any = None,
     ) -> None:
-        """Find the segments.
+        """Open a dataset.
 
         Args:
-            dataset: a Minari dataset's id or folder or `minari.MinariDataset`, or an episode file,
+            dataset: id or folder of a Minari dataset, `minari.MinariDataset`, or an episode file,
                 compact or not.
             observation: "pixels", "state", "both" or "symbolic"; None for the environment's.
-            picture: a `knotgym.rendering.picture.PictureConfig` to draw with; None for the
+            picture: a `knotgym.rendering.picture.PictureConfig` to render with; None for the
                 environment's pictures.
-            relabel: hindsight: None; "last": of each episode the part up to the last new code it
-                reached, that code the goal; "all": one such part for every code it reached. An
-                episode that shows no code but its first gives none.
-            labels: actions are what an expert would have done (`collect --labels expert`), not what
-                was done; so they don't lead to the next observation.
-            cache: a folder, or a `FrameCache`, for pictures uncompressed; see `knotgym.loaders`.
+            relabel: None for episodes as they are. "last": the goal becomes the last new code that
+                an episode reached, and the episode ends there. "all": one such segment for every
+                code that it reached. An episode that never leaves its first code gives none.
+            labels: use the actions that an expert would have taken (`collect --labels expert`)
+                instead of those taken; they don't lead to the next observation.
+            cache: a folder, or a `FrameCache`, for uncompressed pictures; see `knotgym.loaders`.
 
         Raises:
-            NoCache: no pictures are shown, or there is no room for them.
-            NoLabels: labels are asked for with hindsight, or there are none.
+            NoCache: the observations have no pictures, or the cache has no room for them.
+            NoLabels: labels are requested together with relabel, or the dataset has none.
         """
         self._reader = EpisodeReader(dataset)
         self._action_column = "expert_action" if labels else "actions"
         if labels and relabel is not None:
-            raise NoLabels("an expert's labels lead to the episode's own goal: leave out relabel")
+            raise NoLabels(
+                "the expert's actions lead to the episode's own goal: use labels without relabel"
+            )
         if labels and not self._reader.has_expert_actions:
             raise NoLabels(
-                f"{self._reader.path} has no expert's labels: collect it with --labels expert"
+                f"{self._reader.path} has no expert actions: collect it with --labels expert"
             )
         self._seen: dict[str, Any] = {"observation": observation or "", "picture": picture}
         self._relabelled = relabel is not None
@@ -109,48 +111,48 @@ class Transitions:
 
     @property
     def _shown(self) -> str:
-        """What is observed."""
+        """The observation that is returned."""
         return str(self._seen["observation"] or self._reader.task.observation)
 
     @cached_property
     def actions(self) -> NDArray[np.float32]:
-        """All of them."""
+        """float32 (N, 6)."""
         return self._all(0, np.empty((0, 6), np.float32))
 
     @cached_property
     def rewards(self) -> NDArray[np.float64]:
-        """All of them."""
+        """float64 (N,)."""
         return self._all(1, np.empty(0))
 
     @cached_property
     def terminals(self) -> NDArray[np.bool_]:
-        """All of them."""
+        """bool (N,), true where an episode terminated."""
         return self._all(2, np.empty(0, bool))
 
     @cached_property
     def timeouts(self) -> NDArray[np.bool_]:
-        """All of them."""
+        """bool (N,), true where an episode was truncated."""
         return self._all(3, np.empty(0, bool))
 
     def _cached(self, cache: Any) -> CachedFrames:
         if self._shown not in ("pixels", "both"):
             raise NoCache(
-                f"a cache keeps pictures, and observation {self._shown!r} shows none: leave it out,"
-                ' or ask for observation="pixels"'
+                f"a cache keeps pictures, and observation {self._shown!r} has none:"
+                ' leave out cache, or use observation="pixels"'
             )
         if not isinstance(cache, FrameCache):
             cache = FrameCache(cache)
         return CachedFrames(self._reader, self._seen["picture"], cache)
 
     def columns(self, segment: int) -> Columns:
-        """The small columns of a segment, read when first asked for and then kept."""
+        """Read a segment without its observations; the result is kept in memory."""
         if segment not in self._read:
             index, goal = int(self.episode[segment]), int(self.goal_step[segment])
             actions, *outcome = (
                 self._reader.column(index, name)
                 for name in (self._action_column, "rewards", "terminations", "truncations")
             )
-            actions = actions[: len(outcome[0])]  # a label stands at the last state too
+            actions = actions[: len(outcome[0])]  # expert actions exist for the last state too
             if self._relabelled:
                 actions = actions[:goal]
                 outcome = list(success_at_last(goal, self._reader.task.success_reward))
@@ -158,7 +160,7 @@ class Transitions:
         return self._read[segment]
 
     def _codes_in_bounds(self, index: int) -> NDArray[np.str_]:
-        """The codes of an episode's states that may be goals."""
+        """Return an episode's codes up to the first state that is towed too far to be a goal."""
         codes, tow_limit = self._reader.column(index, "gauss_code"), self._reader.task.tow_limit
         if tow_limit is None:
             return codes
@@ -179,18 +181,18 @@ class Transitions:
         return len(self.episode)
 
     def place(self, transition: int) -> tuple[int, int]:
-        """The segment a transition is in, and its step there."""
+        """Return the segment that holds a transition, and its step there."""
         segment = int(np.searchsorted(self.starts, transition, side="right")) - 1
         return segment, int(transition - self.starts[segment])
 
     def frame_place(self, frame: int) -> tuple[int, int]:
-        """As `place`, of the N + S states that all the segments go through."""
+        """Return the segment and step of one of the N + S states of all segments."""
         starts = self.starts + np.arange(self.segments + 1)
         segment = int(np.searchsorted(starts, frame, side="right")) - 1
         return segment, int(frame - starts[segment])
 
     def observations(self, segment: int, start: int = 0, stop: int | None = None) -> Any:
-        """Observations of the states [start, stop), of 0 to T, of a segment of T transitions.
+        """Return the observations of the states [start, stop) among the T + 1 of a segment.
 
         Returns:
             uint8 (n, views * size, 2 size, 3 or 4), float32 (n, 6 beads), a dict of both, or int16
@@ -211,28 +213,28 @@ class Transitions:
         return {"pixels": pictures, "state": state}
 
     def batch(self, rows: ArrayLike, *, apart: bool = False) -> dict[str, Any]:
-        """Any n transitions, such as a random batch; with a `cache` of pictures, quickly.
+        """Return n transitions, such as a random batch. A `cache` of pictures makes this fast.
 
         Args:
-            rows: int (n,), which of the N.
-            apart: rope and goal in arrays of their own, the goal, which is that of both states,
-                once: less to copy by half.
+            rows: int (n,), indices of transitions.
+            apart: return rope and goal in separate arrays, the goal once for both states, which
+                copies half as much.
 
         Returns:
             As `arrays`, n rows: observations, actions, rewards, next_observations, terminals,
-            timeouts. With `apart` the observations are of the rope alone, uint8 (n, views * size,
-            size, 3 or 4), float32 (n, 3 beads), a dict of both or int16 (n, 1, symbols), and goals
-            are as they.
+            timeouts. With `apart` the observations are of the rope only, uint8 (n, views * size,
+            size, 3 or 4), float32 (n, 3 beads), a dict of both, or int16 (n, 1, symbols), and
+            `goals` has the same shape.
 
         Raises:
-            IndexError: there is no such transition.
+            IndexError: rows is empty or not one-dimensional, or an index is out of range.
         """
         wanted = np.asarray(rows, dtype=np.int64)
         if wanted.ndim != 1 or not len(wanted):
-            raise IndexError(f"a batch is of a list of transitions, at least one, got {rows!r}")
+            raise IndexError(f"rows must be a list of at least one transition, got {rows!r}")
         if wanted.min() < -len(self) or wanted.max() >= len(self):
             raise IndexError(
-                f"transitions {wanted.min()} to {wanted.max()} aren't all among {len(self)}"
+                f"indices {wanted.min()} to {wanted.max()} are outside a dataset of {len(self)}"
             )
         wanted = wanted % len(self)
         seen = self._observed(wanted, apart)
@@ -247,7 +249,7 @@ class Transitions:
         }
 
     def _observed(self, wanted: NDArray[np.int64], apart: bool) -> tuple[Any, ...]:
-        """Observations of both states of some transitions; and of their goals, if apart."""
+        """Return the observations before and after transitions; if apart, their goals too."""
         segments = np.searchsorted(self.starts, wanted, side="right") - 1
         steps = wanted - self.starts[segments]
         if self._frames is not None and self._shown == "pixels":
@@ -267,18 +269,18 @@ class Transitions:
         return tuple(dict(zip(pairs[0], kinds, strict=True)) for kinds in zip(*each, strict=True))
 
     def _states(self, kind: str, pairs: list[NDArray[Any]], apart: bool) -> tuple[Any, ...]:
-        """Both states of n transitions, (n, ...) each, of n pairs of them."""
+        """Stack n pairs of observations into (n, ...) before and after; if apart, goals too."""
         both = np.stack(pairs)
         if not apart:
             return both[:, 0], both[:, 1]
-        layout = goal_axis(self._reader.task.layout) if kind == "pixels" else 1
-        rope, goal = np.split(both, 2, axis=layout + 1)
+        axis = goal_axis(self._reader.task.layout) if kind == "pixels" else 1
+        rope, goal = np.split(both, 2, axis=axis + 1)  # axis 1 of both: before and after
         return rope[:, 0], rope[:, 1], goal[:, 0]
 
     def codes(self, segment: int) -> list[str]:
-        """The Gauss codes of a segment's T + 1 states; of the last segments asked for, kept."""
+        """Return the Gauss codes of a segment's T + 1 states; recent segments are cached."""
         if segment not in self._codes:
-            if len(self._codes) == _KEPT:
+            if len(self._codes) == _CACHED_SEGMENTS:
                 del self._codes[next(iter(self._codes))]
             codes = self._reader.column(int(self.episode[segment]), "gauss_code").tolist()
             self._codes[segment] = codes[: int(self.starts[segment + 1] - self.starts[segment]) + 1]

@@ -1,5 +1,6 @@
-"""Episodes in other houses' forms: every row is the episode's, read by NumPy, pyarrow and, with -m
-clients, by the houses themselves.
+"""Exports to other formats keep every row of an episode.
+
+They are read back with NumPy and pyarrow and, with -m clients, with the target libraries.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from knotgym.common.atomic_files import Occupied
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.episode_verification import replay
 from knotgym.datasets.episode_writer import EpisodeWriter
-from knotgym.datasets.exports.forms import NothingToExport, UnknownForm, export
+from knotgym.datasets.exports.forms import ExportError, export
 from knotgym.datasets.exports.lerobot_export import task_text
 from knotgym.datasets.exports.minari_export import to_minari
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
@@ -64,7 +65,7 @@ def test_the_episodes_are_those_of_a_replay(task: TaskConfig, episodes: list[Epi
 
 
 def wanted(dataset: Path, observation: str, rows: list[int]) -> dict[str, Any]:
-    """What OGBench's arrays must be, from the definition."""
+    """Compute the expected OGBench arrays from their definition."""
     reader = EpisodeReader(dataset)
     seen = [reader.observations(k, observation=observation) for k in rows]
     half = [one[:, :300] if observation == "state" else one[:, :, :16] for one in seen]
@@ -128,11 +129,11 @@ def test_what_has_no_place_in_a_form_is_refused(
 ) -> None:
     with EpisodeWriter(tmp_path / "a.h5", replace(task, observation="symbolic")) as writer:
         writer.add(episodes[0])
-    with pytest.raises(NothingToExport, match="takes 2 episodes .* has 1 of symbolic"):
+    with pytest.raises(ExportError, match="at least 2 episodes .* has 1 of symbolic"):
         export(tmp_path / "a.h5", tmp_path / "out", "ogbench")
-    with pytest.raises(NothingToExport, match="has 1 of symbolic in layout beside"):
+    with pytest.raises(ExportError, match="has 1 episodes of symbolic in layout beside"):
         export(tmp_path / "a.h5", tmp_path / "out", "lerobot")
-    with pytest.raises(UnknownForm, match="no form 'hdf5' .*; there is compact, lerobot, ogbench"):
+    with pytest.raises(match="no format 'hdf5'; formats are compact, lerobot, ogbench"):
         export(tmp_path / "a.h5", tmp_path / "out", "hdf5")
     assert (
         knotgym("dataset", "export", tmp_path / "a.h5", "--to", "x", "--out", tmp_path / "o") == 2
@@ -144,7 +145,7 @@ def test_what_has_no_place_in_a_form_is_refused(
 def two(
     tmp_path: Path, task: TaskConfig, episodes: list[Episode], monkeypatch: pytest.MonkeyPatch
 ) -> list[str]:
-    """Two datasets in Minari's folder, either with the states that both were reset from."""
+    """Two datasets in a Minari root, each with a copy of the states that they start from."""
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
     ids = [f"knotgym/tie-nx2/{name}-v0" for name in ("a", "b")]
     for k, own in enumerate(ids):
@@ -255,9 +256,9 @@ def test_lerobot_reads_every_row(dataset: Path, tmp_path: Path) -> None:
 def test_an_id_that_leads_out_is_refused(dataset: Path, tmp_path: Path) -> None:
     copy = shutil.copytree(dataset, tmp_path / "copy")
     told = json.loads((copy / "data" / "metadata.json").read_text())
-    for name, said in (("knotgym/../../x-v0", "leads out"), (None, "no Minari dataset")):
+    for name, said in (("knotgym/../../x-v0", "leads out"), (None, "not a Minari dataset")):
         changed = {**told, "dataset_id": name} if name else {"dataset_id": "knotgym/x-v0"}
         (copy / "data" / "metadata.json").write_text(json.dumps(changed))
-        with pytest.raises(NothingToExport, match=said):
+        with pytest.raises(ExportError, match=said):
             to_minari([copy], tmp_path / "out" / "root")
     assert not (tmp_path / "out").exists()

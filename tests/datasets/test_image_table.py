@@ -1,4 +1,4 @@
-"""Parquet shards from strangers: refused in a line, or every fault named."""
+"""Corrupted Parquet shards are refused in one line, or every fault is reported."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from knotgym.topology.gauss import GaussCode
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("pyarrow") is None, reason="pyarrow isn't installed"
 )
-SOURCE = dict.fromkeys(("walk", "pulls", "rounds", "roll", "family", "seed", "row"), 0)
+SOURCE = dict.fromkeys(("walk", "pulls", "rounds", "base_shift", "family", "seed", "row"), 0)
 UNMOVED = dict.fromkeys(("reflect", "switch", "reverse"), False)
 
 
 @pytest.fixture(scope="module")
 def shard(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A shard of one picture."""
+    """A shard with one picture."""
     states = read_states(shipped(), images=False).taken(np.array([20]))
     code = GaussCode.parse(states.gauss_code_chiral[0])
     row = Row(states.points[0], code, "train", {**SOURCE, **UNMOVED})
@@ -37,7 +37,7 @@ def shard(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def changed(shard: Path, tmp_path: Path, change: Callable[[Any], Any]) -> Path:
-    """A copy whose table is another."""
+    """Write a copy with a changed table."""
     from pyarrow import parquet
 
     path = tmp_path / shard.name
@@ -46,7 +46,7 @@ def changed(shard: Path, tmp_path: Path, change: Callable[[Any], Any]) -> Path:
 
 
 def with_cell(shard: Path, tmp_path: Path, *place: Any) -> Path:
-    """A copy with one value, the last of `place`, in the column, or in its part, before it."""
+    """Write a copy with one value changed: `place` is the column, its fields, and the value."""
     import pyarrow as pa
 
     def change(table: Any) -> Any:
@@ -70,12 +70,12 @@ def test_a_sound_shard_has_no_fault(shard: Path) -> None:
         (("points", 0, 1e30), "m apart, the rope is 1.33 m long"),
         (("points", 0, float("nan")), "coordinates are not finite"),
         (("quality", "margin", 3.0), "quality.margin is 3.0, recomputed"),
-        (("quality", "margin", None), "column quality lacks values"),
+        (("quality", "margin", None), "column quality has missing values"),
         (("appearance", "size", 2**31 - 1), "appearance.size is 2147483647, should be 64 to 512"),
         (("appearance", "blur", 1e30), "appearance.blur is 1e+30, should be 0 to 1000"),
         (("appearance", "colours", "x"), "should be published or single or gradient"),
-        (("source", "seed", -1), "can't be drawn or measured again"),
-        (("gauss_code", None), "column gauss_code lacks values"),
+        (("source", "seed", -1), "can't be rendered or measured"),
+        (("gauss_code", None), "column gauss_code has missing values"),
     ],
 )
 def test_a_changed_cell_is_found(
@@ -90,8 +90,8 @@ def test_columns_of_another_type_missing_or_twice_are_refused(shard: Path, tmp_p
 
     for change, told in (
         (lambda t: t.set_column(3, "nx", pa.array(["3"])), "column nx is string, should be int64"),
-        (lambda t: t.drop_columns(["nx"]), "column nx is there 0 times"),
-        (lambda t: t.append_column(t.field(3), t.column(3)), "column nx is there 2 times"),
+        (lambda t: t.drop_columns(["nx"]), "column nx must exist once, found 0"),
+        (lambda t: t.append_column(t.field(3), t.column(3)), "column nx must exist once, found 2"),
         (lambda t: t.replace_schema_metadata({"knotgym": "[]"}), "has format 'none'"),
     ):
         with pytest.raises(InvalidImages, match=told):
@@ -110,7 +110,7 @@ def test_a_picture_that_would_fill_the_memory_is_refused() -> None:
 def test_an_origin_that_was_changed_is_found_by_the_checksum(shard: Path, tmp_path: Path) -> None:
     assert shard_faults(shard) == []
     (fault,) = shard_faults(with_cell(shard, tmp_path, "source", "walk", 99))
-    assert fault.endswith("its rows are not those written into it (SHA-256 differs)")
+    assert fault.endswith("its rows were changed after writing (SHA-256 differs)")
 
 
 def test_a_shard_of_before_the_checksum_is_read(shard: Path, tmp_path: Path) -> None:

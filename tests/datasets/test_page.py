@@ -1,4 +1,4 @@
-"""One HTML file of a dataset: what is in it, and, in a Chromium, what it does."""
+"""The HTML page of a dataset: its contents, and its behaviour in Chromium."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ HOSTILE = "</script><img src=http://a/ onerror=fault()>"
 
 
 class Tags(HTMLParser):
-    """What a page's markup names, and its block of data."""
+    """Collects the tags and links of a page, and its block of data."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -59,12 +59,12 @@ def run_page(curated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def shown(run_page: Path) -> dict[str, Any]:
-    """Its data."""
+    """The data in the page."""
     return json.loads(Tags(run_page.read_text(encoding="utf-8")).data)
 
 
 def hostile(states: States) -> States:
-    """States whose words are markup."""
+    """States with markup in their text columns."""
     return replace(states, knot=np.array([HOSTILE] * len(states)))
 
 
@@ -163,7 +163,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chromium]:
 
 @pytest.fixture
 def tab(browser: Chromium) -> Iterator[Chromium]:
-    """A tab of a desktop; what went wrong in it is a failure."""
+    """A desktop browser tab; errors logged in it fail the test."""
     browser.resize(1300, 900)
     browser.faults.clear()
     browser.requests.clear()
@@ -242,8 +242,8 @@ def test_the_code_is_walked_in_step(tab: Chromium, run_page: Path) -> None:
 
 
 @clients
-def test_an_episode_plays_to_its_end(tab: Chromium, run_page: Path) -> None:
-    tab.open(run_page, "#episodes/2")  # the rope of 5 lies still
+def test_an_episode_plays_to_its_end(tab: Chromium, run_page: Path, shown: dict[str, Any]) -> None:
+    tab.open(run_page, "#episodes/2")
     before = tab.ask(LOOKS.format("film"))
     assert tab.ask(DRAWN.format("film")) > 20 and tab.ask(DRAWN.format("time")) > 2
     tab.press("ArrowRight")
@@ -254,8 +254,14 @@ def test_an_episode_plays_to_its_end(tab: Chromium, run_page: Path) -> None:
             " if (one.textContent === '1 ×') { one.click(); one.click(); }")  # fmt: skip
     tab.press(" ")
     tab.until(f"((of) => of[0] === of[1])({step}.split(' of '))")
-    tab.open(run_page, "#episodes/5")
-    assert "none, the rope is left to rest" in tab.ask("document.body.innerText")
+    episode, at = next(
+        (k, t)
+        for k, one in enumerate(shown["episodes"])
+        for t, force in enumerate(one["force"][1:])
+        if not any(force) and one["applied_share"][t + 1] == 1
+    )
+    tab.open(run_page, f"#episodes/{episode}/{at}")
+    assert "none, the rope settles" in tab.ask("document.body.innerText")
 
 
 @clients

@@ -1,4 +1,4 @@
-"""Folders to upload: what is in them, and that those who read them do."""
+"""Folders to upload: their contents, and that other libraries can read them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from knotgym.datasets.cards.citation import citation_file
-from knotgym.datasets.exports.forms import NothingToExport
+from knotgym.datasets.exports.forms import ExportError
 from knotgym.datasets.exports.huggingface_export import ToUpload, to_huggingface
 from knotgym.generate.episodes.suite_scores import CELL, LINE, score_tables
 from knotgym.states.state_file import read_states
@@ -25,7 +25,7 @@ needs_arrow = pytest.mark.skipif(find_spec("pyarrow") is None, reason="pyarrow i
 
 @pytest.fixture(scope="module")
 def huggingface(curated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The small run, for Hugging Face."""
+    """The small run exported for Hugging Face."""
     out = tmp_path_factory.mktemp("upload") / "nx0-1"
     given = ("dataset", "export", curated, "--to", "huggingface", "--out", out, "--quiet")
     assert knotgym(*given) == 0
@@ -34,14 +34,14 @@ def huggingface(curated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
 
 @pytest.fixture(scope="module")
 def minari_root(curated: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Its trajectories, for Minari."""
+    """Its trajectories exported for Minari."""
     out = tmp_path_factory.mktemp("upload") / "root"
     assert knotgym("dataset", "export", curated, "--to", "minari", "--out", out, "--quiet") == 0
     return out
 
 
 def asked(script: str, folder: Path, **variables: str) -> str:
-    """What a script prints that knows nothing of us, run in a folder."""
+    """Run a script that doesn't import knotgym in a folder; return what it prints."""
     known = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     run = subprocess.run(
         [sys.executable, "-c", script],
@@ -82,7 +82,7 @@ HOSTILE = (
 
 
 def harmless(text: str) -> bool:
-    """Whether Markdown makes nothing of what HOSTILE holds."""
+    """Check that no Markdown in HOSTILE survives in a text."""
     meant = (
         "<img",
         "\n---\n# [",
@@ -113,7 +113,7 @@ def test_cards_show_a_hostile_name_as_text(curated: Path, tmp_path: Path) -> Non
 @needs_arrow
 def test_a_shard_s_name_writes_no_yaml(tmp_path: Path) -> None:
     (tmp_path / "train\n  path: x-0.parquet").write_bytes(b"")
-    with pytest.raises(NothingToExport, match="must begin with a split"):
+    with pytest.raises(ExportError, match="must begin with a split"):
         to_huggingface(ToUpload("pictures", pictures=tmp_path), tmp_path / "hub")
 
 

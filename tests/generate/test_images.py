@@ -113,7 +113,7 @@ def test_the_largest_nx_is_for_test_nx_alone(rows: list[dict[str, Any]]) -> None
 def test_every_check_passes(folder: Path) -> None:
     told: list[tuple[str, int, int]] = []
     assert list(image_faults(folder, count=lambda *said: told.append(said))) == []
-    assert {what for what, _, _ in told} == {"files of pictures", "walks made again"}
+    assert {what for what, _, _ in told} == {"files of pictures", "walks repeated"}
     assert all(0 <= done <= of for _, done, of in told) and told[-1][1] == told[-1][2] > 0
 
 
@@ -228,7 +228,7 @@ def test_a_walk_that_ends_elsewhere_is_found(folder: Path, tmp_path: Path) -> No
     shutil.copytree(folder, copy)
     first = shards(copy, "train")[0]
     some = list(read_rows(first))
-    some[0]["source"]["roll"] += 1
+    some[0]["source"]["base_shift"] += 1
     write_rows(first, some)
     assert any("does not end in its points" in fault for fault in image_faults(copy))
 
@@ -449,7 +449,7 @@ def test_torch_reads_pictures_and_padded_labels(folder: Path, rows: list[dict[st
     small = [k for k, item in enumerate(data) if item["image"].shape[-1] == 64]
     seen = [batch["image"] for batch in DataLoader(Subset(data, small), 4, num_workers=2)]
     assert sum(map(len, seen)) == len(small)
-    with pytest.raises(InvalidImages, match="padded"):
+    with pytest.raises(InvalidImages, match="max_nx must be at least"):
         load(folder, max_nx=1)
 
 

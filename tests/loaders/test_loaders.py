@@ -1,5 +1,6 @@
-"""Loaders tell the truth: a dataset whose every number says its episode and step comes out of each
-one aligned, its ends in place.
+"""Loaders keep rows aligned and episode ends in place.
+
+The dataset encodes the episode and the step in every number, so misplaced rows show.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ no_torchrl = pytest.mark.skipif(
     importlib.util.find_spec("torchrl") is None, reason="torchrl isn't installed"
 )
 
-# (steps, terminated) of 15 episodes; 1 step is the shortest there is, 70 more than a chunk holds
+# (steps, terminated) of 15 episodes, from 1 step, the shortest possible, to 70, more than a chunk
 EPISODES = [((7 * k * k + 3 * k) % 23 + 1, k % 3 != 0) for k in range(14)] + [(70, False)]
 TASK = TaskConfig(task="tie", observation="state", horizon=100)
 SMALL = PictureConfig(size=16)
@@ -50,7 +51,7 @@ VIEWS = PictureConfig(size=16, views=("top", "left", "front"), depth=True)
 
 
 def coded(k: int) -> Episode:
-    """Episode k: its number and the step in every array; its code changes at every step."""
+    """Make episode k, with k and the step in every array and a new code at every step."""
     length, terminated = EPISODES[k]
     states, last = np.arange(length + 1), np.arange(length) == length - 1
     number = 1000.0 * k + states
@@ -101,8 +102,8 @@ STEPS = np.concatenate([np.arange(length) for length, _ in EPISODES])
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The episodes, from writer through shards and merging, as state observations and compact;
-    nine of them as small pictures, as symbols, and as pictures of three views with depth.
+    """Episode files: state observations and compact, merged from shards; and nine episodes with
+    small pictures, with symbols, and with pictures of three views with depth.
     """
     room = tmp_path_factory.mktemp("coded")
     for k in range(3):
@@ -135,7 +136,7 @@ def path(request: pytest.FixtureRequest, folder: Path) -> Path:
 def state_of(
     owner: NDArray[Any], step: NDArray[Any], goal_step: NDArray[Any] | None = None
 ) -> NDArray[np.float32]:
-    """What the state observation must be, from the definition."""
+    """Compute the expected state observation from its definition."""
     goals = [
         ALL[k].goal_points if goal_step is None else ALL[k].points[goal_step[i]]
         for i, k in enumerate(owner)
@@ -301,7 +302,7 @@ def test_importing_the_loaders_imports_no_simulator_and_no_learner() -> None:
     assert found.stdout.strip() == "[]"
 
 
-# The learners' own libraries
+# Other libraries
 
 
 @clients
@@ -362,7 +363,8 @@ def test_torch_frames_hold_every_state_once(folder: Path) -> None:
 @no_torch
 def test_torch_episodes_are_whole(folder: Path) -> None:
     data = torch_dataset(folder / "state.h5", kind="episodes")
-    for k in (0, 17, 49):
+    assert len(data) == len(EPISODES)
+    for k in range(len(EPISODES)):
         assert np.array_equal(
             data[k]["observations"].numpy(),
             state_of(np.full(len(ALL[k]) + 1, k), np.arange(len(ALL[k]) + 1)),

@@ -1,1 +1,1 @@
-"""Cards: what a person reads first of a set, and how to cite it."""
+"""Dataset cards (README.md) from text templates, and CITATION.cff."""

@@ -1,10 +1,12 @@
-"""How the data are cited."""
+"""Templates of cards, the citation, and escaping of text for Markdown and YAML."""
 
 from __future__ import annotations
 
 import html
 import json
 import re
+from importlib.resources import files
+from string import Template
 
 import knotgym
 
@@ -15,60 +17,53 @@ BIBTEX = """\
   year   = {2026},
   note   = {after "Knot So Simple", arXiv:2505.18028}
 }"""
-TO_CITE = ("## To cite", "", "```bibtex", BIBTEX, "```", "")  # the lines of a card
+TO_CITE = ("## To cite", "", "```bibtex", BIBTEX, "```", "")  # lines of a card
 
 
 def plain(text: object) -> str:
-    """Escape text of a file or a user, so that Markdown shows it and nothing else: on one line,
-    without HTML, markup, links or mentions.
+    """Escape untrusted text for Markdown: one line, without HTML, markup, links or mentions.
 
     >>> print(plain("<b>[a|b](http://c)"))
     &lt;b&gt;\\[a\\|b\\](http&#58;//c)
     """
     escaped = html.escape(one_printable_line(text), quote=False)
     escaped = re.sub(r"([\\`*_\[\]|~$])", r"\\\1", escaped)
-    # GitHub and Hugging Face make links of these without any markup
+    # GitHub and Hugging Face turn bare URLs and mentions into links
     escaped = escaped.replace("://", "&#58;//").replace("@", "&#64;")
     return re.sub(r"(?i)\b(www)\.", r"\1&#46;", escaped)
 
 
 def code_span(text: object) -> str:
-    """Such text as inline code, in which nothing but a backtick or a table's bar has a meaning."""
+    """Quote untrusted text as inline code; only a backtick or a table's bar could end it."""
     return "`" + one_printable_line(text).replace("`", "'").replace("|", "\\|") + "`"
 
 
 def yaml_string(text: object) -> str:
-    """Such text as a YAML string in double quotes."""
+    """Quote untrusted text as a YAML string in double quotes."""
     return json.dumps(one_printable_line(text), ensure_ascii=False)
 
 
 def one_printable_line(text: object) -> str:
-    """Text with a space for whatever can't be printed: line breaks, half surrogate pairs."""
+    """Replace what can't be printed, such as line breaks and lone surrogates, by spaces."""
     return " ".join("".join(c if c.isprintable() else " " for c in str(text)).split())
 
 
 def citation_file(title: str) -> str:
-    """CITATION.cff of a dataset."""
-    return "\n".join(
-        [
-            "cff-version: 1.2.0",
-            "message: If you use these data, please cite them as below.",
-            f"title: {yaml_string(f'knotgym: {title}')}",
-            "type: dataset",
-            f"version: {json.dumps(knotgym.__version__)}",
-            "license: CC-BY-4.0",
-            "authors:",
-            "  - name: The knotgym founders",
-            "references:",
-            "  - type: conference-paper",
-            '    title: "Knot So Simple: A Minimalistic Environment for Spatial Reasoning"',
-            "    authors:",
-            "      - family-names: Chen",
-            "        given-names: Zizhao",
-            "      - family-names: Artzi",
-            "        given-names: Yoav",
-            "    collection-title: NeurIPS",
-            "    year: 2025",
-            "",
-        ]
+    """Return the CITATION.cff of a dataset."""
+    return filled(
+        "citation.cff",
+        title=yaml_string(f"knotgym: {title}"),
+        version=json.dumps(knotgym.__version__),
     )
+
+
+def filled(template: str, **parts: object) -> str:
+    """Fill a text template of this package; `$to_cite` becomes the section with the BibTeX.
+
+    Args:
+        template: name of the file.
+        parts: text of each placeholder, or its lines.
+    """
+    text = (files("knotgym.datasets.cards") / template).read_text(encoding="utf-8")
+    lists = {name: "\n".join(part) for name, part in parts.items() if isinstance(part, list)}
+    return Template(text).substitute({**parts, **lists}, to_cite="\n".join(TO_CITE))

@@ -1,4 +1,4 @@
-"""The card of a perception table: what its folder holds, in prose and numbers."""
+"""The card (README.md) of a perception table, and the counts shown in it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 import knotgym
-from knotgym.datasets.cards.citation import TO_CITE, plain
+from knotgym.datasets.cards.citation import filled, plain
 from knotgym.datasets.cards.state_card import table
 from knotgym.datasets.image_table import GRADES, file_stem, read_table
 from knotgym.states.splits import IMAGE_SPLITS
@@ -24,31 +24,18 @@ _COUNTS_HEAD = (
     "pictures",
     "codes",
     "with chirality",
-    "fewest / most of a code",
+    "fewest / most per code",
     *IMAGE_SPLITS,
     "accepted",
     *GRADES,
 )
 
-_ROWS = """\
-`image`: PNG, lossless. `gauss_code`, `gauss_code_chiral`: "1+,1-,2+,2-", "1+a,1-a,2+c,2-c", the \
-walk from the white base bead towards red. `nx`: crossings. `knot`: type. `points`: 300 float64, \
-bead by bead, metres. `crossings`: pixel x (right), y (down) of each, the places of the over and \
-the under strand along the rope (beads, 2.25 is a quarter from bead 2 to bead 3), its sign; in \
-order of first visit. `quality`: the measures of the configuration in the published 128 x 128 \
-picture, whatever the row's own. `accepted`: it keeps to all limits of curated states. `grade`: \
-how hard it is to read, by its worst measure in units of the limit for accepted states: easy from \
-1.5, medium from 1, hard from 0.5, extreme below. `appearance`: how it was drawn. `source`: the \
-walk in `walks.h5`, steps taken, rounds of opening up, and the symmetry applied then.
-
-With colours "single" a picture shows the base bead and not the direction of the walk: the code of \
-the reversed walk fits it too."""
-
 
 def summary(path: str | Path) -> dict[str, Any]:
-    """Counts of a perception table, JSON-able.
+    """Count codes, grades and accepted pictures of a perception table, by nx and by split.
 
-    By nx and by split: codes, grades, accepted pictures; and the spread of the measures.
+    Returns:
+        A dict that can be written as JSON, with the 5 %, 50 % and 95 % quantiles of the measures.
     """
     rows = read_table(path, columns=[*_COUNTED, "quality", "appearance"])
     columns = {name: np.array(rows[name].to_pylist()) for name in _COUNTED}
@@ -82,78 +69,37 @@ def summary(path: str | Path) -> dict[str, Any]:
 def card(
     facts: Mapping[str, Any], config: Mapping[str, Any], report: Mapping[str, Any], size: int
 ) -> str:
-    """The card as Markdown, with the YAML head that Hugging Face reads.
+    """Write the card as Markdown, with the YAML front matter that Hugging Face reads.
 
     Args:
         facts: the table's `summary`.
         config: the whole configuration.
-        report: of the run: walks, frames, and the frames not taken by reason.
-        size: of all files of the table, bytes.
+        report: numbers of walks and frames, and of frames not used, by reason.
+        size: total size of the shards, bytes.
     """
     paths = [(file_stem(split), f"data/{file_stem(split)}-*.parquet") for split in facts["splits"]]
-    not_taken = plain(json.dumps({**report["dropped"], **report["refused"]}))
-    lines = [
-        "---",
-        "license: cc-by-4.0",
-        "tags: [knot-theory, gauss-code, mujoco, perception]",
-        "task_categories: [image-to-text]",
-        "configs:",
-        "- config_name: default",
-        "  data_files:",
-        *(f"  - split: {split}\n    path: {path}" for split, path in paths),
-        "---",
-        "",
-        f"# Pictures of ropes with {', '.join(facts['nx'])} crossings, and their Gauss codes",
-        "",
-        f"{facts['pictures']} pictures of a closed rope, {size / facts['pictures']:.0f} bytes each"
-        f" with all labels, made by `knotgym images` {knotgym.__version__} (MuJoCo"
-        f" {mujoco.__version__}) with seed {config['seed']}. `load_dataset(FOLDER)` of Hugging"
-        " Face's datasets and `knotgym.loaders.images(FOLDER)` read them; `knotgym dataset verify"
-        " FOLDER` recomputes every label, measure and picture and makes every walk again.",
-        "",
-        "## What a row holds",
-        "",
-        _ROWS,
-        "",
-        "## Splits",
-        "",
-        _about_splits(config),
-        "",
-        *table(("nx", *_COUNTS_HEAD), _counts_rows(facts["nx"])),
-        "",
-        *table(("split", *_COUNTS_HEAD), _counts_rows(facts["splits"])),
-        "",
-        "## Quality",
-        "",
-        *table(
-            ("measure", "5 %", "median", "95 %"),
-            [
-                (plain(name), *(f"{value:.3g}" for value in spread))
-                for name, spread in facts["quality"].items()
-            ],
-        ),
-        "",
-        *TO_CITE,
-        "## How to make it again",
-        "",
-        f"{report['walks']} walks met {report['frames']} frames. Not taken: {not_taken}.",
-        "",
-        "```json",
-        json.dumps(config, indent=1, sort_keys=True),
-        "```",
-        "",
+    quality = [
+        (plain(name), *(f"{value:.3g}" for value in spread))
+        for name, spread in facts["quality"].items()
     ]
-    return "\n".join(lines)
-
-
-def _about_splits(config: Mapping[str, Any]) -> str:
-    return (
-        "train and test differ in configuration: everything made from one state, its"
-        " near-duplicates and their mirror images, reversals and renumberings stays in one split"
-        " (walks from the plain loop are each on their own), and no two rows anywhere are"
-        " near-duplicates. test-code shows codes that no other split but test-nx shows, a share of"
-        f" {config['code_share']:g} of the codes with at least 2 crossings. test-nx shows more"
-        f" crossings than training, {', '.join(map(str, config['test_nx'])) or 'none'}."
+    return filled(
+        "image_card.md",
+        data_files=[f"  - split: {split}\n    path: {path}" for split, path in paths],
+        crossings=", ".join(facts["nx"]),
+        pictures=facts["pictures"],
+        bytes=f"{size / facts['pictures']:.0f}",
+        version=knotgym.__version__,
+        mujoco=mujoco.__version__,
+        seed=config["seed"],
+        code_share=f"{config['code_share']:g}",
+        test_nx=", ".join(map(str, config["test_nx"])) or "none",
+        by_nx=table(("nx", *_COUNTS_HEAD), _counts_rows(facts["nx"])),
+        by_split=table(("split", *_COUNTS_HEAD), _counts_rows(facts["splits"])),
+        quality=table(("measure", "5 %", "median", "95 %"), quality),
+        walks=report["walks"],
+        frames=report["frames"],
+        not_used=plain(json.dumps({**report["dropped"], **report["refused"]})),
+        config=json.dumps(config, indent=1, sort_keys=True),
     )
 
 
@@ -171,7 +117,7 @@ def _counts(columns: Mapping[str, np.ndarray]) -> dict[str, Any]:
 
 
 def _counts_rows(counts: Mapping[str, Mapping[str, Any]]) -> list[list[object]]:
-    """A row of the card's table for each nx, or each split, in the order of _COUNTS_HEAD."""
+    """Rows of a table for each nx or split, in the order of _COUNTS_HEAD."""
     return [
         [
             name,

@@ -1,4 +1,4 @@
-"""The dataset card: what a folder of states holds, in prose and numbers."""
+"""The card (README.md) of a folder of states, and the counts shown in it."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.common.hdf5_files import Column
-from knotgym.datasets.cards.citation import TO_CITE, code_span, plain
+from knotgym.datasets.cards.citation import code_span, filled, plain
 from knotgym.states.schema import COLUMNS, RANDOM_WALK, STATE_SPLITS
 from knotgym.states.splits import overlap
 from knotgym.states.spread import spread_of
@@ -19,8 +18,11 @@ from knotgym.topology.gauss import GaussCode
 
 
 def summary(states: States) -> dict[str, Any]:
-    """Counts of a state file, JSON-able: by nx, with the spread of each; and the
-    range of every quality measure."""
+    """Count the states of a file by nx, with their spread and the range of each quality measure.
+
+    Returns:
+        A dict that can be written as JSON.
+    """
     return {
         "states": len(states),
         "sources": dict(
@@ -41,108 +43,61 @@ def summary(states: States) -> dict[str, Any]:
 
 
 def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -> str:
-    """The card as Markdown, with the YAML head that Hugging Face reads.
+    """Write the card as Markdown, with the YAML front matter that Hugging Face reads.
 
     Args:
-        states: of the folder.
-        report: of the run: existing codes, rejections, actions, growth; the manifest's.
+        states: the states of the folder.
+        report: `report` of the manifest: existing codes, rejections, actions, growth.
         config: the whole configuration.
     """
     facts = summary(states)
-    demonstrated = any(states.source.get("dataset", ()))
-    lines = [
-        "---",
-        "license: cc-by-4.0",
-        "tags: [knot-theory, gauss-code, mujoco, offline-reinforcement-learning]",
-        "---",
-        "",
-        f"# Rope states with {', '.join(facts['nx'])} crossings",
-        "",
-        f"{len(states)} configurations of a closed rope in MuJoCo (knot type"
-        f" {plain(report['knot'])}), each labelled with its Gauss code, made by"
-        f" `knotgym generate` {report['version']} (MuJoCo {report['mujoco']}) with seed"
-        f" {config['seed']}. {_holds(report, demonstrated)}"
-        " `gallery.png` shows all states, `manifest.json` lists checksums, configuration and"
-        " counts. `knotgym dataset verify` recomputes every label and replays every trajectory.",
-        "",
-        "![every state with its code](gallery.png)",
-        "",
-        "## States",
-        "",
-        *table(_STATES_HEAD, _states_rows(facts["nx"], report["existing_codes"])),
-        "",
-        "## Train and test",
-        "",
-        OVERLAP_SAYS[0].upper() + OVERLAP_SAYS[1:] + ".",
-        "",
-        *table(OVERLAP_HEAD, overlap_rows(facts["nx"])),
-        "",
-        "## Quality",
-        "",
-        *table(
-            ("measure", "unit", "min", "median", "max"),
-            [
-                (
-                    plain(name),
-                    plain(spread["unit"]),
-                    *(f"{spread[key]:.3g}" for key in ("min", "median", "max")),
-                )
-                for name, spread in facts["quality"].items()
-            ],
-        ),
-        "",
-        "## Spread",
-        "",
-        SPREAD_SAYS[0].upper() + SPREAD_SAYS[1:] + ".",
-        "",
-        *table(SPREAD_HEAD, spread_rows(facts["nx"])),
-        "",
-        "## Rejected",
-        "",
-        _made(report),
-        "",
-        *table(
-            ("nx", "reason", "rejected"),
-            [
-                (nx, plain(reason), count)
-                for nx, reasons in report["rejected"].items()
-                for reason, count in most_first(reasons)
-            ],
-        ),
-        "",
-        *_growth_section(report),
-        "## Columns of states.h5",
-        "",
-        *table(
-            ("column", "type", "unit", "holds"),
-            [
-                (code_span(one.name), one.kind, plain(one.unit), one.doc)
-                for one in columns_of(states)
-            ],
-        ),
-        "",
-        *TO_CITE,
-        "## How to make it again",
-        "",
-        "```json",
-        json.dumps(config, indent=1, sort_keys=True),
-        "```",
-        "",
+    quality = [
+        (
+            plain(name),
+            plain(spread["unit"]),
+            *(f"{spread[key]:.3g}" for key in ("min", "median", "max")),
+        )
+        for name, spread in facts["quality"].items()
     ]
-    return "\n".join(lines)
-
-
-def columns_of(states: States) -> list[Column]:
-    """Those of the schema that a state file has."""
-    return [column for column in COLUMNS if column.name in states.columns()]
+    rejected = [
+        (nx, plain(reason), count)
+        for nx, reasons in report["rejected"].items()
+        for reason, count in most_first(reasons)
+    ]
+    columns = [
+        (code_span(one.name), one.kind, plain(one.unit), one.doc)
+        for one in COLUMNS
+        if one.name in states.columns()
+    ]
+    return filled(
+        "state_card.md",
+        crossings=", ".join(facts["nx"]),
+        count=len(states),
+        knot=plain(report["knot"]),
+        version=report["version"],
+        mujoco=report["mujoco"],
+        seed=config["seed"],
+        holds=_holds(report, any(states.source.get("dataset", ()))),
+        states=table(_STATES_HEAD, _states_rows(facts["nx"], report["existing_codes"])),
+        overlap_columns=OVERLAP_SAYS[0].upper() + OVERLAP_SAYS[1:],
+        overlap=table(OVERLAP_HEAD, overlap_rows(facts["nx"])),
+        quality=table(("measure", "unit", "min", "median", "max"), quality),
+        spread_columns=SPREAD_SAYS[0].upper() + SPREAD_SAYS[1:],
+        spread=table(SPREAD_HEAD, spread_rows(facts["nx"])),
+        made=_made(report),
+        rejected=table(("nx", "reason", "rejected"), rejected),
+        growth=_growth_section(report),
+        columns=table(("column", "type", "unit", "contents"), columns),
+        config=json.dumps(config, indent=1, sort_keys=True),
+    )
 
 
 def _made(report: Mapping[str, Any]) -> str:
-    """What was tried."""
+    """Say how many candidates were made."""
     if report.get("source") == RANDOM_WALK:
         return (
-            f"{report['attempts']} ropes walked, {report['actions']} environment steps in all. A"
-            " configuration can be rejected for several reasons."
+            f"{report['attempts']} ropes were pulled at random, for {report['actions']} environment"
+            " steps in total. A configuration can be rejected for several reasons."
         )
     passed = sum(len(codes) for codes in report["passed_over"].values())
     return (
@@ -153,12 +108,12 @@ def _made(report: Mapping[str, Any]) -> str:
 
 
 def _holds(report: Mapping[str, Any], demonstrated: bool) -> str:
-    """Where the states come from, and what else is in the folder."""
+    """Say where the states come from, and what else is in the folder."""
     if report.get("source") == RANDOM_WALK:
         return (
-            "`states.h5` holds one row a state, as uniform random actions meet them: nothing was"
-            " opened up, only over-twisted ones were left out; a row's actions are drawn from its"
-            " stream. A state is laid at rest."
+            "`states.h5` holds one row per state, as uniform random actions reach them. No state"
+            " was relaxed to be easier to read; only over-twisted ones were left out. The actions"
+            " of a row are drawn from its random stream. States are stored at rest."
         )
     states = (
         "`states.h5` holds one row a state. Most are drawn from their codes: a row's drawing is"
@@ -178,7 +133,7 @@ def _holds(report: Mapping[str, Any], demonstrated: bool) -> str:
 _STATES_HEAD = (
     "nx",
     "states",
-    "codes, of those there are",
+    "codes, of all that exist",
     "with chirality",
     "train / test",
     "codes in both",
@@ -188,7 +143,7 @@ _STATES_HEAD = (
 
 
 def _states_rows(counts: Mapping[str, Any], existing: Mapping[str, int]) -> list[list[object]]:
-    """The rows of the card's table of states, in the order of _STATES_HEAD."""
+    """Rows of the table of states, in the order of _STATES_HEAD."""
     return [
         [
             nx,
@@ -205,6 +160,7 @@ def _states_rows(counts: Mapping[str, Any], existing: Mapping[str, int]) -> list
 
 
 def _growth_section(report: Mapping[str, Any]) -> list[str]:
+    """Lines of the section on growth, which drawn and random-walk states don't have."""
     rows = growth(report)
     if not rows:
         return []
@@ -217,7 +173,6 @@ def _growth_section(report: Mapping[str, Any]) -> list[str]:
             ("steps", *(f"nx {nx}: known / accepted" for nx in rows[-1]["known"])),
             [(row["steps"], *known_and_accepted(row)) for row in rows],
         ),
-        "",
     ]
 
 
@@ -231,25 +186,27 @@ SPREAD_HEAD = (
     "bare",
 )
 SPREAD_SAYS = (
-    "apart: mm, median / min distance of two states after the best turn about z, root mean square"
-    " over the beads; shapes: the same at the best base bead and direction; gyration: mm, min"
-    " / max radius; height: mm, min / max from the lowest bead to the highest; visits: beads, mean"
-    " distance along the rope of crossings in two states, 25 if they lie anywhere; bare: beads,"
-    " longest stretch where no state crosses"
+    "apart: mm, median / min distance of two states (root mean square over the beads, after the"
+    " best rotation about z); shapes: the same, minimized over base bead and direction too;"
+    " gyration: mm, min / max radius of gyration; height: mm, min / max from the lowest to the"
+    " highest bead; visits: beads, mean"
+    " distance along the rope between crossings of two states, 25 for random positions; bare:"
+    " beads, longest stretch where no state has a crossing"
 )
 
 
 OVERLAP_HEAD = ("nx", "test states", "code in train", "diagram in train", "nearest, mm")
 OVERLAP_SAYS = (
-    "code in train: test states whose code a train state shows, chirality aside; diagram in train:"
-    " those whose code one shows up to symmetry (from another base bead, walked the other way,"
-    " mirrored or switched); nearest: the least distance of a test state to a train state of any"
-    " nx, root mean square over the beads, at the best of those symmetries and turn about z"
+    "code in train: test states whose code (without chirality) some train state has; diagram in"
+    " train: test states whose code some train state has up to symmetry (another base bead, the"
+    " other direction, mirrored or switched); nearest: the smallest distance from a test state to a"
+    " train state of any nx, root mean square over the beads, minimized over those symmetries and"
+    " rotations about z"
 )
 
 
 def overlap_rows(counts: Mapping[str, Any]) -> list[list[str]]:
-    """What train and test share at each nx of a summary, in the order of OVERLAP_HEAD."""
+    """Overlap of train and test for each nx of a summary, in the order of OVERLAP_HEAD."""
     rows = []
     for nx, count in counts.items():
         found = count["overlap"]
@@ -260,9 +217,9 @@ def overlap_rows(counts: Mapping[str, Any]) -> list[list[str]]:
 
 
 def spread_rows(counts: Mapping[str, Any]) -> list[list[str]]:
-    """The spread of each nx of a summary, in the order of SPREAD_HEAD."""
+    """Spread of the states for each nx of a summary, in the order of SPREAD_HEAD."""
 
-    def told(values: Sequence[float] | None) -> str:
+    def millimetres(values: Sequence[float] | None) -> str:
         return (
             "-"
             if values is None
@@ -275,16 +232,13 @@ def spread_rows(counts: Mapping[str, Any]) -> list[list[str]]:
     rows = []
     for nx, count in counts.items():
         found = count["spread"]
-        lengths = (told(found[name]) for name in ("distance", "shape", "gyration", "height"))
+        lengths = (millimetres(found[name]) for name in ("distance", "shape", "gyration", "height"))
         rows.append([nx, *lengths, beads(found["visits"]), beads(found["bare"])])
     return rows
 
 
 def growth(report: Mapping[str, Any], rows: int = 12) -> list[dict[str, Any]]:
-    """So many rows of a run's growth, the last among them.
-
-    Each is at about the same multiple of the steps of the one before.
-    """
+    """Thin a run's growth to `rows` rows, geometrically spaced in steps; the last one is kept."""
     every: list[dict[str, Any]] = report.get("growth", [])
     if len(every) <= rows:
         return every
@@ -294,12 +248,12 @@ def growth(report: Mapping[str, Any], rows: int = 12) -> list[dict[str, Any]]:
 
 
 def known_and_accepted(row: Mapping[str, Any]) -> list[str]:
-    """Codes known to the search and states accepted, for each nx of a row of `growth`."""
+    """Format codes known and states accepted for each nx of a row of `growth`."""
     return [f"{row['known'][nx]} / {row['accepted'][nx]}" for nx in row["known"]]
 
 
 def most_first(counts: Mapping[str, int]) -> list[tuple[str, int]]:
-    """Counts in falling order, then by name."""
+    """Sort counts in decreasing order, then by name."""
     return sorted(counts.items(), key=lambda item: (-item[1], item[0]))
 
 
@@ -328,7 +282,7 @@ def _counts(states: States, nx: int) -> dict[str, Any]:
 
 
 def table_row(*cells: object) -> str:
-    """One row.
+    """Format one row of a Markdown table.
 
     >>> table_row("nx", 3)
     '| nx | 3 |'
@@ -337,7 +291,7 @@ def table_row(*cells: object) -> str:
 
 
 def table(head: Sequence[object], rows: Iterable[Sequence[object]]) -> list[str]:
-    """The lines of a table."""
+    """Format a Markdown table; return its lines."""
     return [
         table_row(*head),
         table_row(*["---"] * len(head)),

@@ -1,1 +1,1 @@
-"""Episodes in other houses' forms."""
+"""Export datasets to other formats: compact, LeRobot, OGBench, Hugging Face, Minari."""

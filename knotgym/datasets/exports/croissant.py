@@ -1,6 +1,6 @@
-"""Croissant: the description of a dataset that machines read, with its responsible-AI fields.
+"""Croissant: a machine-readable description of a dataset, with its responsible-AI fields.
 
-Source: MLCommons' Croissant 1.0 and Croissant RAI 1.0; the context is mlcroissant's own.
+Source: MLCommons Croissant 1.0 and Croissant RAI 1.0; _CONTEXT is the one mlcroissant writes.
 """
 
 from __future__ import annotations
@@ -53,25 +53,25 @@ _CONTEXT = {
     "transform": "cr:transform",
 }
 _TYPES = {"string": "sc:Text", "bool": "sc:Boolean", "float32": "sc:Float", "float64": "sc:Float"}
-# what holds of every dataset of knotgym
+# what is true of every knotgym dataset
 _RAI = {
     "rai:dataCollection": "Simulated: a closed rope of 100 beads in MuJoCo, pulled at one bead at a"
-    " time. No person and no recording of the world is in it.",
+    " time. There are no persons and no recordings of the real world.",
     "rai:dataCollectionType": ["Software Collection", "Experiments"],
     "rai:dataAnnotationProtocol": "Labels (Gauss codes) are computed from the vertices, exactly;"
-    " `knotgym dataset verify` computes them again by a second labeller, and replays every row.",
-    "rai:dataPreprocessingProtocol": "Curated states are accepted by limits on how well their"
-    " picture can be read; the card counts what was rejected, and why.",
+    " `knotgym dataset verify` recomputes them with a second labeller and replays every row.",
+    "rai:dataPreprocessingProtocol": "Curated states must pass limits on how readable their picture"
+    " is; the card counts rejections by reason.",
     "rai:dataUseCases": "Spatial reasoning: reading codes off pictures, goal-conditioned and"
     " offline reinforcement learning. Not meant for judging real ropes.",
     "rai:dataLimitations": "One rope, one simulator, plain pictures. Few crossings, and the"
-    " frequency of codes is that of the search or of the policy, not that of nature.",
-    "rai:dataBiases": "Curated states are easier to read than chance ones; shapes that the search"
+    " frequency of codes is set by the search or the policy and doesn't reflect real ropes.",
+    "rai:dataBiases": "Curated states are easier to read than random ones; shapes that the search"
     " finds quickly are more frequent.",
-    "rai:dataSocialImpact": "None is known beyond that of better spatial reasoning in machines.",
+    "rai:dataSocialImpact": "None known beyond that of better spatial reasoning in machines.",
     "rai:personalSensitiveInformation": "None.",
-    "rai:dataReleaseMaintenancePlan": "A release is never changed; another one has another version,"
-    " and the same seed makes the same bytes.",
+    "rai:dataReleaseMaintenancePlan": "A release never changes: a change gets a new version. The"
+    " same seed gives the same bytes.",
 }
 
 
@@ -79,11 +79,11 @@ class FileObject(NamedTuple):
     """One Parquet file of a folder.
 
     Attributes:
-        config: the kind of table, as "states".
-        split: of its rows.
-        path: below the folder.
-        rows: how many.
-        columns: of the table.
+        config: kind of table, such as "states".
+        split: the split that its rows belong to.
+        path: relative to the folder.
+        rows: number of rows.
+        columns: columns of the table.
     """
 
     config: str
@@ -102,7 +102,7 @@ def croissant(
     version: str,
     citation: str,
 ) -> dict[str, Any]:
-    """The description of a folder whose tables are written, JSON-able."""
+    """Describe a folder whose tables have been written; the result can be written as JSON."""
     return {
         "@context": _CONTEXT,
         "@type": "sc:Dataset",
@@ -149,7 +149,7 @@ def _records(file: FileObject) -> dict[str, Any]:
 
 
 def _field(where: str, path: str, column: TableColumn) -> dict[str, Any]:
-    """A column's field; of structs, which Croissant takes apart, none but the picture."""
+    """Describe a column; {} for structs other than pictures, which Croissant would flatten."""
     kind, repeated = column.kind, False
     if isinstance(kind, list) and isinstance(kind[0], str):
         kind, repeated = kind[0], True

@@ -1,4 +1,4 @@
-"""The forms that episodes can be exported to, by name."""
+"""Formats that episodes can be exported to, by name."""
 
 from __future__ import annotations
 
@@ -9,26 +9,17 @@ from typing import Any
 from knotgym.common.errors import KnotgymError
 from knotgym.datasets.episode_reader import Count, uncounted
 
-# each takes a dataset, where to write, and what to tell of how far it is
+# format -> function(dataset, output path, progress callback, overwrite=)
 FORMS = {
     "compact": "knotgym.datasets.minari_dataset:compact",
     "lerobot": "knotgym.datasets.exports.lerobot_export:to_lerobot",
     "ogbench": "knotgym.datasets.exports.ogbench_export:to_ogbench",
 }
+UPLOADS = ("huggingface", "minari")  # repository folders, of several datasets at once
 
 
-UPLOADS = ("huggingface", "minari")  # folders to upload, of several datasets at once
-
-
-class UnknownForm(KnotgymError, ValueError):
-    """Nothing is exported to a form of this name."""
-
-    def __init__(self, form: str) -> None:
-        super().__init__(f"no form {form!r} to export to; there is {', '.join((*FORMS, *UPLOADS))}")
-
-
-class NothingToExport(KnotgymError, ValueError):
-    """A dataset lacks what a form is made of."""
+class ExportError(KnotgymError, ValueError):
+    """A dataset can't be exported: unknown format, or it lacks something the format needs."""
 
 
 def export(
@@ -39,21 +30,21 @@ def export(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write a dataset of episodes in another form.
+    """Write a dataset of episodes in another format.
 
     Args:
         source: what `EpisodeReader` takes.
         out: a file for "compact", a folder for the others.
-        form: one of FORMS.
-        count: told before each episode.
+        form: the format, one of FORMS.
+        count: progress callback, called before each episode.
         overwrite: replace what exists.
 
     Raises:
-        UnknownForm: there is no such form.
-        NothingToExport: the dataset can't be put into it.
-        Occupied: something exists at `out`, and `overwrite` isn't asked for.
+        ExportError: there is no such format, or the dataset can't be stored in it.
+        Occupied: something exists at `out`, and `overwrite` is False.
     """
     if form not in FORMS:
-        raise UnknownForm(form)
+        formats = ", ".join((*FORMS, *UPLOADS))
+        raise ExportError(f"no format {form!r}; formats are {formats}")
     module, _, function = FORMS[form].partition(":")
     getattr(importlib.import_module(module), function)(source, out, count, overwrite=overwrite)

@@ -1,11 +1,11 @@
-"""Episodes as a LeRobot dataset, format v3.0.
+"""Export episodes as a LeRobot dataset, format v3.0.
 
     {out}/meta/info.json, stats.json, tasks.parquet, episodes/chunk-000/file-000.parquet
-    {out}/data/chunk-000/file-000.parquet ...       one row a step, pictures as PNG, lossless
+    {out}/data/chunk-000/file-000.parquet ...       one row per step, pictures as lossless PNG
 
-A row is what was seen, the action taken, and what it led to (`next.reward`, `next.done`,
-`next.success`). The last state of an episode, which no action leaves, is in no row.
-The task of an episode is a sentence with the goal's Gauss code, see `task_text`.
+A row holds an observation, the action taken, and its outcome (`next.reward`, `next.done`,
+`next.success`). The last state of an episode has no action and therefore no row. The task of an
+episode is a sentence with the Gauss code of its goal, see `task_text`.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 
 from knotgym.common.atomic_files import atomic_write, require_output
 from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
-from knotgym.datasets.exports.forms import NothingToExport
+from knotgym.datasets.exports.forms import ExportError
 from knotgym.datasets.image_table import arrow, encode
 
 VERSION = "v3.0"
-FRAMES_PER_SECOND = 5  # an action lasts 0.192 s; LeRobot takes whole numbers
-_FILE_BYTES = 100 * 2**20  # a data file is closed once it holds so much
-_CHUNK = 1000  # files in a folder
+FRAMES_PER_SECOND = 5  # an action takes 0.192 s; LeRobot needs an integer
+_FILE_BYTES = 100 * 2**20  # a data file is closed when it holds this much
+_CHUNK = 1000  # files per folder
 _PLACE = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _NAMES = {"pixels": "observation.image", "state": "observation.environment_state"}
 
@@ -38,17 +38,17 @@ def to_lerobot(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write the dataset; it appears whole or not at all.
+    """Write the dataset atomically.
 
     Args:
         source: what `EpisodeReader` takes.
-        out: the folder to make.
-        count: told before each episode.
+        out: the new folder.
+        count: progress callback, called before each episode.
         overwrite: replace a folder that exists.
 
     Raises:
-        NothingToExport: no episode, or its observations have no place in the form.
-        Occupied: `out` exists, and `overwrite` isn't asked for.
+        ExportError: no episodes, or the format has no place for their observations.
+        Occupied: `out` exists, and `overwrite` is False.
         MissingExtra: pyarrow isn't installed.
     """
     reader, folder = EpisodeReader(source), Path(out)
@@ -56,9 +56,10 @@ def to_lerobot(
     require_output(folder, folder=True, overwrite=overwrite)
     plain = task.layout == "beside" and not task.depth
     if not len(reader) or task.observation == "symbolic" or not plain:
-        raise NothingToExport(
-            "LeRobot's form takes episodes of pixels, state or both, in layout beside and without"
-            f" depth; {reader.path} has {len(reader)} of {task.observation} in layout {task.layout}"
+        raise ExportError(
+            "LeRobot's format holds pixels, state or both, in layout beside and without depth;"
+            f" {reader.path} has {len(reader)} episodes of {task.observation} in layout"
+            f" {task.layout}{' with depth' if task.depth else ''}"
         )
     looks = [name for name in _NAMES if task.observation in (name, "both")]
     with atomic_write(folder, overwrite=overwrite) as temporary:
@@ -67,7 +68,7 @@ def to_lerobot(
 
 
 def task_text(goal: str) -> str:
-    """Say in words what an episode is to reach.
+    """Describe the goal of an episode in words.
 
     >>> task_text("1+,1-"), task_text("")
     ('Move the rope until its Gauss code is 1+,1-.', 'Untie the rope into a plain loop.')
@@ -78,7 +79,7 @@ def task_text(goal: str) -> str:
 
 
 class _Writer:
-    """Writes a dataset, episode by episode; statistics are summed up on the way."""
+    """Writes a dataset episode by episode and accumulates its statistics."""
 
     def __init__(self, reader: EpisodeReader, looks: list[str], folder: Path) -> None:
         self.reader, self.looks, self.folder = reader, looks, folder
@@ -108,7 +109,7 @@ class _Writer:
         }
 
     def write(self, count: Count) -> None:
-        """Write everything."""
+        """Write data files and metadata."""
         parquet, waiting, size = arrow("pyarrow.parquet"), [], 0
         schema = _schema(self.features)
         for k in range(len(self.reader)):
@@ -125,7 +126,7 @@ class _Writer:
         self._write_meta()
 
     def _columns(self, k: int) -> list[Any]:
-        """The columns of an episode, in the order of the features; notes it down."""
+        """Return an episode's columns in the order of the features; add it to the metadata."""
         length = int(self.reader.lengths[k])
         goal = task_text(str(self.reader.attributes(k)["goal_gauss_code"]))
         number = self.tasks.setdefault(goal, len(self.tasks))
@@ -200,13 +201,13 @@ class _Writer:
             "features": self.features,
         }
         stats = {name: sums.stats() for name, sums in self.sums.items()}
-        for name, said in (("info", info), ("stats", stats)):
+        for name, content in (("info", info), ("stats", stats)):
             path = self.folder / "meta" / f"{name}.json"
-            path.write_text(json.dumps(said, indent=1), encoding="utf-8")
+            path.write_text(json.dumps(content, indent=1), encoding="utf-8")
 
 
 class _Sums:
-    """Least, greatest, mean and spread of each component of a feature, of pictures each channel."""
+    """Running min, max, mean and standard deviation per component; of pictures, per channel."""
 
     def __init__(self) -> None:
         self.count, self.frames = 0, 0
@@ -214,10 +215,11 @@ class _Sums:
         self.shape: tuple[int, ...] = (1,)
 
     def add(self, values: NDArray[Any]) -> None:
-        """Take in values (T,), (T, n) or pictures uint8 (T, height, width, 3)."""
+        """Add values (T,), (T, n) or pictures uint8 (T, height, width, 3)."""
         numbers = values.reshape(-1, values.shape[-1] if values.ndim > 1 else 1).astype(np.float64)
         if values.ndim == 4:
-            numbers, self.shape = numbers / 255, (-1, 1, 1)  # as LeRobot shows pictures
+            # LeRobot scales pictures to [0, 1]; statistics have shape (3, 1, 1)
+            numbers, self.shape = numbers / 255, (-1, 1, 1)
         else:
             self.shape = (-1,)
         found = numbers.min(axis=0), numbers.max(axis=0)
@@ -231,7 +233,7 @@ class _Sums:
         self.count, self.frames = self.count + len(numbers), self.frames + len(values)
 
     def stats(self) -> dict[str, Any]:
-        """As LeRobot's stats.json says them."""
+        """Return them in the layout of LeRobot's stats.json."""
         mean = self.total / self.count
         std = np.sqrt(np.maximum(self.squares / self.count - mean**2, 0))
         each = {"min": self.least, "max": self.most, "mean": mean, "std": std}
@@ -246,7 +248,7 @@ def _feature(dtype: str, length: int = 1, names: list[str] | None = None) -> dic
 
 
 def _stored(values: NDArray[Any]) -> Any:
-    """A column as pyarrow takes it, pictures as PNG."""
+    """Convert a column for pyarrow; pictures become PNG."""
     if values.ndim == 4:
         return [{"bytes": encode(picture), "path": None} for picture in values]
     if values.ndim == 2:
@@ -256,23 +258,23 @@ def _stored(values: NDArray[Any]) -> Any:
 
 
 def _schema(features: dict[str, dict[str, Any]]) -> Any:
-    """The pyarrow schema of data files, with Hugging Face's features in its metadata."""
+    """Return the pyarrow schema of data files, with Hugging Face features in its metadata."""
     pa, fields = arrow(), []
-    told: dict[str, dict[str, Any]] = {}
+    declared: dict[str, dict[str, Any]] = {}
     for name, feature in features.items():
         dtype, length = feature["dtype"], feature["shape"][0]
         if dtype == "image":
             kind = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
-            told[name] = {"_type": "Image"}
+            declared[name] = {"_type": "Image"}
         else:
             one: dict[str, Any] = {"dtype": dtype, "_type": "Value"}
             kind = pa.bool_() if dtype == "bool" else pa.type_for_alias(dtype)
-            told[name] = one
+            declared[name] = one
             if length > 1:
                 kind = pa.list_(kind, length)
-                told[name] = {"feature": one, "length": length, "_type": "Sequence"}
+                declared[name] = {"feature": one, "length": length, "_type": "Sequence"}
         fields.append((name, kind))
-    metadata = {"huggingface": json.dumps({"info": {"features": told}})}
+    metadata = {"huggingface": json.dumps({"info": {"features": declared}})}
     return pa.schema(fields, metadata=metadata)
 
 

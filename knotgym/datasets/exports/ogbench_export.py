@@ -1,17 +1,17 @@
-"""Episodes as OGBench's data files, for its agents and its reader.
+"""Export episodes as data files for OGBench's agents and reader.
 
-    {out}/{name}-train.npz      nine episodes of ten
-    {out}/{name}-val.npz        every tenth
-    {out}/{name}.npz            the first again, under the name that its agents look for
+    {out}/{name}-train.npz      nine of ten episodes
+    {out}/{name}-val.npz        every tenth episode
+    {out}/{name}.npz            the training file again, under the name that the agents look for
 
-Arrays of an episode of T actions have T + 1 rows, one after another:
+An episode of T actions takes T + 1 consecutive rows of each array:
 
-    observations    float32 (300,), the rope's vertices, or uint8 (size, size, 3): never the goal
-    actions         float32 (6,); no action leaves the last state, there stand zeros
+    observations    float32 (300,), vertices of the rope, or uint8 (size, size, 3); never the goal
+    actions         float32 (6,); zeros in the last row, which has no action
     terminals       bool, true in the last row
 
-A name is task, crossings and policy, `tie-nx2-expert-v0`, with "visual-" before it for pictures;
-less the policy it is the id of the environment, see `adapters.ogbench_environment`.
+A name consists of task, crossings and policy, as `tie-nx2-expert-v0`, with the prefix "visual-" for
+pictures. Without the policy it is the id of the environment, see `adapters.ogbench_environment`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from knotgym.common.atomic_files import atomic_write, require_output
 from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
-from knotgym.datasets.exports.forms import NothingToExport
+from knotgym.datasets.exports.forms import ExportError
 from knotgym.datasets.minari_dataset import metadata_of
 
 _TENTH = 10  # every tenth episode is for validation
@@ -41,25 +41,25 @@ def to_ogbench(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write the files; of a dataset of both pictures and vertices, those of either.
+    """Write the files; a dataset with both pictures and vertices gives two sets of files.
 
     Args:
         source: what `EpisodeReader` takes.
-        out: the folder they go to; OGBench's own is ~/.ogbench/data.
-        count: told before each episode of a file.
+        out: the output folder; OGBench reads ~/.ogbench/data by default.
+        count: progress callback, called before each episode of a file.
         overwrite: replace files that exist.
 
     Raises:
-        NothingToExport: fewer than two episodes, or neither pictures nor vertices.
-        Occupied: a file exists, and `overwrite` isn't asked for.
+        ExportError: fewer than two episodes, or neither pictures nor vertices.
+        Occupied: a file exists, and `overwrite` is False.
     """
     reader, folder = EpisodeReader(source), Path(out)
     shown = reader.task.observation
     looks = [name for name in _LOOKS if shown in (name, "both")]
     if len(reader) < 2 or not looks:
-        raise NothingToExport(
-            "OGBench has a training and a validation file, of pictures or of vertices: it takes 2"
-            f" episodes of pixels, state or both; {reader.path} has {len(reader)} of {shown}"
+        raise ExportError(
+            "OGBench needs at least 2 episodes of pixels, state or both, for its training and its"
+            f" validation file; {reader.path} has {len(reader)} of {shown}"
         )
     names = {look: _LOOKS[look] + _name(source, reader) for look in looks}
     files = [f"{name}{end}.npz" for name in names.values() for end in ("-train", "-val", "")]
@@ -88,7 +88,7 @@ def to_ogbench(
 def _rows(
     reader: EpisodeReader, episodes: list[int], look: str, count: Count
 ) -> dict[str, NDArray[Any]]:
-    """The arrays of some episodes, one after another."""
+    """Concatenate the arrays of episodes."""
     ends = np.cumsum([int(reader.lengths[k]) + 1 for k in episodes])
     observations: NDArray[Any] | None = None
     actions = np.zeros((ends[-1], 6), dtype=np.float32)
@@ -102,19 +102,22 @@ def _rows(
             observations = np.empty((ends[-1], *rope.shape[1:]), rope.dtype)
         observations[start:end] = rope
         actions[start : end - 1] = reader.column(k, "actions")
-    assert observations is not None  # there is an episode in either part
+    assert observations is not None  # each part has at least one episode
     return {"observations": observations, "actions": actions, "terminals": terminals}
 
 
 def _rope_alone(seen: NDArray[Any], layout: str) -> NDArray[Any]:
-    """The rope's half of states (T + 1, 6 beads) or pictures (T + 1, size, ...)."""
+    """Return the rope's half of states (T + 1, 6 beads) or pictures (T + 1, size, ...)."""
     axis = 1 if seen.ndim == 2 else (2 if layout == "beside" else 3)
     return np.split(seen, 2, axis=axis)[0]
 
 
 def _name(source: Any, reader: EpisodeReader) -> str:
-    """Task, crossings, policy and version; the policy without dashes, which OGBench goes by."""
+    """Return task, crossings, policy and version.
+
+    OGBench splits names at dashes, so a policy has underscores instead.
+    """
     metadata, task = metadata_of(source), reader.task
-    told = metadata.dataset_id if metadata else f"{reader.attributes(0)['policy']}-v0"
-    policy, _, version = told.rpartition("/")[2].rpartition("-")
+    dataset_id = metadata.dataset_id if metadata else f"{reader.attributes(0)['policy']}-v0"
+    policy, _, version = dataset_id.rpartition("/")[2].rpartition("-")
     return f"{task.task}-nx{task.nx}-{re.sub(r'[^0-9A-Za-z_]', '_', policy)}-{version}"

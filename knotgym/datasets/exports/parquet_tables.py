@@ -1,6 +1,7 @@
-"""States and episodes as tables: what each column holds, and the rows, written as Parquet.
+"""Tables of states and episodes for Parquet files: columns and rows.
 
-Arrays lie in a row flat, in C order. Names have an underscore where the state file has a slash.
+Arrays are stored flat, in C order. Column names have an underscore where the state file has a
+slash.
 """
 
 from __future__ import annotations
@@ -23,10 +24,10 @@ class TableColumn(NamedTuple):
     """One column of a table.
 
     Attributes:
-        name: in the file.
-        kind: as `image_table.COLUMNS` spells types.
-        unit: "" where there is none.
-        doc: what it holds.
+        name: name in the file.
+        kind: type, in the notation of `image_table.COLUMNS`.
+        unit: "" for none.
+        doc: description.
     """
 
     name: str
@@ -36,11 +37,11 @@ class TableColumn(NamedTuple):
 
 
 def state_columns(states: States) -> list[TableColumn]:
-    """The columns of a state file's table, as many as it has."""
+    """Return the columns that a state file has."""
     known = {column.name: column for column in STATE_COLUMNS}
     out = []
     for name, values in states.columns().items():
-        said = known.get(name)
+        column = known.get(name)
         if name == "image":
             kind: Any = "image"
         elif values.ndim > 1:
@@ -48,14 +49,14 @@ def state_columns(states: States) -> list[TableColumn]:
         else:
             kind = "string" if values.dtype.kind == "U" else values.dtype.name
         shape = f", {values.shape[1:]}" if values.ndim > 2 and name != "image" else ""
-        unit = said.unit if said else states.units.get(name.partition("/")[2], "")
-        doc = said.doc if said else "a measure of the state"
+        unit = column.unit if column else states.units.get(name.partition("/")[2], "")
+        doc = column.doc if column else "a measure of the state"
         out.append(TableColumn(name.replace("/", "_"), kind, unit, doc + shape))
     return out
 
 
 def state_rows(states: States) -> Iterator[dict[str, Any]]:
-    """Row by row, as `state_columns` says."""
+    """Yield the rows, with the columns of `state_columns`."""
     columns = states.columns()
     for row in range(len(states)):
         out = {}
@@ -69,35 +70,38 @@ def state_rows(states: States) -> Iterator[dict[str, Any]]:
 
 
 def step_columns(pictures: bool, beads: int) -> list[TableColumn]:
-    """The columns of a table of episodes, one row a state of one."""
+    """Return the columns of a table of episodes, one row per state."""
     ropes = ["float64", 3 * beads]
-    image = TableColumn("image", "image", "levels", "what the agent saw, rope left, goal right")
+    image = TableColumn("image", "image", "levels", "what the agent saw: rope left, goal right")
     return [
         *([image] if pictures else []),
-        TableColumn("dataset", "string", "", "Minari dataset that the episode is of"),
-        TableColumn("episode", "int64", "", "its number there"),
-        TableColumn("step", "int64", "actions", "taken before this state"),
+        TableColumn("dataset", "string", "", "Minari dataset of the episode"),
+        TableColumn("episode", "int64", "", "its index there"),
+        TableColumn("step", "int64", "actions", "number taken before this state"),
         TableColumn("points", ropes, "m", "vertices of the rope, bead by bead"),
-        TableColumn("goal_points", ropes, "m", "vertices of the goal's exemplar"),
-        TableColumn("action", ["float32", 6], "[-1, 1]", "taken here: place / 2 m, force / 0.2 N"),
-        TableColumn("reward", "float64", "", "of that action"),
+        TableColumn("goal_points", ropes, "m", "vertices of the state that shows the goal"),
+        TableColumn(
+            "action", ["float32", 6], "[-1, 1]", "taken here: position / 2 m, force / 0.2 N"
+        ),
+        TableColumn("reward", "float64", "", "reward of that action"),
         TableColumn("terminated", "bool", "", "that action ended the task"),
-        TableColumn("truncated", "bool", "", "time was up after it"),
-        TableColumn("is_last", "bool", "", "no action leaves this state; action and reward are 0"),
-        TableColumn("gauss_code", "string", "", "code of the state"),
+        TableColumn("truncated", "bool", "", "the step limit was reached after it"),
+        TableColumn("is_last", "bool", "", "last state of the episode; action and reward are 0"),
+        TableColumn("gauss_code", "string", "", "Gauss code of the state"),
         TableColumn("gauss_code_chiral", "string", "", "the same with chirality"),
-        TableColumn("goal_gauss_code", "string", "", "the code to reach"),
+        TableColumn("goal_gauss_code", "string", "", "Gauss code of the goal"),
         TableColumn("crossings", "int64", "crossings", "in the picture of the state"),
         TableColumn("is_success", "bool", "", "the goal is reached"),
-        TableColumn("policy", "string", "", "who acted"),
+        TableColumn("policy", "string", "", "policy that chose the actions"),
     ]
 
 
 def step_rows(
     reader: EpisodeReader, dataset: str, pictures: bool, count: Count = uncounted
 ) -> Iterator[dict[str, Any]]:
-    """Row by row, as `step_columns` says, an episode in memory at a time; `count` is told before
-    each.
+    """Yield the rows, with the columns of `step_columns`; holds one episode in memory.
+
+    `count` is called before each episode.
     """
     for index in range(len(reader)):
         count(f"episodes of {dataset}", index, len(reader))
@@ -136,18 +140,18 @@ _PICTURE_DOCS = {
     "nx": "crossings",
     "knot": "knot type",
     "points": "vertices of the rope, bead by bead, m",
-    "crossings": "pixel of each, places of its two strands along the rope, beads; sign",
+    "crossings": "pixel of each, positions of its two strands along the rope in beads, sign",
     "split": "train, test, test-code (unseen codes) or test-nx (more crossings)",
-    "accepted": "keeps to all limits of a curated state",
-    "grade": "how hard it is to read",
-    "quality": "measures in the published picture",
-    "appearance": "how it was drawn",
-    "source": "how the configuration came to be",
+    "accepted": "passes every limit for curated states",
+    "grade": "difficulty of reading the picture",
+    "quality": "quality measures of the published picture",
+    "appearance": "how the picture was rendered",
+    "source": "how the configuration was made",
 }
 
 
 def picture_columns() -> list[TableColumn]:
-    """The columns of a perception table."""
+    """Return the columns of a perception table."""
     return [TableColumn(name, kind, "", _PICTURE_DOCS[name]) for name, kind in
             PICTURE_COLUMNS.items()]  # fmt: skip
 
@@ -155,7 +159,7 @@ def picture_columns() -> list[TableColumn]:
 def write_parquet(
     path: Path, columns: Sequence[TableColumn], rows: Iterable[dict[str, Any]], group: int = 100
 ) -> int:
-    """Write rows, so many held at a time; how many there were."""
+    """Write rows in groups of `group`; return how many there were."""
     pa, parquet = arrow(), arrow("pyarrow.parquet")
     features = {column.name: feature(column.kind) for column in columns}
     schema = pa.schema(

@@ -1,1 +1,1 @@
-"""One HTML file to browse a dataset in, without a network."""
+"""A self-contained HTML page for browsing a dataset offline."""

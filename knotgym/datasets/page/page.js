@@ -4,7 +4,7 @@ const by = (id) => document.getElementById(id);
 const state = { tab: "", row: -1, episode: -1, step: 0, place: 0, walking: false, spinning: false,
   playing: false, marked: true, speed: 1, camera: topView(), filmCamera: topView() };
 
-// text is only ever text: nothing that a file says becomes markup
+// use textContent only, so that nothing in a file can become markup
 function made(kind, text = "", properties = {}) {
   const element = document.createElement(kind);
   element.textContent = text;
@@ -19,13 +19,13 @@ function facts(list, rows) {
   }));
 }
 
-// JSON to unfold; other text as it is
+// show JSON in a collapsible box, other text as it is
 function unfolding(text) {
   if (!text.startsWith("{")) return text;
   let whole = text;
   try {
     whole = JSON.stringify(JSON.parse(text), null, 1);
-  } catch { /* it was cut */ }
+  } catch { /* the JSON was cut */ }
   const box = made("details");
   box.append(made("summary", "show"), made("pre", whole));
   return box;
@@ -38,7 +38,7 @@ function tool(box, text, act, pressed) {
   return button;
 }
 
-// ---- filters: a set of pressed chips for each field, none pressed is all
+// ---- filters: toggle buttons for each value of a field; none pressed means all
 
 function chips(form, rows, name, field, order) {
   const counts = new Map();
@@ -70,17 +70,17 @@ function search(form, name, text) {
   return (row) => text(row).includes(input.value.trim().replaceAll(" ", ""));
 }
 
-// a measure chosen from the list, between two ends; sorts too
+// a quality measure chosen from a list: filters by a range and sorts
 function measure(form, rows) {
   if (!DATA.measures.length) return { keeps: () => true, order: () => 0 };
   const box = made("div", "", { className: "measure" }), select = made("select"), canvas = made("canvas");
   const picked = made("label"), ends = made("div", "", { className: "ends" }), says = made("output");
-  select.append(made("option", "any, in order", { value: "" }));
+  select.append(made("option", "any, in file order", { value: "" }));
   DATA.measures.forEach(({ name }, k) => select.append(made("option", name.replaceAll("_", " "), { value: k })));
   const inputs = [0, 1000].map((value, k) =>
     made("input", "", { type: "range", min: 0, max: 1000, value, ariaLabel: k ? "at most" : "at least" }));
   select.dataset.filter = "measure";
-  picked.append(made("span", "measure, sorted by"), select);
+  picked.append(made("span", "filter and sort by"), select);
   ends.append(...inputs);
   box.append(picked, canvas, says, ends);
   form.append(box);
@@ -209,15 +209,15 @@ function openState(index, byHand) {
   const measures = DATA.measures.map(({ name, unit }, k) => {
     const values = states.map((other) => other.q[k]).filter(Number.isFinite), cell = made("span");
     const below = values.filter((value) => value < row.q[k]).length / Math.max(1, values.length - 1);
-    cell.append(made("meter", "", { min: 0, max: 1, value: Math.min(1, below), title: "its rank among all" }),
+    cell.append(made("meter", "", { min: 0, max: 1, value: Math.min(1, below), title: "rank among all states" }),
       `${shortened(row.q[k])} ${unit}`);
     return [name.replaceAll("_", " "), cell];
   });
   const at = DATA.episodes.findIndex((one) => one.set === row.set && one.number === row.trajectory);
   let way = "";
-  if (at >= 0) way = made("button", "play it", { type: "button", onclick: () => openEpisode(at) });
+  if (at >= 0) way = made("button", "play", { type: "button", onclick: () => openEpisode(at) });
   facts(by("state-facts"), [["code", row.code || "loop"], ["split", row.split], ["knot", row.knot],
-    ...DATA.words.map((name) => [name, row[name]]), ["actions to reach it", row.steps], ["its way", way], ...measures]);
+    ...DATA.words.map((name) => [name, row[name]]), ["actions to reach it", row.steps], ["demonstration", way], ...measures]);
   remember(`states/${row.row}`);
   showState();
 }
@@ -298,7 +298,7 @@ function startEpisodes() {
     goTo(Math.round(stepAt(time, rows[state.episode], event.clientX)));
   };
   time.addEventListener("pointerdown", (event) => {
-    try { time.setPointerCapture(event.pointerId); } catch { /* a pointer made by a script */ }
+    try { time.setPointerCapture(event.pointerId); } catch { /* synthetic events have no pointer to capture */ }
     scrub(event);
   });
   time.addEventListener("pointermove", (event) => event.buttons && scrub(event));
@@ -345,7 +345,7 @@ function showEpisode() {
   const episode = DATA.episodes[state.episode], size = 3 * DATA.beads, now = Math.floor(state.step);
   const last = episode.code.length - 1, part = state.step - now;
   const frame = episode.frames.slice(now * size, (now + 1) * size);
-  if (part && now < last) // between two states, drawn straight
+  if (part && now < last) // linear interpolation between two states
     for (let i = 0; i < size; i++) frame[i] += part * (episode.frames[(now + 1) * size + i] - frame[i]);
   const draw = (id, points, crossings, after) => {
     const canvas = by(id), pen = fitted(canvas), [wide, high] = [canvas.clientWidth, canvas.clientHeight];
@@ -367,8 +367,8 @@ function showEpisode() {
   facts(by("episode-facts"), [
     ["step", `${now} of ${last}`],
     ["code", (code || "loop") + (code === episode.goal ? ", the goal's" : "")],
-    ["pull", strength ? `bead ${episode.bead[next]}, ${shortened(strength)} N` + (share < 1 ? `, eased to ${100 * share} %` : "")
-      : share < 1 ? "none: it would have opened the rope" : next <= last ? "none, the rope is left to rest" : "none, the episode ended"],
+    ["pull", strength ? `bead ${episode.bead[next]}, ${shortened(strength)} N` + (share < 1 ? `, reduced to ${100 * share} %` : "")
+      : share < 1 ? "none: it would have pulled the rope apart" : next <= last ? "none, the rope settles" : "none, the episode ended"],
     ["why", next <= last && episode.moves ? episode.moves[next] : ""],
     ["reward", now ? `${shortened(episode.rewards[now - 1])}, ${shortened(total)} so far` : "0"],
     ["policy", episode.policy], ["split", episode.split], ["seed", episode.seed], ["dataset", episode.set],

@@ -1,7 +1,7 @@
-"""What a page shows of a dataset: JSON, the vertices as int16 in base64.
+"""Data of a dataset's page, as JSON; vertices are int16 in base64.
 
-Ropes are laid with their middle at the origin, as the picture shows them, in units of 0.1 mm. Large
-sets are sampled evenly, and a notice says so.
+Ropes are centred at the origin, as in the pictures, in units of 0.1 mm. Large datasets are sampled
+evenly, and the page says so.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from knotgym.states.state_file import States, read_states
 from knotgym.topology.crossings import find_crossings
 
 UNIT = 1e-4  # metres
-MOST_STATES = 1500  # 1.3 kB each
-MOST_PICTURES = 400  # 8 kB more each
-MOST_FRAMES = 7000  # states of episodes, 1.1 kB each
-MOST_STEPS = 1000  # of one episode
+MOST_STATES = 1500  # about 1.3 kB each
+MOST_PICTURES = 400  # about 8 kB more each
+MOST_FRAMES = 7000  # states of all episodes, about 1.1 kB each
+MOST_STEPS = 1000  # steps of one episode
 _GROWTH_ROWS = 200
-_LONGEST_TEXT = 20_000  # characters of a configuration
+_LONGEST_TEXT = 20_000  # characters; a longer configuration is cut
 
 
 class UnshownDataset(KnotgymError, ValueError):
-    """There is nothing to show on a page."""
+    """The dataset is empty, so there is nothing to show."""
 
 
 def page_data(
@@ -47,17 +47,17 @@ def page_data(
     episodes: Sequence[Path] = (),
     pictures: Path | None = None,
 ) -> dict[str, Any]:
-    """All that the page of a dataset shows, JSON-able.
+    """Collect everything that the page of a dataset shows; the result can be written as JSON.
 
     Args:
-        title: of the page.
-        states: a state file; if a run's manifest lies beside it, what that says is shown too.
+        title: title of the page.
+        states: state file; the manifest of a run beside it is shown too.
         episodes: datasets or episode files.
-        pictures: a perception table.
+        pictures: perception table.
 
     Raises:
-        UnshownDataset: there is nothing in them.
-        KnotgymError: as their readers.
+        UnshownDataset: there are no rows.
+        KnotgymError: a source can't be read.
     """
     rope = RopeConfig()
     notices: list[str] = []
@@ -85,14 +85,14 @@ def page_data(
     if pictures is not None:
         data |= _pictures(pictures, notices)
     counts = [(len(data["states"]), "state"), (len(data["episodes"]), "episode")]
-    told = [f"{count} {what}{'s' * (count != 1)}" for count, what in counts if count]
-    if not told:
-        raise UnshownDataset(f"{title} holds no rows, so there is nothing to show")
-    return {**data, "says": ", ".join(told)}
+    contents = [f"{count} {what}{'s' * (count != 1)}" for count, what in counts if count]
+    if not contents:
+        raise UnshownDataset(f"{title} has no rows, so there is nothing to show")
+    return {**data, "says": ", ".join(contents)}
 
 
 def sampled(count: int, most: int) -> list[int]:
-    """Up to `most` of so many rows, evenly.
+    """Choose up to `most` of `count` rows, evenly spaced.
 
     >>> sampled(5, 3), sampled(2, 3)
     ([0, 2, 4], [0, 1])
@@ -101,18 +101,17 @@ def sampled(count: int, most: int) -> list[int]:
 
 
 def dataset_name(path: Path) -> str:
-    """The id that the metadata of a dataset say, else the name of the folder or file."""
+    """Return the dataset id from the metadata, or else the name of the folder or file."""
     for folder in (path, path / "data", path.parent):
         try:
-            said = read_json(folder / "metadata.json")
-            return str(said["dataset_id"])
+            return str(read_json(folder / "metadata.json")["dataset_id"])
         except (OSError, ValueError, KeyError, TypeError):
             continue
     return path.name
 
 
 def _run(file: Path, notices: list[str]) -> dict[str, Any]:
-    """A state file, and what the manifest beside it says of the run."""
+    """Collect a state file and the report of the run in the manifest beside it."""
     states = read_states(file, images=False)
     report = run_report(read_manifest(file.parent)[0])
     about = {
@@ -161,7 +160,7 @@ def _states(states: States, notices: list[str]) -> dict[str, Any]:
 
 
 def _pictures(source: Path, notices: list[str]) -> dict[str, Any]:
-    """A folder of `knotgym images`: states with the picture as it was drawn."""
+    """Collect a perception table: states with their pictures."""
     columns = ["gauss_code", "gauss_code_chiral", "nx", "knot", "points", "split", "quality"]
     table = read_table(source, columns=[*columns, "grade", "image"])
     rows = sampled(len(table), MOST_PICTURES)
@@ -197,7 +196,7 @@ def _pictures(source: Path, notices: list[str]) -> dict[str, Any]:
 
 
 def _episodes(sources: Sequence[Path], notices: list[str]) -> dict[str, Any]:
-    """Trajectories of several datasets, so many that their states don't exceed MOST_FRAMES."""
+    """Collect episodes of datasets, sampled so that they have at most MOST_FRAMES states."""
     readers = [EpisodeReader(source) for source in sources]
     every = [(reader, i) for reader in readers for i in range(len(reader))]
     frames = [min(int(reader.lengths[i]), MOST_STEPS) + 1 for reader, i in every]
@@ -206,7 +205,7 @@ def _episodes(sources: Sequence[Path], notices: list[str]) -> dict[str, Any]:
         rows = sampled(len(every), len(rows) - 1)
     _notice(notices, rows, len(every), "episodes")
     if any(int(every[k][0].lengths[every[k][1]]) > MOST_STEPS for k in rows):
-        notices.append(f"Of longer episodes the first {MOST_STEPS} steps are shown.")
+        notices.append(f"Longer episodes show their first {MOST_STEPS} steps.")
     shown = [_episode(*every[k]) for k in rows]
     about = {
         "task": _cut(as_json(readers[0].task)),
@@ -223,8 +222,8 @@ def _episodes(sources: Sequence[Path], notices: list[str]) -> dict[str, Any]:
 def _episode(reader: EpisodeReader, index: int) -> dict[str, Any]:
     episode = reader.episode(index)
     states = min(len(episode), MOST_STEPS) + 1
-    codes, code = _told_once(episode.gauss_code[:states])
-    chiral, code_chiral = _told_once(episode.gauss_code_chiral[:states])
+    codes, code = _indexed(episode.gauss_code[:states])
+    chiral, code_chiral = _indexed(episode.gauss_code_chiral[:states])
     name = dataset_name(reader.path)
     return {
         "set": name,
@@ -234,7 +233,9 @@ def _episode(reader: EpisodeReader, index: int) -> dict[str, Any]:
         "goal": episode.goal_gauss_code,
         "split": reader.task.split,
         "success": bool(episode.is_success.any()),
-        "seed": "" if episode.seed is None else str(episode.seed),  # too long for a double
+        "seed": ""
+        if episode.seed is None
+        else str(episode.seed),  # a seed can exceed the 53 bits of a JavaScript number
         "points": _encoded(episode.points[:states]),
         "goal_points": _encoded(episode.goal_points[None]),
         "goal_x": _crossings(episode.goal_points),
@@ -251,15 +252,15 @@ def _episode(reader: EpisodeReader, index: int) -> dict[str, Any]:
     }
 
 
-def _told_once(codes: NDArray[np.str_]) -> tuple[list[str], list[int]]:
-    """The codes there are, in order of their first time, and which of them each state has."""
+def _indexed(codes: NDArray[np.str_]) -> tuple[list[str], list[int]]:
+    """Return the distinct codes, in order of first appearance, and the index of each state's."""
     known: dict[str, int] = {}
     rows = [known.setdefault(str(code), len(known)) for code in codes]
     return list(known), rows
 
 
 def _crossings(points: Array) -> list[list[float]]:
-    """Place of the over and of the under strand, beads, and the sign, of each crossing."""
+    """Return over position and under position (in beads) and sign of each crossing."""
     found = find_crossings(points)
     return [
         [round(float(over), 2), round(float(under), 2), int(sign)]
@@ -268,7 +269,7 @@ def _crossings(points: Array) -> list[list[float]]:
 
 
 def _encoded(points: Array) -> str:
-    """Ropes (n, beads, 3), their middles at the origin, as int16 of UNIT metres, little endian."""
+    """Encode ropes (n, beads, 3), centred at the origin, as little-endian int16 of UNIT metres."""
     laid = (points - points.mean(axis=1, keepdims=True)) / UNIT
     limits = np.iinfo(np.int16)
     whole = np.rint(laid).clip(limits.min, limits.max).astype("<i2")
@@ -277,7 +278,7 @@ def _encoded(points: Array) -> str:
 
 def _notice(notices: list[str], rows: Sequence[int], count: int, what: str) -> None:
     if len(rows) < count:
-        notices.append(f"{len(rows)} of {count} {what} are shown, taken evenly.")
+        notices.append(f"Showing {len(rows)} of {count} {what}, evenly sampled.")
 
 
 def _number(value: Any) -> float | None:

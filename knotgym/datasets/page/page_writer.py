@@ -1,7 +1,6 @@
-"""Writing a page: template, style, script and data in one file that asks no network for anything.
+"""Write the page: template, style, scripts and data in one HTML file without network access.
 
-The data stand in a block of JSON, where nothing ends the block and nothing is markup; the script
-shows them as text only.
+The data are an escaped JSON block that can't contain markup; the script shows them as text only.
 """
 
 from __future__ import annotations
@@ -20,14 +19,14 @@ _SCRIPTS = ("rope.js", "plots.js", "page.js")
 
 
 def write_page(out: str | os.PathLike[str], data: Mapping[str, Any]) -> None:
-    """Write the page of such data, see `page_data`, whole or not at all."""
+    """Write the page of the result of `page_data` atomically."""
     text = page_html(data)
     with atomic_write(out) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
 def page_html(data: Mapping[str, Any]) -> str:
-    """The page of such data."""
+    """Return the page of the result of `page_data`."""
     script = "\n".join(_part(name) for name in _SCRIPTS)
     start = 'const DATA = JSON.parse(document.getElementById("data").textContent);'
     return Template(_part("page.html")).substitute(
@@ -39,7 +38,7 @@ def page_html(data: Mapping[str, Any]) -> str:
 
 
 def _as_text(data: Mapping[str, Any]) -> str:
-    """JSON without a character that HTML gives a meaning to."""
+    """Serialize to JSON without characters that are special in HTML."""
     text = json.dumps(data, separators=(",", ":"), allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 

@@ -1,4 +1,4 @@
-// Plots: the time line of an episode, a histogram, the growth of a run and its rejections.
+// Plots: timeline of an episode, histogram, growth of a run, rejections.
 
 const INK = "#e8ebf2", DIM = "#8b93a7", RULE = "#262c3a";
 const compact = (n) => new Intl.NumberFormat("en", { notation: "compact" }).format(n);
@@ -22,7 +22,7 @@ function rule(pen, x0, y0, x1, y1, colour = RULE, wide = 1) {
 
 const TIME_LEFT = 84;
 
-// crossings of every state, where the goal's code is shown, rewards, and the step that is shown
+// crossings of every state (green where the code is the goal's), rewards, and the current step
 function drawTimeLine(canvas, episode, now) {
   const pen = fitted(canvas), wide = canvas.clientWidth, high = canvas.clientHeight;
   const last = episode.code.length - 1, most = Math.max(1, ...episode.nx);
@@ -58,7 +58,7 @@ function drawTimeLine(canvas, episode, now) {
   pen.fill();
 }
 
-// the step at a place on the time line
+// the step at a position on the timeline
 function stepAt(canvas, episode, clientX) {
   const box = canvas.getBoundingClientRect(), last = episode.code.length - 1;
   const share = (clientX - box.left - TIME_LEFT) / (box.width - TIME_LEFT - 10);
@@ -78,14 +78,14 @@ function drawHistogram(canvas, values, low, high_) {
   });
 }
 
-// round numbers from 0 to the largest, at most five
+// at most five round numbers from 0 up to `most`: multiples of 1, 2, 5 or 10 times a power of ten
 function ticks(most) {
   const least = Math.max(1, most / 4), power = 10 ** Math.floor(Math.log10(least));
   const step = power * [1, 2, 5, 10].find((times) => times * power >= least);
   return Array.from({ length: Math.floor(most / step) + 1 }, (_, k) => k * step);
 }
 
-// codes known to the search (thin) and states accepted (thick) against environment steps
+// codes found (thin, dashed) and states accepted (thick) against environment steps
 function drawGrowth(canvas, rows) {
   const pen = fitted(canvas), wide = canvas.clientWidth, high = canvas.clientHeight;
   const every = Object.keys(rows[rows.length - 1].known);
@@ -114,7 +114,7 @@ function drawGrowth(canvas, rows) {
   });
 }
 
-// bars of the reasons for which candidates were turned down
+// bars of rejections by nx and reason
 function drawRejected(canvas, rejected) {
   const rows = Object.entries(rejected).flatMap(([nx, reasons]) =>
     Object.entries(reasons).sort((a, b) => b[1] - a[1]).map(([reason, count]) => [nx, reason, count]));

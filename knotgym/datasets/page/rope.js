@@ -1,4 +1,4 @@
-// A rope on a canvas: turned, sorted by depth, nearer strands cut a gap into those behind them.
+// Draw a rope on a canvas: rotate, sort pieces by depth, and let near strands cut gaps into far ones.
 
 const PALETTE = ["#94a3b8", "#38bdf8", "#34d399", "#fbbf24", "#fb7185", "#c084fc", "#f97316"];
 const POSITIVE = "#2dd4bf", NEGATIVE = "#f472b6", ACCENT = "#7dd3fc";
@@ -6,7 +6,7 @@ const GROUND = "#07080c";
 
 const colourOf = (nx) => PALETTE[nx % PALETTE.length];
 
-// int16 in base64, little endian, UNIT metres each -> Float32Array in metres
+// base64 of little-endian int16 in units of DATA.unit metres -> Float32Array in metres
 function decoded(text) {
   const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
   const view = new DataView(bytes.buffer), out = new Float32Array(bytes.length / 2);
@@ -14,7 +14,7 @@ function decoded(text) {
   return out;
 }
 
-// size a canvas to what it takes on the page, in the screen's own pixels
+// match a canvas to its size on the page in device pixels; return a cleared 2D context
 function fitted(canvas) {
   const ratio = Math.min(window.devicePixelRatio || 1, 2.5);
   const wide = Math.round(canvas.clientWidth * ratio), high = Math.round(canvas.clientHeight * ratio);
@@ -28,7 +28,7 @@ function fitted(canvas) {
   return pen;
 }
 
-// metres that a side of the picture shows, so that a rope, or all of an episode's, can be turned in it
+// side of the view in metres, large enough for the ropes in any orientation
 function sideOf(...ropes) {
   let reach = 0.16;
   for (const points of ropes)
@@ -37,7 +37,8 @@ function sideOf(...ropes) {
   return 2.2 * reach;
 }
 
-// how a camera sees metres: [pixel right, pixel down, metres towards the eye]
+// orthographic projection of metres to [pixels right, pixels down, metres towards the eye]:
+// rotate by `turn` about z, then by `tilt` about the horizontal axis of the screen
 function projection(camera, wide, high) {
   const scale = (Math.min(wide, high) / camera.side) * camera.zoom;
   const [ct, st] = [Math.cos(camera.turn), Math.sin(camera.turn)];
@@ -49,15 +50,15 @@ function projection(camera, wide, high) {
   return { scale, seen };
 }
 
-const topView = () => ({ turn: 0, tilt: 0, zoom: 1 }); // beside `side`, metres shown
+const topView = () => ({ turn: 0, tilt: 0, zoom: 1 }); // `side` is set by the caller
 
-// the point at a place along the rope, in beads
+// the point at a position along the rope in beads, between two beads by linear interpolation
 function pointAt(points, place) {
   const n = points.length / 3, i = Math.floor(place) % n, j = (i + 1) % n, f = place - Math.floor(place);
   return [0, 1, 2].map((k) => (1 - f) * points[3 * i + k] + f * points[3 * j + k]);
 }
 
-// a closed curve through the beads, `parts` pieces for each
+// closed Catmull-Rom spline through the beads, with `parts` points per bead
 function smoothed(points, parts) {
   const n = points.length / 3, out = new Float32Array(3 * n * parts);
   for (let i = 0; i < n; i++) {
@@ -81,7 +82,7 @@ function shade(hex, light, white = 0) {
 }
 
 function drawRope(pen, points, see, fine) {
-  // pieces longer than the rope is thick: their round ends reach no further than their neighbours
+  // 2 parts keep each piece longer than the rope is thick, so its round caps stay within its neighbours
   const parts = 2, curve = smoothed(points, parts), n = curve.length / 3;
   const at = new Array(n);
   for (let i = 0; i < n; i++) at[i] = see.seen(curve[3 * i], curve[3 * i + 1], curve[3 * i + 2]);
@@ -105,14 +106,14 @@ function drawRope(pen, points, see, fine) {
   for (const i of order) {
     done[i] = 1;
     line(i, GROUND, width * 1.6, "butt", 0);
-    // neighbours once more, over the gap that this piece cut into them
+    // redraw neighbours over the gap that this piece cut into them
     const drawn = (...others) => others.map((other) => (i + other + n) % n).filter((k) => done[k]);
     for (const k of drawn(-1, 1, 0)) line(k, shade(colour(k), light(k)), width, "round", 0);
     if (fine) for (const k of drawn(-2, -1, 0, 1, 2)) line(k, shade(colour(k), light(k), 0.35), width * 0.26, "round", 0.2 * width);
   }
 }
 
-// the visits of a rope's crossings, in the order of the walk
+// two visits (over and under) per crossing, in the order of the walk
 function visitsOf(crossings) {
   return crossings
     .flatMap(([over, under, sign], k) => [
@@ -167,7 +168,7 @@ function drawMarker(pen, points, place, see) {
   pen.stroke();
 }
 
-// a pull: an arrow from the bead, as long as the force is large
+// a pull: an arrow from the bead, with length proportional to the force
 function drawPull(pen, points, bead, force, see) {
   const from = pointAt(points, bead), reach = 0.16 / DATA.maxForce;
   const a = see.seen(...from), b = see.seen(...from.map((x, k) => x + reach * force[k]));
@@ -191,7 +192,7 @@ function drawPull(pen, points, bead, force, see) {
   pen.fill();
 }
 
-// how an episode ended: a frame round the last state, and the word
+// the outcome of an episode: a frame around the last state, and a word
 function drawOutcome(pen, success) {
   const { clientWidth: wide, clientHeight: high } = pen.canvas;
   pen.strokeStyle = pen.fillStyle = success ? "#34d399" : "#fb7185";
@@ -203,7 +204,7 @@ function drawOutcome(pen, success) {
   pen.fillText(outcomeOf(success), 18, high - 20);
 }
 
-// turn by dragging, zoom by wheel or two fingers, double click for the top view
+// drag to rotate, scroll or pinch to zoom, double-click for the top view
 function turnable(canvas, camera, redraw) {
   const held = new Map();
   let spread = 0;

@@ -276,7 +276,7 @@ class _Provenance:
             "reflect": choice.symmetry.reflect,
             "switch": choice.symmetry.switch,
             "reverse": choice.symmetry.reverse,
-            "roll": choice.symmetry.base_shift,
+            "base_shift": choice.symmetry.base_shift,
             "family": int(start.family[base]) if start.nx[base] else alone,
             "seed": self._seed,
             "row": number,
