@@ -7,7 +7,6 @@ here and only then.
 from __future__ import annotations
 
 import importlib
-import importlib.util
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -17,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import install_command, one_line
-from knotgym.control.policy import Choice, InvalidPolicy, Policy, UnplannedPolicy, checked
+from knotgym.common.errors import one_line
+from knotgym.control.policy import Choice, InvalidPolicy, UnplannedPolicy, checked
 from knotgym.envs.environment import observation_space
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import LAYOUTS, OBSERVATIONS, TaskConfig
@@ -162,47 +161,6 @@ def inference(torch: Any) -> Iterator[None]:
             yield
     finally:
         torch.set_num_threads(threads)
-
-
-def is_learner(place: str) -> bool:
-    """Whether a policy's name is that of a learner's folder, or of the one that ships."""
-    return place == "pretrained" or (place != "" and Path(place).is_dir())
-
-
-def load_learner(place: str) -> Policy:
-    """The policy of a learner that `knotgym train` wrote, or of the one that ships.
-
-    Raises:
-        InvalidPolicy: torch or safetensors isn't installed.
-        InvalidCheckpoint: the folder holds no learner that this version can read.
-    """
-    for library in ("torch", "safetensors"):
-        if importlib.util.find_spec(library) is None:
-            raise InvalidPolicy(
-                f"the learner {place} needs {library}, which isn't installed; install it:"
-                f" {install_command('learn')}"
-            )
-    policy: Policy = importlib.import_module("knotgym.learn.picture_policy").learned_policy(place)
-    return policy
-
-
-def learner_card(place: str) -> dict[str, Any]:
-    """What the folder of a learner, or of the one that ships, says of its training, see the file
-    `policy.json`.
-
-    Raises:
-        InvalidCheckpoint: the folder holds no learner that this version can read.
-    """
-    checkpoint = importlib.import_module("knotgym.learn.checkpoint")
-    card: dict[str, Any] = checkpoint.read_card(checkpoint.policy_folder(place))
-    return card
-
-
-def learner_files(place: str) -> dict[str, Path]:
-    """The files of a learner's folder, by their names."""
-    checkpoint = importlib.import_module("knotgym.learn.checkpoint")
-    folder: Path = checkpoint.policy_folder(place)
-    return {name: folder / name for name in (checkpoint.CARD, checkpoint.WEIGHTS)}
 
 
 def _stable_baselines3(path: Path, algorithm: str) -> Model:
