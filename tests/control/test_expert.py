@@ -14,9 +14,9 @@ from knotgym.control.planner import Node, Plan, plan, reason
 from knotgym.control.planner_config import InvalidPlanner, PlannerConfig
 from knotgym.control.transition_counts import (
     ELEMENTS,
+    ArcCoordinates,
     InvalidTransitions,
     MacroTemplate,
-    Places,
     TransitionCounts,
     transformed,
 )
@@ -162,9 +162,9 @@ def test_a_foreign_file_holds_no_transitions(tmp_path: Path) -> None:
 def test_a_bead_is_found_again_by_its_arc(base_shift: int, rope: Rope, states_path: str) -> None:
     episodes = EpisodeBatch(TaskConfig(task="unknot", nx=3, states=states_path))
     episodes.begin(0, np.random.default_rng(0))
-    places = Places(find_crossings(episodes.simulation.points[0]), 100, base_shift)
-    assert [places.bead(places.arc(bead)) for bead in range(100)] == list(range(100))
-    assert int(max(places.arc(bead) for bead in range(100))) == 6
+    arcs = ArcCoordinates(find_crossings(episodes.simulation.points[0]), 100, base_shift)
+    assert [arcs.bead(arcs.arc(bead)) for bead in range(100)] == list(range(100))
+    assert int(max(arcs.arc(bead) for bead in range(100))) == 6
 
 
 @pytest.mark.parametrize(
@@ -367,5 +367,5 @@ def test_changed_counts_are_refused(tmp_path: Path) -> None:
     kinks().save(tmp_path / "transitions.h5")
     with h5py.File(tmp_path / "transitions.h5", "a") as file:
         file["seen"][0] = 7
-    with pytest.raises(InvalidTransitions, match="are not those written into it"):
+    with pytest.raises(InvalidTransitions, match="is corrupted"):
         TransitionCounts.load(tmp_path / "transitions.h5")
