@@ -70,5 +70,5 @@ def _templates(kink: bool, over: int, under: int) -> list[MacroTemplate]:
             MacroTemplate(kind, 1, over + at, under + past),
             MacroTemplate(kind, -1, under + at, over + past),
         )
-        if template.bead != template.target
+        if template.bead != template.target  # within a kink's single arc the two may coincide
     ]

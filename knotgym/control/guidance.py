@@ -34,6 +34,7 @@ class Towards:
 
     def __init__(self, steps: list[Step]) -> None:
         self.steps = steps
+        # the expected gain of a random macro-action through this change
         weights = np.array([step.chance * step.gain for step in steps])
         self._shares = cumulative_shares(weights) if steps else weights
 
@@ -87,6 +88,7 @@ def most_promising(
             macro_action = _from_template(points, template, arcs, config, rng)
         else:
             macro_action = propose(points, rng, config.macro_actions)
+        # the whole way counts, not only its end: the planner keeps every state with a new code
         frames = surrogate_rollout(
             points, macro_action, config.macro_actions.arrived, config.surrogate
         )
@@ -115,7 +117,7 @@ def _from_template(
         return arcs.bead(int(position) + float(along))
 
     kind, side, led = template.kind, template.side, bead(template.bead)
-    if template.target >= 0:
+    if template.target >= 0:  # a pass or curl; spreads and shifts have no target
         target = bead(template.target)
         return pass_strand(points, kind, led, target, side, rng, config.macro_actions)
     return move_aside(points, kind, led, side, rng, config.macro_actions)

@@ -20,7 +20,7 @@ from knotgym.common.configuration import InvalidConfig, check_numbers
 from knotgym.rope.model import Array
 
 KINDS = ("pass", "curl", "spread", "shift")
-_WAYPOINTS = 3
+_WAYPOINTS = 3  # per macro-action, see `_waypoints`
 _HAUL_RISE = -0.2, 0.6  # range of the upward force, in units of the largest force
 _HAUL_STEPS = 4, 20  # range of its length; the upper end is excluded
 
@@ -102,6 +102,7 @@ def propose(points: Array, rng: np.random.Generator, config: MacroActionConfig) 
         rng: source of all draws.
         config: kinds and sizes.
     """
+    # Draws come in this order whatever the kind: another order would change every seeded run.
     beads = len(points)
     kind = KINDS[int(_kinds(tuple(config.shares)).searchsorted(rng.random(), side="right"))]
     bead = int(rng.integers(beads))
@@ -110,6 +111,7 @@ def propose(points: Array, rng: np.random.Generator, config: MacroActionConfig) 
         least, most = config.curl_apart  # either way along the rope
         apart = int(rng.integers(least, most + 1)) * (-1, 1)[rng.integers(2)]
     elif kind == "pass":
+        # at least pass_apart from the bead in both directions round the loop
         apart = int(rng.integers(config.pass_apart, beads - config.pass_apart))
     else:
         return move_aside(points, kind, bead, side, rng, config)
@@ -139,6 +141,7 @@ class Haul:
 def propose_haul(beads: int, rng: np.random.Generator) -> Haul:
     """Draw a haul of two beads that are at least a fifth of the rope apart."""
     first, apart = int(rng.integers(beads)), int(rng.integers(beads // 5, beads - beads // 5))
+    # horizontal part of length 1 plus a rise: each component is in [-1, 1], as in an action
     heading, rise = rng.uniform(-np.pi, np.pi), rng.uniform(*_HAUL_RISE)
     force = np.array([np.cos(heading), np.sin(heading), rise])
     return Haul((first, (first + apart) % beads), force, int(rng.integers(*_HAUL_STEPS)))
@@ -156,10 +159,10 @@ def move_aside(
 
     A shift is raised (side +1) or lowered (-1) by `config.lift`; a spread stays at its height.
     """
-    offset = points[bead, :2] - points[:, :2].mean(axis=0)
+    offset = points[bead, :2] - points[:, :2].mean(axis=0)  # seen from above, as codes are
     height = points[bead, 2]
     if kind == "spread":
-        side = 0
+        side = 0  # whatever was drawn: the bead stays at its height
         heading = np.arctan2(offset[1], offset[0]) + rng.normal(0, config.spread_angle)
     else:
         height = height + side * config.lift
@@ -180,8 +183,10 @@ def pass_strand(
 ) -> MacroAction:
     """Lead a bead over (side +1) or under (-1) the bead `target` and a little beyond it."""
     offset = points[target, :2] - points[bead, :2]
+    # a strand farther away than that is approached without being passed
     far = min(float(np.hypot(*offset)), config.farthest)
     heading = np.arctan2(offset[1], offset[0]) + rng.normal(0, config.pass_angle)
+    # relative to the strand to pass, not to the bead
     height = points[target, 2] + side * config.lift
     reach = far + rng.uniform(*config.beyond)
     waypoints = _waypoints(points, bead, heading, height, min(config.rise, far), reach)
@@ -207,6 +212,7 @@ def _waypoints(
         rise: horizontal distance to the first, metres.
         reach: horizontal distance to the other two, metres.
     """
+    # plain floats: this runs for every candidate, and NumPy is slow on single numbers
     x, y, _ = points[bead].tolist()
     ahead_x, ahead_y = float(np.cos(heading)), float(np.sin(heading))
     end_x, end_y = x + ahead_x * reach, y + ahead_y * reach
@@ -228,6 +234,7 @@ def cumulative_shares(weights: Array) -> Array:
     the arguments take far longer.
     """
     shares = (weights / weights.sum()).cumsum()
+    # divided again, as `choice` does: rounding may leave the last sum a little off 1
     return np.asarray(shares / shares[-1])
 
 
@@ -282,6 +289,7 @@ class WaypointController:
         """
         offset = self._offsets(points)
         far = np.linalg.norm(offset, axis=1, keepdims=True)
+        # proportional control that saturates at `stride`; 1e-9 guards a bead on its waypoint
         force = offset / np.maximum(far, 1e-9) * np.minimum(1.0, far / self._config.stride)
         return np.where(self.idle[:, None], 0.0, force)
 

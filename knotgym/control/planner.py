@@ -117,6 +117,7 @@ class _Pool:
         if len(nodes) > self._config.kept:
             cost = self._config.try_cost
             nodes.remove(max(nodes, key=lambda node: node.steps + cost * node.tries))
+        # computed anew, since the state dropped may have been the earliest
         self._earliest[row] = min([node.steps for node in nodes])
 
     def tries(self, code: GaussCode) -> int:
@@ -136,6 +137,7 @@ class _Pool:
             * np.exp(-(late - late.min()) / config.patience)
         )
         row = _drawn(weights, rng)
+        # among the code's states: early ones, and ones tried less often
         nodes = self._nodes[row]
         fresh = [np.exp(-node.steps / config.patience) / (1 + node.tries) for node in nodes]
         node = nodes[_drawn(np.array(fresh), rng)]
@@ -215,6 +217,8 @@ def plan(
         The first plan found that reaches the goal; if none is found, the plan to the state nearest
         to the goal.
     """
+    # Restarts draw from the same generator, so they differ. A last search shorter than ANEW gets
+    # what is left; the loop ends when that is less than one action per rope.
     limit = config.budget if budget is None else budget
     spent, nearest = 0, list[Node]()  # the best node of each restart
     while True:
@@ -277,6 +281,8 @@ class _Search:
         self.root = Node(state, label_many(simulation.points[:1])[0])
         self.distances = graph.distances(goal, self.root.code)
         nx = self.root.code.nx
+        # Hauls take crossings out. Where they are allowed the graph knows few paths, and each
+        # crossing is taken for a change of code to go.
         self.hauling = hauling and nx >= HARD_NX and nx > goal.nx
         self.pool = _Pool(self.distances, config, nx_as_hops=self.hauling)
         self.pool.add(self.root)
@@ -310,6 +316,7 @@ class _Search:
         forces = controller.forces(simulation.points)[:count]
         for row, branch in self.branches.items():
             if branch.haul is not None:
+                # instead of the controller's pull, which is left over from another branch
                 beads[row], forces[row] = branch.haul.pull(len(branch.actions))
         actions, held = step_ropes(simulation, beads, forces, np.arange(count))
         self.spent += count
@@ -318,7 +325,7 @@ class _Search:
         controller.advance(simulation.points)  # a waypoint just reached may be the last one
         idle = controller.idle
         for row in range(count):
-            if not held[row]:
+            if not held[row]:  # unstable, or out of bounds: nothing from here on is of use
                 del self.branches[row]
                 continue
             branch, code = self.branches[row], codes[row]
@@ -434,6 +441,7 @@ def _plan_to(node: Node, solved: bool, spent: int) -> Plan:
     """Collect the actions from the root to a node, following the parents back."""
     stretches: list[tuple[tuple[NDArray[np.float32], ...], str]] = []
     while node.before is not None:
+        # one reason for the whole macro-action: the change of code between its two ends
         stretches.append((node.actions, reason(node.before.code, node.code, node.kind)))
         node = node.before
     stretches.reverse()

@@ -5,14 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from knotgym.common.configuration import check_numbers
-from knotgym.common.errors import KnotgymError
 from knotgym.control.macro_actions import MacroActionConfig
 from knotgym.control.surrogate import SurrogateConfig
 from knotgym.control.transition_graph import TransitionGraphConfig
-
-
-class InvalidPlanner(KnotgymError, ValueError):
-    """The settings of a planner are out of range."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,5 +68,4 @@ class PlannerConfig:
             positive=("patience", "weariness", "trust"),
             non_negative=("greed", "stride", "try_cost", "template_noise"),
             shares=("guided",),
-            error=InvalidPlanner,
         )

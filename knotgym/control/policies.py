@@ -58,7 +58,6 @@ __all__ = [
     "PolicyFamily",
     "make_policy",
     "policy_digests",
-    "policy_names",
     "register_policy",
     "training_card",
 ]
@@ -154,11 +153,6 @@ def register_policy(name: str, constructor: Constructor, files: Sequence[Path] =
             f"a policy's name must not look like module:name or a model file, got {name!r}"
         )
     _constructors[name], _files[name] = constructor, tuple(files)
-
-
-def policy_names() -> tuple[str, ...]:
-    """The registered names, in the order of registration."""
-    return tuple(_constructors)
 
 
 def make_policy(config: PolicyConfig) -> Policy:

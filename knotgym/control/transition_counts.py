@@ -85,7 +85,7 @@ class MacroTemplate(NamedTuple):
         """
         reverse, switch, _ = element  # a reflection moves no position along the rope
         bead, target = self.bead, self.target
-        if reverse:
+        if reverse:  # position 0 and position `arcs` are both the base bead
             bead = arcs - bead
             target = arcs - target if target >= 0 else target
         return MacroTemplate(self.kind, -self.side if switch else self.side, bead, target)
@@ -156,6 +156,7 @@ class TransitionCounts:
         # `before` and `after` are rows of codes, `template_of` is a row of `before` and `after`.
         known = dict.fromkeys([*self.tried, *(code for key in self.seen for code in key)])
         codes = {code: row for row, code in enumerate(known)}
+        # flat: the templates of all changes one after another, each with the row of its change
         templates = [
             (row, template) for row, key in enumerate(self.seen) for template in self.templates[key]
         ]
@@ -176,6 +177,7 @@ class TransitionCounts:
             "template_places": places.astype(np.float16).reshape(-1, 2),
         }
         for name, values in columns.items():
+            # HDF5 can't compress an empty dataset
             group.create_dataset(name, data=values, **(squeezed if values.size else {}))
 
     @classmethod
@@ -193,6 +195,7 @@ class TransitionCounts:
                     " the one stored with them"
                 )
         read = {name: values.tolist() for name, values in columns.items()}
+        # one code per line; the plain loop's is an empty line, so no codes and one look the same
         text = bytes(read["codes"]).decode()
         codes = [GaussCode.parse(line) for line in text.split("\n")] if read["tried"] else []
         counts = zip(codes, read["tried"], strict=True)

@@ -74,11 +74,6 @@ class Step(NamedTuple):
     image: int
     arcs: int
 
-    @property
-    def templates(self) -> tuple[MacroTemplate, ...]:
-        """All examples, transformed to apply to the code before the change."""
-        return tuple(self.template(number) for number in range(len(self.examples)))
-
     def template(self, number: int) -> MacroTemplate:
         """Example `number`, transformed to apply to the code before the change."""
         return self.examples[number].transformed(ELEMENTS[self.image], self.arcs)

@@ -87,7 +87,9 @@ def test_no_module_names_one_of_a_room_above_it() -> None:
     for file in sorted((ROOT / "knotgym").rglob("*.py")):
         room = file.relative_to(ROOT / "knotgym").parts[0]
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            named = isinstance(node, ast.Constant) and MODULE.fullmatch(str(node.value))
+            if not isinstance(node, ast.Constant):
+                continue
+            named = MODULE.fullmatch(str(node.value))
             if named and floors.get(named[1], -99) > floors.get(room, 0):
                 climbs.append(f"{file.relative_to(ROOT)}:{node.lineno} {named[0]}")
     assert floors["learn"] > floors["control"] and climbs == []
