@@ -257,38 +257,37 @@ def reason(before: GaussCode, after: GaussCode, kind: str) -> str:
     return f"{move} {kind}"
 
 
+@dataclass(eq=False)
 class _Search:
-    """One search, from its root until the goal is reached or its budget is spent."""
+    """One search, from its root until the goal is reached or its budget is spent.
 
-    def __init__(
-        self,
-        simulation: Ropes,
-        state: Array,
-        goal: GaussCode,
-        graph: TransitionGraph,
-        config: PlannerConfig,
-        rng: np.random.Generator,
-        steps: int,
-        hold: int,
-        bound: TowBound | None,
-        met: Callable[[Node], object] | None,
-        hauling: bool,
-    ) -> None:
-        self.simulation, self.goal, self.graph = simulation, goal, graph
-        self.config, self.rng = config, rng
-        self.steps, self.hold, self.bound, self.met = steps, hold, bound, met
-        simulation.restore(state[None], [0])
-        self.root = Node(state, label_many(simulation.points[:1])[0])
-        self.distances = graph.distances(goal, self.root.code)
-        nx = self.root.code.nx
+    The fields are arguments of `plan`.
+    """
+
+    simulation: Ropes
+    state: Array
+    goal: GaussCode
+    graph: TransitionGraph
+    config: PlannerConfig
+    rng: np.random.Generator
+    steps: int
+    hold: int
+    bound: TowBound | None
+    met: Callable[[Node], object] | None
+    hauling: bool
+
+    def __post_init__(self) -> None:
+        self.simulation.restore(self.state[None], [0])
+        root = Node(self.state, label_many(self.simulation.points[:1])[0])
+        self.distances = self.graph.distances(self.goal, root.code)
         # Hauls take crossings out. Where they are allowed the graph knows few paths, and each
         # crossing is taken for a change of code to go.
-        self.hauling = hauling and nx >= HARD_NX and nx > goal.nx
-        self.pool = _Pool(self.distances, config, nx_as_hops=self.hauling)
-        self.pool.add(self.root)
+        self.hauling &= root.code.nx >= HARD_NX and root.code.nx > self.goal.nx
+        self.pool = _Pool(self.distances, self.config, nx_as_hops=self.hauling)
+        self.pool.add(root)
         self.towards: dict[GaussCode, Towards] = {}
         self.promises: Promises = Counter()
-        self.controller = WaypointController(simulation.count, config.macro_actions)
+        self.controller = WaypointController(self.simulation.count, self.config.macro_actions)
         self.branches: dict[int, _Branch] = {}  # by rope of the simulation
         self.spent = 0
 
