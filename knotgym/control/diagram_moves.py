@@ -18,6 +18,7 @@ from knotgym.control.transition_counts import MacroTemplate
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.single_moves import removals, sideways
 
+# R1 and R2 that add crossings, either of them undone, and moves that keep their number
 KINK_COST, FINGER_COST, DOWN_COST, SIDEWAYS_COST = 54.0, 83.0, 21.0, 47.0  # macro-actions
 _SPOTS = (0.2, 0.5, 0.8)  # fractions of an arc at which templates place their beads
 

@@ -68,8 +68,8 @@ def most_promising(
 ) -> MacroAction:
     """Draw macro-actions and choose the one whose surrogate rollout gains most on the goal.
 
-    Every second candidate follows a template. Surrogates err in the same way each time, so a
-    predicted change of code counts less the more often it was chosen before.
+    Every second candidate follows a template. A predicted change of code counts
+    less the more often it was chosen before, for surrogate rollouts are often wrong.
 
     Args:
         points: float64 (beads, 3), metres.
@@ -83,6 +83,7 @@ def most_promising(
     arcs = ArcCoordinates(find_crossings(points), len(points))
     here, best, promise, chosen = distances(code), -np.inf, code, None
     for number in range(config.surrogate_rollouts):
+        # the random half finds changes that no template makes, and works without any counts
         if towards.steps and number % 2 == 0:
             template = towards.draw(rng)
             macro_action = _from_template(points, template, arcs, config, rng)

@@ -164,7 +164,7 @@ def move_aside(
     if kind == "spread":
         side = 0  # whatever was drawn: the bead stays at its height
         heading = np.arctan2(offset[1], offset[0]) + rng.normal(0, config.spread_angle)
-    else:
+    else:  # a shift heads anywhere, above or below what lies in its way
         height = height + side * config.lift
         heading = rng.uniform(-np.pi, np.pi)
     far = rng.uniform(*config.distance)

@@ -301,6 +301,7 @@ class TransitionRecorder:
 
     def show(self, crossings: Crossings) -> None:
         """Count the code that the rope shows after a step, unless it was counted before."""
+        # from each base bead the rope is a walk of its own, with its own codes
         for walk, base_shift in enumerate(self._base_shifts):
             after = shifted_base(crossings, base_shift)
             if after not in self._met[walk]:

@@ -29,7 +29,7 @@ _SHOWN = ("observation", "image_size", "views", "depth", "camera", "renderer")
 class TranscriptPolicy(UnplannedPolicy):
     """Repeats the actions of transcripts.
 
-    A policy isn't told the number of an episode, so it recognizes one by the first draw of the
+    A policy doesn't know the number of an episode, so it recognizes one by the first draw of the
     generator that the episode's policy gets.
     """
 
