@@ -1,1 +1,1 @@
-"""Who acts and why: action sequences, macro-actions, the planner, policies and the expert."""
+"""Action sequences, macro-actions, the planner, the expert, and policies by name."""

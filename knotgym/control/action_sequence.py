@@ -1,7 +1,7 @@
-"""Action sequences: a rope's steps one after the other, by bead and not by place.
+"""Action sequences: forces on beads, step by step, independent of where the rope lies.
 
-Every step goes through the agent's interface (`step_ropes`), so that a sequence is something that
-an agent can do.
+Every step goes through the environment's actions (`step_ropes`), so an agent can repeat any
+sequence.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from knotgym.rope.simulation import Ids
 
 
 class Ropes(Protocol):
-    """Ropes that can be acted on and put back: a `Simulation`, or what foresees one.
+    """Ropes that can be acted on and restored: a `Simulation`, or a learned model of one.
 
     Attributes:
-        count: how many.
+        count: number of ropes.
         points: float64 (count, beads, 3), metres.
     """
 
@@ -29,27 +29,27 @@ class Ropes(Protocol):
 
     @property
     def max_force(self) -> float:
-        """The force that actions count in, newtons."""
+        """The force of an action of length 1, newtons."""
 
     def states(self, ids: Any) -> Array:
-        """Copies of all that decides what comes next, float64 (len(ids), n)."""
+        """Copies of the full simulation states, float64 (len(ids), n)."""
 
     def restore(self, states: Array, ids: Any) -> None:
-        """Put ropes back into states."""
+        """Set ropes to states that `states` returned."""
 
     def actions(self, beads: Any, forces: Any, ids: Any) -> NDArray[np.float32]:
-        """Actions float32 (len(ids), 6) that pull beads with forces in newtons."""
+        """Actions, float32 (len(ids), 6), that pull the given beads with forces in newtons."""
 
     def act(self, actions: NDArray[np.float32], ids: Any) -> NDArray[np.bool_]:
-        """Take actions; which ropes held."""
+        """Take one action per rope; return which simulations stayed stable, bool (len(ids),)."""
 
 
 @dataclass(frozen=True)
 class ActionSequence:
-    """Steps that lead from one state to another and fit a rope that lies elsewhere.
+    """T steps, given by beads instead of positions, so they fit a rope that lies elsewhere.
 
     Attributes:
-        beads: int16 (T,), the bead that each step moves.
+        beads: int16 (T,), the bead that each step pulls.
         forces: float32 (T, 3), in units of the largest force.
     """
 
@@ -65,16 +65,16 @@ class ActionSequence:
         )
 
     def jittered(self, scale: float, rng: np.random.Generator) -> ActionSequence:
-        """Make each step stronger or weaker by a share of about `scale`.
+        """Scale each step by 1 + normal noise of standard deviation `scale`.
 
-        Another try where the sequence itself just misses.
+        Gives another chance where the sequence itself just misses its code.
         """
         strength = 1 + rng.normal(0, scale, (len(self), 1))
         return ActionSequence(self.beads, np.clip(self.forces * strength, -1, 1).astype(np.float32))
 
 
 def resting(steps: int) -> ActionSequence:
-    """Steps of no force."""
+    """A sequence of steps without force."""
     return ActionSequence(np.zeros(steps, dtype=np.int16), np.zeros((steps, 3), dtype=np.float32))
 
 
@@ -87,16 +87,16 @@ def step_ropes(
     forces: NDArray[np.floating],
     ids: Ids = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Take one step of each rope through the agent's interface.
+    """Pull one bead of each rope for one step, through the environment's actions.
 
     Args:
-        ropes: to act on.
-        beads: int (len(ids),).
+        ropes: the ropes to act on.
+        beads: int (len(ids),), the bead to pull on each.
         forces: (len(ids), 3), in units of the largest force.
-        ids: which of them.
+        ids: which ropes; None for all.
 
     Returns:
-        The actions float32 (len(ids), 6), and which ropes held.
+        The actions taken, float32 (len(ids), 6), and which simulations stayed stable.
     """
     newtons = np.asarray(forces, dtype=np.float64) * ropes.max_force
     actions = ropes.actions(beads, newtons, ids)

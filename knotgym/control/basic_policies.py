@@ -1,4 +1,4 @@
-"""Policies that need neither plan nor model, and those that put others together."""
+"""Policies that need neither a plan nor a model, and policies that combine others."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class RandomPolicy(UnplannedPolicy):
 
 
 class ConstantPolicy(UnplannedPolicy):
-    """One action, again and again: it tows the rope."""
+    """The same action at every step, which tows the rope."""
 
     def __init__(self, action: ArrayLike = (1.0,) * 6) -> None:
         """Take `action`, (6,) in [-1, 1]."""
@@ -34,7 +34,7 @@ class ConstantPolicy(UnplannedPolicy):
 
 
 class ScriptedPolicy(UnplannedPolicy):
-    """One macro-action after the other, any that may change something."""
+    """Random macro-actions, one after another."""
 
     def __init__(self, config: MacroActionConfig) -> None:
         super().__init__("scripted")
@@ -44,7 +44,7 @@ class ScriptedPolicy(UnplannedPolicy):
 
     def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
         super().begin(episodes, index, rng)
-        if len(self._controller.beads) != episodes.count:
+        if len(self._controller.beads) != episodes.count:  # the first episode of a new batch
             self._controller = WaypointController(episodes.count, self._config)
         self._controller.release(index)
 
@@ -65,7 +65,7 @@ class ScriptedPolicy(UnplannedPolicy):
 
 
 class NoisyPolicy(UnplannedPolicy):
-    """A planning policy, now and then replaced by a uniform action, after which it plans anew."""
+    """A planning policy with some actions replaced by uniform ones, after which it replans."""
 
     def __init__(self, name: str, inner: PlanningPolicy, noise: float) -> None:
         super().__init__(name)
@@ -95,7 +95,7 @@ class NoisyPolicy(UnplannedPolicy):
 
 
 class MixedPolicy(Policy):
-    """One of several policies for each episode, drawn when it begins."""
+    """Draws one of several policies for each episode when it begins."""
 
     def __init__(self, policies: list[Policy], shares: tuple[float, ...]) -> None:
         self._policies, self._shares = policies, np.array(shares) / sum(shares)
@@ -123,5 +123,5 @@ class MixedPolicy(Policy):
 
 
 def uniform_action(rng: np.random.Generator) -> NDArray[np.float32]:
-    """A uniform action, float32 (6,)."""
+    """Draw an action uniformly from [-1, 1]^6, float32 (6,)."""
     return rng.uniform(-1, 1, 6).astype(np.float32)

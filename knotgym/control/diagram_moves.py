@@ -1,8 +1,10 @@
-"""What single moves of a diagram cost, and templates that make them, where none were counted.
+"""Costs of single Reidemeister moves, and templates for them, where no counts exist.
 
-A cost is one over the mean share of macro-actions that make a move of its kind among those counted
-from codes of four crossings (from three for a finger laid over an arc), doubt included: 1.9 % a
-kink, 1.2 % a finger, 4.5 and 5.1 % each taken back, 2.1 % a third move, 2.2 % the base point.
+A cost is a number of macro-actions: one over the mean rate at which macro-actions from codes of
+four crossings make such a move in the counts that ship (three crossings for a finger), with the
+same `doubt` as there. The rates are 1.9 % for adding a kink (R1), 1.2 % for a finger laid over an
+arc (R2), 4.5 % and 5.1 % for undoing them, 2.1 % for a third move (R3) and 2.2 % for a move of the
+base point.
 """
 
 from __future__ import annotations
@@ -16,12 +18,19 @@ from knotgym.control.transition_counts import MacroTemplate
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.single_moves import removals, sideways
 
+# R1 and R2 that add crossings, either of them undone, and moves that keep their number
 KINK_COST, FINGER_COST, DOWN_COST, SIDEWAYS_COST = 54.0, 83.0, 21.0, 47.0  # macro-actions
-_SPOTS = (0.2, 0.5, 0.8)  # along an arc
+_SPOTS = (0.2, 0.5, 0.8)  # fractions of an arc at which templates place their beads
 
 
 class Before(NamedTuple):
-    """A code from which one move leads to a given one, the move's cost, and templates of it."""
+    """A code from which one move leads to a given code.
+
+    Attributes:
+        code: the code before the move.
+        cost: of the move, macro-actions.
+        templates: macro-actions that may make it.
+    """
 
     code: GaussCode
     cost: float
@@ -29,10 +38,11 @@ class Before(NamedTuple):
 
 
 def leading_to(code: GaussCode) -> Iterator[Before]:
-    """The codes of as many crossings, or fewer, from which one move leads to `code`.
+    """Yield the codes with at most as many crossings from which one move leads to `code`.
 
-    Those sideways come without templates.
+    Codes with equally many crossings (R3, or a move of the base point) come without templates.
     """
+    # a move that adds crossings is found as one that removes them, run backwards
     for move in removals(code):
         cost = KINK_COST if move.kink else FINGER_COST
         yield Before(move.code, cost, _templates(move.kink, move.over, move.under))
@@ -42,13 +52,17 @@ def leading_to(code: GaussCode) -> Iterator[Before]:
 
 @lru_cache(maxsize=50_000)
 def below(code: GaussCode) -> tuple[GaussCode, ...]:
-    """The codes with fewer crossings to which one move leads, each once."""
+    """Codes with fewer crossings that one move leads to, without repetitions."""
     return tuple(dict.fromkeys(move.code for move in removals(code)))
 
 
 @lru_cache(maxsize=4096)
 def _templates(kink: bool, over: int, under: int) -> list[MacroTemplate]:
-    """Lead a bead of one arc past the other; or past the same arc, which curls it."""
+    """Templates that lead a bead of one arc past the other; past its own arc for a kink.
+
+    `over` and `under` are the arcs that become the upper and the lower strand. Either one may move:
+    the upper over the lower, or the lower under the upper.
+    """
     kind = "curl" if kink else "pass"
     return [
         template
@@ -57,5 +71,5 @@ def _templates(kink: bool, over: int, under: int) -> list[MacroTemplate]:
             MacroTemplate(kind, 1, over + at, under + past),
             MacroTemplate(kind, -1, under + at, over + past),
         )
-        if template.bead != template.target
+        if template.bead != template.target  # within a kink's single arc the two may coincide
     ]

@@ -1,8 +1,7 @@
-"""The expert: plans in the simulator from the very state a rope is in, and acts the plan out.
+"""The expert: a policy that plans in the simulator from the rope's current state.
 
-Each episode has a budget of simulated actions for all its plans together. When no plan is left to
-be had, the expert goes on without looking ahead, by macro-actions that are like those that led
-towards the goal before.
+Each episode has a budget of simulated actions for all its plans together. Once it is used up, the
+expert goes on without the simulator, with macro-actions chosen by guidance alone.
 """
 
 from __future__ import annotations
@@ -22,18 +21,20 @@ from knotgym.control.transition_graph import TransitionGraph, shipped_transition
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.rope.simulation import Simulation
 
-BLIND = "blind"  # begins the reason of a step without a plan
+BLIND = "blind"  # first word of the reason for an action that no plan contains
 
 
 @dataclass(eq=False)
 class _Progress:
-    """What the expert keeps of one episode.
+    """The expert's state in one episode.
 
     Attributes:
-        rng: the episode's own.
-        plan: acted out now, up to `step`; None if another is wanted.
-        spent, seconds: simulated actions and wall time of all its plans.
-        kind: of the macro-action under way without a plan.
+        rng: the episode's generator.
+        plan: the plan being carried out; None to replan before the next action.
+        step: actions of the plan already taken.
+        spent: actions simulated for all plans so far.
+        seconds: wall time of all plans so far.
+        kind: kind of the macro-action under way without a plan.
     """
 
     rng: np.random.Generator
@@ -45,12 +46,12 @@ class _Progress:
 
 
 class Expert(Policy):
-    """Leads every rope to its goal code; a `policy.PlanningPolicy`."""
+    """Policy that leads every rope to its goal code; a `policy.PlanningPolicy`."""
 
     def __init__(
         self, config: PlannerConfig | None = None, graph: TransitionGraph | None = None
     ) -> None:
-        """Plan as hard as `config` says, by the distances of `graph`, else those that ship."""
+        """Take the planner's settings, and the graph of distances; None for the one that ships."""
         self.config = config or PlannerConfig()
         self._graph = graph
         self._simulation: Simulation | None = None
@@ -83,15 +84,16 @@ class Expert(Policy):
         return Choice(actions, moves)
 
     def replan(self, index: int) -> None:
-        """Plan anew before the next action."""
+        """Drop the current plan; the next action is planned afresh."""
         self._progress[index].plan = None
         self._controller.release(index)
 
     def advise(
         self, episodes: EpisodeBatch, index: int, rng: np.random.Generator
     ) -> tuple[NDArray[np.float32], Effort]:
-        """The action, (6,), that it would begin with here, had the episode begun here, and what
-        planning took; what it planned before in the episode is forgotten.
+        """Return the first action, float32 (6,), of a plan made as if the episode began here.
+
+        Any earlier plan of the episode is dropped. The second value is what planning cost.
         """
         self.begin(episodes, index, rng)
         progress, began = self._progress[index], time.perf_counter()
@@ -111,6 +113,7 @@ class Expert(Policy):
     def _plan(self, episodes: EpisodeBatch, index: int, progress: _Progress, steps: int) -> Plan:
         if self._simulation is None:
             self._simulation = Simulation(self.config.batch_size, episodes.simulation.rope)
+        # where the rope shows the goal already, only the rest of the hold is still to be planned
         hold, held = episodes.config.hold, int(episodes.held[index])
         return plan(
             self._simulation,

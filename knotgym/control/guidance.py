@@ -1,7 +1,7 @@
-"""Guidance: which macro-action promises to lead a rope towards the goal code.
+"""Guidance: choose a macro-action that is likely to lead a rope towards the goal code.
 
-Some are drawn, those that made a change towards the goal before among them, and the one whose
-surrogate rollout comes nearest to the goal is taken.
+Several candidates are drawn, some of them modelled on macro-actions that made a useful change of
+code before. The one whose surrogate rollout comes nearest to the goal is chosen.
 """
 
 from __future__ import annotations
@@ -19,26 +19,27 @@ from knotgym.control.macro_actions import (
 )
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.surrogate import surrogate_rollout
-from knotgym.control.transition_counts import MacroTemplate, Places
+from knotgym.control.transition_counts import ArcCoordinates, MacroTemplate
 from knotgym.control.transition_graph import Distances, Step, TransitionGraph
 from knotgym.rope.model import Array
 from knotgym.topology.crossings import find_crossings, label_many
 from knotgym.topology.gauss import GaussCode
 
-# code set out from, nearest code in a surrogate rollout -> macro-actions chosen for it
+# (code at the start, code nearest to the goal in the surrogate rollout) -> times chosen for it
 Promises = Counter[tuple[GaussCode, GaussCode]]
 
 
 class Towards:
-    """Changes out of a code that lead nearer to the goal, and how often each shall be tried."""
+    """Changes of a code that lead nearer to the goal, drawn by chance times gain."""
 
     def __init__(self, steps: list[Step]) -> None:
         self.steps = steps
+        # the expected gain of a random macro-action through this change
         weights = np.array([step.chance * step.gain for step in steps])
         self._shares = cumulative_shares(weights) if steps else weights
 
     def draw(self, rng: np.random.Generator) -> MacroTemplate:
-        """A template of one of them."""
+        """Draw a change, then one of its templates."""
         step = self.steps[int(self._shares.searchsorted(rng.random(), side="right"))]
         return step.template(int(rng.integers(len(step.examples))))
 
@@ -50,7 +51,7 @@ def promising(
     config: PlannerConfig,
     rng: np.random.Generator,
 ) -> MacroAction:
-    """A macro-action that promises to lead towards the goal of `distances`."""
+    """Choose a macro-action for a rope at `points`, float64 (beads, 3), without a planner."""
     code = find_crossings(points).code
     steps = Towards(graph.steps(code, distances))
     return most_promising(points, code, steps, distances, config, rng, Counter())
@@ -65,28 +66,39 @@ def most_promising(
     rng: np.random.Generator,
     promises: Promises,
 ) -> MacroAction:
-    """Of some macro-actions the one whose surrogate rollout comes nearest to the goal.
+    """Draw macro-actions and choose the one whose surrogate rollout gains most on the goal.
 
-    Every second one follows a template that made a change towards the goal before. What a rollout
-    promises counts the less the oftener a macro-action was chosen for the same promise; the choice
-    is counted in `promises`.
+    Every second candidate follows a template. A predicted change of code counts
+    less the more often it was chosen before, for surrogate rollouts are often wrong.
+
+    Args:
+        points: float64 (beads, 3), metres.
+        code: Gauss code of the rope at `points`.
+        towards: useful changes of that code.
+        distances: to the goal.
+        config: number of candidates, and settings of macro-actions and rollouts.
+        rng: source of all draws.
+        promises: predictions chosen so far; the choice is added.
     """
-    places = Places(find_crossings(points), len(points))
+    arcs = ArcCoordinates(find_crossings(points), len(points))
     here, best, promise, chosen = distances(code), -np.inf, code, None
     for number in range(config.surrogate_rollouts):
+        # the random half finds changes that no template makes, and works without any counts
         if towards.steps and number % 2 == 0:
             template = towards.draw(rng)
-            macro_action = _from_template(points, template, places, config, rng)
+            macro_action = _from_template(points, template, arcs, config, rng)
         else:
             macro_action = propose(points, rng, config.macro_actions)
+        # the whole way counts, not only its end: the planner keeps every state with a new code
         frames = surrogate_rollout(
             points, macro_action, config.macro_actions.arrived, config.surrogate
         )
         nearest = min(label_many(frames), key=distances)
+        # halved once the same prediction was chosen `trust` times
         gain = (here - distances(nearest)) / (1 + promises[code, nearest] / config.trust)
         if gain > best:
             best, promise, chosen = gain, nearest, macro_action
-    assert chosen is not None  # there is at least one, and no distance is infinite
+    assert chosen is not None  # there is at least one candidate, and distances are finite
     promises[code, promise] += 1
     return chosen
 
@@ -94,18 +106,19 @@ def most_promising(
 def _from_template(
     points: Array,
     template: MacroTemplate,
-    places: Places,
+    arcs: ArcCoordinates,
     config: PlannerConfig,
     rng: np.random.Generator,
 ) -> MacroAction:
-    """The macro-action of a template on a rope, its places along the arcs varied a little."""
+    """Apply a template to a rope, with noise on its positions along the arcs."""
 
-    def bead(place: float) -> int:
-        along = np.clip(place % 1.0 + rng.normal(0, config.template_noise), 0.0, 0.999)
-        return places.bead(int(place) + float(along))
+    def bead(position: float) -> int:
+        # the noise keeps within the arc: another arc would be another change of the code
+        along = np.clip(position % 1.0 + rng.normal(0, config.template_noise), 0.0, 0.999)
+        return arcs.bead(int(position) + float(along))
 
     kind, side, led = template.kind, template.side, bead(template.bead)
-    if template.target >= 0:
+    if template.target >= 0:  # a pass or curl; spreads and shifts have no target
         target = bead(template.target)
         return pass_strand(points, kind, led, target, side, rng, config.macro_actions)
     return move_aside(points, kind, led, side, rng, config.macro_actions)

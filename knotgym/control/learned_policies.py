@@ -1,13 +1,11 @@
-"""Policies from files: models that map observations to actions.
+"""Policies from model files: Stable-Baselines3, ONNX or TorchScript.
 
-They come from Stable-Baselines3, ONNX or TorchScript; each needs its own library, imported only
-here and only then.
+Each format needs its own library, which is imported when such a file is loaded.
 """
 
 from __future__ import annotations
 
 import importlib
-import importlib.util
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -17,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import install_command, one_line
-from knotgym.control.policy import Choice, InvalidPolicy, Policy, UnplannedPolicy, checked
+from knotgym.common.errors import one_line
+from knotgym.control.policy import Choice, InvalidPolicy, UnplannedPolicy, checked
 from knotgym.envs.environment import observation_space
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import LAYOUTS, OBSERVATIONS, TaskConfig
@@ -31,9 +29,10 @@ class Model:
     """A function from a batch of observations to a batch of actions.
 
     Attributes:
-        function: takes an array (n, ...), or a dict of them.
-        takes: shape of each part of one observation, or of "" if it has no parts, with None for a
-            size that isn't fixed; None where the model doesn't state its observation space.
+        function: takes an array (n, ...), or a dict of such arrays.
+        takes: shape of each part of an observation by its name, or by "" if the observation is a
+            single array; sizes that aren't fixed are None. None as a whole if the model doesn't
+            state its observation space.
     """
 
     function: Callable[[Any], Any]
@@ -44,9 +43,10 @@ class Model:
 
 
 class ModelPolicy(UnplannedPolicy):
-    """A model that maps a batch of observations to a batch of actions.
+    """Acts as a model says.
 
-    A `Model` that states its observation space gets that observation, whatever the task's is.
+    A `Model` that states its observation space gets that observation, whichever one the task asks
+    for.
     """
 
     def __init__(self, model: Callable[[Any], Any], name: str) -> None:
@@ -56,6 +56,7 @@ class ModelPolicy(UnplannedPolicy):
     def suited(self, task: TaskConfig) -> TaskConfig:
         if self._takes is None:
             return task
+        # the task's own observation and layout are tried first
         choices = dict.fromkeys((task.observation, *OBSERVATIONS))
         layouts = dict.fromkeys((task.layout, *LAYOUTS))
         for observation in choices:
@@ -64,12 +65,12 @@ class ModelPolicy(UnplannedPolicy):
                 if _fits(_shapes(observation_space(seen)), self._takes):
                     return seen
         offered = ", ".join(
-            f"{choice} {_told(_shapes(observation_space(replace(task, observation=choice))))}"
+            f"{choice} {_as_text(_shapes(observation_space(replace(task, observation=choice))))}"
             for choice in choices
         )
         raise InvalidPolicy(
-            f"policy {self._name} takes observations of shape {_told(self._takes)}, which this task"
-            f" doesn't have: {offered}"
+            f"policy {self._name} takes observations of shape {_as_text(self._takes)}, but this"
+            f" task offers {offered}"
         )
 
     def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
@@ -83,19 +84,18 @@ class ModelPolicy(UnplannedPolicy):
             batch = np.stack(seen)
         try:
             actions = list(np.asarray(self._model(batch)))
-        except Exception as error:  # each library has its own for an input that doesn't fit
+        except Exception as error:  # every library raises its own type for an unfit input
             task = episodes.config
-            shapes = _told(_shapes(observation_space(task)))
+            shapes = _as_text(_shapes(observation_space(task)))
             raise InvalidPolicy(
-                f"policy {self._name} can't act on observations {task.observation} of shape"
-                f" {shapes}, so try another --observation:"
-                f" {one_line(error)[-200:]}"
+                f"policy {self._name} can't act on observation {task.observation} of shape"
+                f" {shapes}; try another --observation: {one_line(error)[-200:]}"
             ) from error
         return checked(actions, episodes, ids, self._name)
 
 
 def _shapes(space: Any) -> Shapes:
-    """The shapes of a Gymnasium space, as `Model.takes`."""
+    """The shapes of a Gymnasium space, in the form of `Model.takes`."""
     parts = getattr(space, "spaces", None)
     if isinstance(parts, Mapping):
         return {str(name): tuple(part.shape or ()) for name, part in parts.items()}
@@ -110,10 +110,10 @@ def _fits(given: Shapes, taken: Shapes) -> bool:
     )
 
 
-def _told(shapes: Shapes) -> str:
-    """Shapes as an error names them.
+def _as_text(shapes: Shapes) -> str:
+    """Format shapes for an error message.
 
-    >>> _told({"": (600,)}), _told({"pixels": (None, 8, 3), "state": (600,)})
+    >>> _as_text({"": (600,)}), _as_text({"pixels": (None, 8, 3), "state": (600,)})
     ('(600)', 'pixels (any, 8, 3) and state (600)')
     """
     return " and ".join(
@@ -123,15 +123,15 @@ def _told(shapes: Shapes) -> str:
 
 
 def load_model(path: Path, algorithm: str = "") -> Model:
-    """A function from a batch of observations to actions (n, 6).
+    """Load a model from a file.
 
     Args:
-        path: .zip, .onnx (inputs named as the observation's parts, or one input) or .pt; the model
-            takes the environment's observations with one more axis in front.
-        algorithm: of Stable-Baselines3, "PPO" for "".
+        path: .zip, .onnx (one input, or inputs named like the parts of the observation) or .pt. The
+            model takes a batch of the environment's observations and returns actions (n, 6).
+        algorithm: class name of the Stable-Baselines3 algorithm; PPO if empty.
 
     Raises:
-        InvalidPolicy: there is no such file, it holds no such model, or its library isn't
+        InvalidPolicy: the file doesn't exist, holds no such model, or needs a library that isn't
             installed.
     """
     if not path.is_file():
@@ -140,20 +140,19 @@ def load_model(path: Path, algorithm: str = "") -> Model:
         return MODEL_FILES[path.suffix](path, algorithm)
     except InvalidPolicy:
         raise
-    except Exception as error:  # each library has its own for a file it can't read
+    except Exception as error:  # every library raises its own type for a file it can't read
         raise InvalidPolicy(
-            f"{path} holds no {path.suffix} model that can be read:"
-            f" {one_line(error)[:200]}; reading one may run its code, so take only those you trust,"
-            " or a learner's folder, which holds safetensors"
+            f"{path} holds no {path.suffix} model that can be read: {one_line(error)[:200]};"
+            " loading a model may run its code, so load only files that you trust"
         ) from error
 
 
 @contextmanager
 def inference(torch: Any) -> Iterator[None]:
-    """Ask a network of the module `torch`: without gradients, and on one thread.
+    """Run networks of the module `torch` without gradients and on one thread.
 
-    With more, sums are of another order on another machine, and the threads of worker processes
-    wait for each other, which makes them many times slower.
+    With more threads, the order of sums, and so their rounding, depends on the machine, and the
+    threads of several worker processes wait for each other, which is many times slower.
     """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -162,47 +161,6 @@ def inference(torch: Any) -> Iterator[None]:
             yield
     finally:
         torch.set_num_threads(threads)
-
-
-def is_learner(place: str) -> bool:
-    """Whether a policy's name is that of a learner's folder, or of the one that ships."""
-    return place == "pretrained" or (place != "" and Path(place).is_dir())
-
-
-def load_learner(place: str) -> Policy:
-    """The policy of a learner that `knotgym train` wrote, or of the one that ships.
-
-    Raises:
-        InvalidPolicy: torch or safetensors isn't installed.
-        InvalidCheckpoint: the folder holds no learner that this version can read.
-    """
-    for library in ("torch", "safetensors"):
-        if importlib.util.find_spec(library) is None:
-            raise InvalidPolicy(
-                f"the learner {place} needs {library}, which isn't installed; install it:"
-                f" {install_command('learn')}"
-            )
-    policy: Policy = importlib.import_module("knotgym.learn.picture_policy").learned_policy(place)
-    return policy
-
-
-def learner_card(place: str) -> dict[str, Any]:
-    """What the folder of a learner, or of the one that ships, says of its training, see the file
-    `policy.json`.
-
-    Raises:
-        InvalidCheckpoint: the folder holds no learner that this version can read.
-    """
-    checkpoint = importlib.import_module("knotgym.learn.checkpoint")
-    card: dict[str, Any] = checkpoint.read_card(checkpoint.policy_folder(place))
-    return card
-
-
-def learner_files(place: str) -> dict[str, Path]:
-    """The files of a learner's folder, by their names."""
-    checkpoint = importlib.import_module("knotgym.learn.checkpoint")
-    folder: Path = checkpoint.policy_folder(place)
-    return {name: folder / name for name in (checkpoint.CARD, checkpoint.WEIGHTS)}
 
 
 def _stable_baselines3(path: Path, algorithm: str) -> Model:
@@ -220,18 +178,18 @@ def _stable_baselines3(path: Path, algorithm: str) -> Model:
             return model.predict(batch, deterministic=True)[0]
 
     takes = _shapes(model.observation_space)
-    # it keeps pictures with their channels first, and turns those it is given
-    turned = {
+    # Stable-Baselines3 states images channels first, but takes ours and transposes them itself
+    transposed = {
         name: (*shape[1:], shape[0]) if len(shape) == 3 and (shape[0] or 0) < 16 else shape
         for name, shape in takes.items()
     }
-    return Model(act, turned)
+    return Model(act, transposed)
 
 
 def _onnx(path: Path, algorithm: str) -> Model:
     runtime = _library("onnxruntime", path)
     options = runtime.SessionOptions()
-    options.intra_op_num_threads = 1  # as `inference`
+    options.intra_op_num_threads = 1  # for the reasons given in `inference`
     session = runtime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     inputs = session.get_inputs()
     takes = {
@@ -262,7 +220,7 @@ def _torchscript(path: Path, algorithm: str) -> Model:
     return Model(act)
 
 
-# suffix -> what reads such a file, given a Stable-Baselines3 algorithm's name or ""
+# suffix -> loader, which gets the path and a Stable-Baselines3 algorithm's name or ""
 MODEL_FILES: dict[str, Callable[[Path, str], Model]] = {
     ".zip": _stable_baselines3,
     ".onnx": _onnx,

@@ -1,11 +1,11 @@
-"""Macro-actions: one bead led past waypoints, in a few steps and without a goal.
+"""Macro-actions: lead one bead past three waypoints, in a few steps and without a goal.
 
-One step moves the bead by three to five centimetres. Macro-actions are drawn at random from what is
-near: `pass` (over or under another strand), `curl` (over or under a strand close by along the rope,
-which makes or undoes a kink), `spread` (away from the middle), `shift` (anywhere).
+One step moves the bead by three to five centimetres. There are four kinds: `pass` leads the bead
+over or under another strand, `curl` over or under a strand close to it along the rope (which makes
+or undoes a kink), `spread` away from the rope's middle, and `shift` in any direction.
 
-A haul is another thing: two beads pulled apart with all force, in turn. It heeds neither strands
-nor codes, and undoes tangles whose every small change makes them worse.
+A haul pulls two beads apart with full force, one in even and one in odd steps. It ignores strands
+and codes, and undoes tangles in which every small change makes things worse.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from knotgym.common.configuration import InvalidConfig, check_numbers
 from knotgym.rope.model import Array
 
 KINDS = ("pass", "curl", "spread", "shift")
-_WAYPOINTS = 3
-_HAUL_RISE = -0.2, 0.6  # upward force, in units of the largest
-_HAUL_STEPS = 4, 20  # from and below
+_WAYPOINTS = 3  # per macro-action, see `_waypoints`
+_HAUL_RISE = -0.2, 0.6  # range of the upward force, in units of the largest force
+_HAUL_STEPS = 4, 20  # range of its length; the upper end is excluded
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,18 +30,21 @@ class MacroActionConfig:
     """How macro-actions are drawn and carried out.
 
     Attributes:
-        shares: of KINDS among those drawn at random.
-        arrived: metres from a waypoint that count as there.
-        stride: metres that one step at full force leads a bead, about; shorter ones take less.
-        lift: metres above or below a strand that a bead passes it at, or that it is shifted at.
-        rise: metres ahead within which a bead reaches that height.
-        distance: metres that a bead is spread or shifted, from and to.
-        spread_angle: standard deviation of a spread's heading, radians.
-        pass_angle: that of the heading of a pass or curl.
-        beyond: metres past the strand that a pass or curl ends at, from and to.
-        farthest: metres away that a strand is passed at most; one farther off isn't reached.
-        pass_apart: beads along the rope between a bead and the strand it passes, at least.
-        curl_apart: the same of a curl, from and to.
+        shares: probabilities of KINDS in random draws, up to a factor.
+        arrived: distance in metres at which a waypoint counts as reached.
+        stride: metres that a step at full force moves a bead, roughly; the force is reduced in
+            proportion when the waypoint is nearer.
+        lift: height in metres above or below a strand at which a bead passes it, or by which it is
+            raised or lowered in a shift.
+        rise: horizontal distance in metres within which a bead reaches that height.
+        distance: range of the length of a spread or shift, metres.
+        spread_angle: standard deviation of the heading of a spread, radians.
+        pass_angle: standard deviation of the heading of a pass or curl, radians.
+        beyond: range of the distance past the strand at which a pass or curl ends, metres.
+        farthest: longest distance to a strand that a pass covers, metres; a strand farther away
+            isn't reached.
+        pass_apart: fewest beads along the rope between a bead and the strand it passes.
+        curl_apart: range of that number for a curl, both ends included.
     """
 
     shares: tuple[float, float, float, float] = (0.4, 0.25, 0.1, 0.25)
@@ -74,11 +77,14 @@ class MacroActionConfig:
 
 @dataclass(frozen=True)
 class MacroAction:
-    """Lead `bead` past `waypoints`, float64 (3, 3), metres, world frame.
+    """Lead a bead past waypoints.
 
     Attributes:
-        target: the bead of the strand to be passed, -1 where there is none.
-        side: +1 over it, -1 under it.
+        kind: one of KINDS.
+        bead: the bead to lead.
+        waypoints: float64 (3, 3), metres, world frame.
+        target: bead of the strand to pass, -1 if there is none.
+        side: +1 over or upwards, -1 under or downwards, 0 for neither.
     """
 
     kind: str
@@ -89,15 +95,23 @@ class MacroAction:
 
 
 def propose(points: Array, rng: np.random.Generator, config: MacroActionConfig) -> MacroAction:
-    """Draw a macro-action for a configuration (beads, 3)."""
+    """Draw a macro-action at random.
+
+    Args:
+        points: float64 (beads, 3), metres.
+        rng: source of all draws.
+        config: kinds and sizes.
+    """
+    # Draws come in this order whatever the kind: another order would change every seeded run.
     beads = len(points)
     kind = KINDS[int(_kinds(tuple(config.shares)).searchsorted(rng.random(), side="right"))]
     bead = int(rng.integers(beads))
     side = (-1, 1)[rng.integers(2)]
     if kind == "curl":
-        least, most = config.curl_apart
+        least, most = config.curl_apart  # either way along the rope
         apart = int(rng.integers(least, most + 1)) * (-1, 1)[rng.integers(2)]
     elif kind == "pass":
+        # at least pass_apart from the bead in both directions round the loop
         apart = int(rng.integers(config.pass_apart, beads - config.pass_apart))
     else:
         return move_aside(points, kind, bead, side, rng, config)
@@ -106,12 +120,13 @@ def propose(points: Array, rng: np.random.Generator, config: MacroActionConfig) 
 
 @dataclass(frozen=True, eq=False)
 class Haul:
-    """Two beads pulled apart, in turn.
+    """Pull two beads apart, in turn.
 
     Attributes:
-        beads: pulled at even and at odd steps.
-        force: float64 (3,), of even steps, in units of the largest; odd ones turn it about.
-        steps: that it takes.
+        beads: the beads pulled in even and in odd steps.
+        force: float64 (3,), force of even steps in units of the largest force; in odd steps its
+            horizontal part is reversed.
+        steps: number of steps.
     """
 
     beads: tuple[int, int]
@@ -119,13 +134,14 @@ class Haul:
     steps: int
 
     def pull(self, step: int) -> tuple[int, Array]:
-        """The bead pulled at a step, and the force, (3,)."""
+        """Return the bead to pull in a step, and the force, float64 (3,)."""
         return self.beads[step % 2], self.force * ((1, 1, 1), (-1, -1, 1))[step % 2]
 
 
 def propose_haul(beads: int, rng: np.random.Generator) -> Haul:
-    """Draw a haul of a rope of so many beads: any two, a fifth of the rope apart at least."""
+    """Draw a haul of two beads that are at least a fifth of the rope apart."""
     first, apart = int(rng.integers(beads)), int(rng.integers(beads // 5, beads - beads // 5))
+    # horizontal part of length 1 plus a rise: each component is in [-1, 1], as in an action
     heading, rise = rng.uniform(-np.pi, np.pi), rng.uniform(*_HAUL_RISE)
     force = np.array([np.cos(heading), np.sin(heading), rise])
     return Haul((first, (first + apart) % beads), force, int(rng.integers(*_HAUL_STEPS)))
@@ -139,16 +155,16 @@ def move_aside(
     rng: np.random.Generator,
     config: MacroActionConfig,
 ) -> MacroAction:
-    """Lead `bead` away from the rope's middle ("spread") or anywhere ("shift").
+    """Lead a bead away from the rope's middle ("spread"), or in a random direction ("shift").
 
-    A shift is lifted (side +1) or lowered (-1).
+    A shift is raised (side +1) or lowered (-1) by `config.lift`; a spread stays at its height.
     """
-    offset = points[bead, :2] - points[:, :2].mean(axis=0)
+    offset = points[bead, :2] - points[:, :2].mean(axis=0)  # seen from above, as codes are
     height = points[bead, 2]
     if kind == "spread":
-        side = 0
+        side = 0  # whatever was drawn: the bead stays at its height
         heading = np.arctan2(offset[1], offset[0]) + rng.normal(0, config.spread_angle)
-    else:
+    else:  # a shift heads anywhere, above or below what lies in its way
         height = height + side * config.lift
         heading = rng.uniform(-np.pi, np.pi)
     far = rng.uniform(*config.distance)
@@ -165,10 +181,12 @@ def pass_strand(
     rng: np.random.Generator,
     config: MacroActionConfig,
 ) -> MacroAction:
-    """Lead `bead` over (side +1) or under (-1) the bead `target`, and on."""
+    """Lead a bead over (side +1) or under (-1) the bead `target` and a little beyond it."""
     offset = points[target, :2] - points[bead, :2]
+    # a strand farther away than that is approached without being passed
     far = min(float(np.hypot(*offset)), config.farthest)
     heading = np.arctan2(offset[1], offset[0]) + rng.normal(0, config.pass_angle)
+    # relative to the strand to pass, not to the bead
     height = points[target, 2] + side * config.lift
     reach = far + rng.uniform(*config.beyond)
     waypoints = _waypoints(points, bead, heading, height, min(config.rise, far), reach)
@@ -178,7 +196,23 @@ def pass_strand(
 def _waypoints(
     points: Array, bead: int, heading: float, height: float, rise: float, reach: float
 ) -> Array:
-    """To `height` within `rise` metres, on to `reach`, and back to the rope's level; (3, 3)."""
+    """Waypoints of a straight walk, float64 (3, 3): up or down, across, and back to rope level.
+
+    Seen from the side, for a bead that passes over a strand at o:
+
+        height      1---------2
+                   /     o    |
+        level   bead          3
+
+    Args:
+        points: float64 (beads, 3), metres.
+        bead: the bead to lead.
+        heading: direction of the walk, radians from the x axis.
+        height: z of the first two waypoints, metres.
+        rise: horizontal distance to the first, metres.
+        reach: horizontal distance to the other two, metres.
+    """
+    # plain floats: this runs for every candidate, and NumPy is slow on single numbers
     x, y, _ = points[bead].tolist()
     ahead_x, ahead_y = float(np.cos(heading)), float(np.sin(heading))
     end_x, end_y = x + ahead_x * reach, y + ahead_y * reach
@@ -193,12 +227,14 @@ def _waypoints(
 
 
 def cumulative_shares(weights: Array) -> Array:
-    """Shares summed up to each; `searchsorted(rng.random(), side="right")` draws by them.
+    """Normalize weights and sum them up, so that
+    `searchsorted(rng.random(), side="right")` draws an index.
 
-    So `Generator.choice` does it, by the same number of the stream, but with checks that take far
-    longer.
+    `Generator.choice` draws the same index from the same number of the stream, but its checks of
+    the arguments take far longer.
     """
     shares = (weights / weights.sum()).cumsum()
+    # divided again, as `choice` does: rounding may leave the last sum a little off 1
     return np.asarray(shares / shares[-1])
 
 
@@ -208,51 +244,58 @@ def _kinds(shares: tuple[float, ...]) -> Array:
 
 
 class WaypointController:
-    """Leads one bead of each of n ropes through its macro-action, step by step.
+    """Carries out a macro-action on each of n ropes, step by step.
 
     Attributes:
-        beads: int64 (n,), the bead led on each rope.
+        beads: int64 (n,), the bead to pull on each rope.
     """
 
     def __init__(self, count: int, config: MacroActionConfig) -> None:
         self.beads = np.zeros(count, dtype=np.int64)
         self._config = config
         self._waypoints = np.zeros((count, _WAYPOINTS, 3))
-        self._stage = np.full(count, _WAYPOINTS)  # the waypoint gone to; past the last if idle
+        self._stage = np.full(count, _WAYPOINTS)  # index of the next waypoint; past the end if idle
 
     def begin(self, index: int, macro_action: MacroAction) -> None:
-        """Begin a macro-action on rope `index`."""
+        """Start a macro-action on rope `index`."""
         self.beads[index] = macro_action.bead
         self._waypoints[index] = macro_action.waypoints
         self._stage[index] = 0
 
     def release(self, index: int) -> None:
-        """Let go of rope `index`."""
+        """Abandon the macro-action of rope `index`."""
         self._stage[index] = _WAYPOINTS
 
     @property
     def idle(self) -> NDArray[np.bool_]:
-        """Which ropes have no waypoint left to go to, bool (n,)."""
+        """Which ropes have no waypoint left, bool (n,)."""
         return self._stage >= _WAYPOINTS
 
     def advance(self, points: Array) -> None:
-        """Go on to the next waypoint where the bead is at one; points (n, beads, 3)."""
+        """Move on to the next waypoint on every rope whose bead has reached the current one.
+
+        Args:
+            points: float64 (n, beads, 3), metres.
+        """
+        # waypoints may lie within `arrived` of each other, so one call may pass all three
         for _ in range(_WAYPOINTS):
             near = np.linalg.norm(self._offsets(points), axis=1) < self._config.arrived
             self._stage += near & ~self.idle
 
     def forces(self, points: Array) -> Array:
-        """The steps to take now: float64 (n, 3), at most 1 long, in units of the largest force.
+        """Forces on the led beads, float64 (n, 3), in units of the largest force; 0 on idle ropes.
 
-        An idle rope's is 0.
+        Their length is 1, or less where the waypoint is nearer than `stride`.
         """
         offset = self._offsets(points)
         far = np.linalg.norm(offset, axis=1, keepdims=True)
+        # proportional control that saturates at `stride`; 1e-9 guards a bead on its waypoint
         force = offset / np.maximum(far, 1e-9) * np.minimum(1.0, far / self._config.stride)
         return np.where(self.idle[:, None], 0.0, force)
 
     def _offsets(self, points: Array) -> Array:
-        """From each led bead to its waypoint, float64 (n, 3), metres."""
+        """Vectors from the led beads to their waypoints, float64 (n, 3), metres."""
         rows = np.arange(len(self.beads))
+        # idle ropes get the last waypoint, and `forces` and `advance` ignore what comes of it
         stage = np.minimum(self._stage, _WAYPOINTS - 1)
         return self._waypoints[rows, stage] - points[rows, self.beads]

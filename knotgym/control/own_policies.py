@@ -1,15 +1,15 @@
-"""Policies of the user's own: module:name is a function, an object, or a class of such objects.
+"""Policies from user code: module:name is a function, an object, or a class.
 
     def act(observation): ...
     def act(observation, info, generator): ...
 
     class Recurrent:
-        def reset(self): ...                    # or reset(generator); an episode begins
+        def reset(self): ...                    # or reset(generator); called as an episode begins
         def act(self, observation): ...         # or act(observation, info, generator)
 
-Each gives six numbers in [-1, 1]. Episodes are played side by side, so every episode has a copy of
-an object to itself; a class is called once, without arguments, for the object that is copied. Every
-draw comes from the episode's generator.
+Actions are six numbers in [-1, 1]. Episodes are played side by side, so each gets its own deep copy
+of the object; a class is called once, without arguments, to make the object to copy. Random draws
+should come from the episode's generator, or the run can't be repeated.
 """
 
 from __future__ import annotations
@@ -41,23 +41,24 @@ _PROTOCOL = (
 
 
 class OwnPolicy(UnplannedPolicy):
-    """A function of the user's, or an object with a copy for each episode.
-
-    Raises:
-        InvalidPolicy: it is neither.
-    """
+    """A user's function, or a user's object copied for each episode."""
 
     def __init__(self, given: Any, name: str) -> None:
+        """Wrap a function, an object, or a class.
+
+        Raises:
+            InvalidPolicy: it doesn't have the signature of a policy.
+        """
         super().__init__(name)
         reset_takes: int | None = None
         if inspect.isclass(given):
-            with _theirs(name):
+            with _user_code(name):
                 given = given()
         if callable(getattr(given, "act", None)) and callable(getattr(given, "reset", None)):
             takes, reset_takes = _takes(given.act, (3, 1)), _takes(given.reset, (1, 0))
             if reset_takes is None:
                 raise InvalidPolicy(
-                    f"policy {name}: its reset must take nothing, or the episode's generator"
+                    f"policy {name}: reset must take no argument, or the episode's generator"
                 )
         else:
             takes = _takes(given, (3, 1)) if callable(given) else None
@@ -70,7 +71,7 @@ class OwnPolicy(UnplannedPolicy):
         super().begin(episodes, index, rng)
         self._own[index] = self._given
         if self._reset_takes is not None:
-            with _theirs(self._name):
+            with _user_code(self._name):
                 own = copy.deepcopy(self._given)
                 own.reset(*[rng][: self._reset_takes])
             self._own[index] = own
@@ -81,19 +82,19 @@ class OwnPolicy(UnplannedPolicy):
             own = self._own[index]
             function = own if self._reset_takes is None else own.act
             seen = (episodes.observation(index), episodes.info(index), self._rngs[index])
-            with _theirs(self._name):
+            with _user_code(self._name):
                 actions.append(function(*seen[: self._takes]))
         return checked(actions, episodes, ids, self._name)
 
 
 def load_own(module: str, name: str) -> Any:
-    """Import a module and return what it calls `name`.
+    """Import a module and return its attribute `name`.
 
     A module that isn't installed is looked for in the current folder. That folder is on the path
-    only during this import: the module imports its neighbours at its top, not later.
+    only during this import, so the module must import its neighbours at the top, not in functions.
 
     Raises:
-        InvalidPolicy: there is no such thing, or the module raises.
+        InvalidPolicy: the module or attribute doesn't exist, or importing the module fails.
     """
     try:
         with _current_folder(module.partition(".")[0]):
@@ -101,18 +102,21 @@ def load_own(module: str, name: str) -> Any:
     except (ImportError, AttributeError, SyntaxError) as error:
         raise InvalidPolicy(f"no policy {module}:{name}: {error}") from error
     except Exception as error:
-        raise _said(f"{module}:{name}", error) from error
+        raise _invalid(f"{module}:{name}", error) from error
 
 
 def module_files(module: str) -> dict[str, Path]:
-    """A module's file and those that it imports, directly or not, from its own folder, by their
-    paths in there; of an installed module those of its own package.
+    """Find a module's file and the files that it imports, directly or indirectly, from its folder.
 
-    Imports are read from the source, those inside of functions too. Files that are read as data,
-    and modules that are named only while running, can't be known.
+    For an installed module, only files of its own package are returned. Imports are read from the
+    source, including those inside functions. Data files, and modules whose names are computed at
+    run time, aren't found.
+
+    Returns:
+        Paths relative to the folder -> paths.
     """
     top, *parts = module.split(".")
-    with _theirs(module), _current_folder(top):
+    with _user_code(module), _current_folder(top):
         spec = importlib.util.find_spec(top)
     if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
         return {}
@@ -136,18 +140,20 @@ def module_files(module: str) -> dict[str, Path]:
 
 
 def _imported(source: bytes, package: str) -> Iterator[str]:
-    """The modules that a source in a package may import, with the packages that they lie in."""
+    """Yield the modules that a source file imports, and the packages that contain them."""
     names: list[str] = []
     try:
         tree = ast.parse(source)
-    except (SyntaxError, ValueError):  # whoever imports it says so
+    except (SyntaxError, ValueError):  # importing it reports the error
         return
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             names += [one.name for one in node.names]
         elif isinstance(node, ast.ImportFrom):
+            # one dot is the package itself, each further dot a package higher
             above = package.split(".")[: len(package.split(".")) + 1 - node.level]
             base = ".".join([*(above if node.level else []), *filter(None, [node.module])])
+            # `from a import b` may import a module a.b, or a name in a
             names += [base, *(f"{base}.{one.name}".lstrip(".") for one in node.names)]
     for name in names:
         parts = name.split(".")
@@ -156,7 +162,7 @@ def _imported(source: bytes, package: str) -> Iterator[str]:
 
 @contextmanager
 def _current_folder(package: str) -> Iterator[None]:
-    """Search the current folder too, last, if Python finds no such package elsewhere."""
+    """Append the current folder to sys.path unless Python finds the package elsewhere."""
     if package in sys.modules or importlib.util.find_spec(package) is not None:
         yield
         return
@@ -169,26 +175,28 @@ def _current_folder(package: str) -> Iterator[None]:
 
 
 @contextmanager
-def _theirs(name: str) -> Iterator[None]:
-    """Code of the user's: what it raises is told in one line, as its own."""
+def _user_code(name: str) -> Iterator[None]:
+    """Run user code; re-raise what it raises as InvalidPolicy."""
     try:
         yield
     except Exception as error:
-        raise _said(name, error) from error
+        raise _invalid(name, error) from error
 
 
-def _said(name: str, error: Exception) -> InvalidPolicy:
+def _invalid(name: str, error: Exception) -> InvalidPolicy:
+    """One line that names the policy, the error, and where it was raised."""
     frame = traceback.extract_tb(error.__traceback__)[-1]
     place = f"{Path(frame.filename).name}, line {frame.lineno}"
-    said = f"{type(error).__name__}: {one_line(error)}"
-    return InvalidPolicy(f"policy {name} raised {said} ({place})")
+    return InvalidPolicy(
+        f"policy {name} raised {type(error).__name__}: {one_line(error)} ({place})"
+    )
 
 
 def _takes(function: Callable[..., Any], counts: tuple[int, ...]) -> int | None:
-    """The first of these numbers of arguments that a function can be called with."""
+    """The first of these numbers of positional arguments that a function accepts, or None."""
     try:
         signature = inspect.signature(function)
-    except (TypeError, ValueError):  # a builtin doesn't say
+    except (TypeError, ValueError):  # some builtins have no signature
         return counts[-1]
     for count in counts:
         try:

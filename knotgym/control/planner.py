@@ -1,11 +1,14 @@
-"""Planning in the simulator: steps that lead a rope from the very state it is in to a Gauss code.
+"""Plan in the simulator: find actions that lead a rope from its current state to a Gauss code.
 
-A pool of states met is kept by their codes. Copies of the rope set out from states whose codes are
-near the goal, as the transition graph tells, each through one macro-action: the most promising of
-several whose surrogate rollouts are looked at, some of them like those that made a change towards
-the goal before; or any. A rope of many crossings may be hauled instead. Every new code on the way
-joins the pool. MuJoCo repeats itself bit for bit from an integration state, so a plan that reaches
-the goal here reaches it.
+This is a best-first search with random choices. A pool holds the states met so far, grouped by
+code. Each iteration picks a state from the pool, preferring codes that the transition graph puts
+near the goal, and applies one macro-action to it, in `batch_size` simulations side by side. The
+macro-action is either random or the best of several candidates, judged by surrogate rollouts; some
+candidates imitate macro-actions that made a useful change of code before. Ropes with many crossings
+may be hauled instead. Every state with a new code joins the pool.
+
+MuJoCo is deterministic, bit for bit, from a given integration state, so a plan that reaches the
+goal in the search reaches it in the episode too.
 """
 
 from __future__ import annotations
@@ -34,26 +37,26 @@ from knotgym.rope.towing import TowBound
 from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
 
-REST = "rest"  # the kind of a step with no force, by which a code is held
-HAUL = "haul"  # the kind of a haul's steps
-HARD_NX = 7  # crossings from which a rope may be hauled: beyond them guidance knows next to nothing
-HAULED_NX = 3  # crossings from which hauls set out, then; fewer are undone otherwise
+REST = "rest"  # kind of an action without force, which holds a code
+HAUL = "haul"  # kind of the actions of a haul
+HARD_NX = 7  # hauls are allowed from this many crossings on, where guidance knows very little
+HAULED_NX = 3  # a hard rope is hauled only from states of at least this many crossings
 HAULS = 0.6  # share of a hard rope's macro-actions that are hauls
-ANEW = 20_000  # simulated actions after which a search begins anew: other draws may have more luck
+ANEW = 20_000  # simulated actions after which a search restarts: other draws may do better
 
 
 @dataclass(eq=False)
 class Node:
-    """A state met.
+    """A state in the search tree.
 
     Attributes:
         state: integration state, float64.
-        code: shown, with chirality.
-        steps: from the state planned from.
-        before: the node that the last macro-action set out from, None at the root.
-        kind: of that macro-action.
-        actions: of that macro-action up to here, float32 (k, 6).
-        tries: macro-actions that set out from here.
+        code: Gauss code of the state, with chirality.
+        steps: actions from the root to here.
+        before: parent node, None at the root.
+        kind: kind of the macro-action that led here from the parent.
+        actions: actions of that macro-action up to here, k of float32 (6,).
+        tries: macro-actions started from here so far.
     """
 
     state: Array
@@ -67,13 +70,13 @@ class Node:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """T actions and why.
+    """T actions and the reason for each.
 
     Attributes:
         actions: float32 (T, 6).
-        moves: the reason for each, as `reason`.
-        solved: they end in the goal.
-        spent: simulated actions that planning took.
+        moves: T reasons, in the words of `reason`.
+        solved: whether the last state shows the goal.
+        spent: number of actions simulated to find the plan.
     """
 
     actions: NDArray[np.float32]
@@ -83,50 +86,58 @@ class Plan:
 
 
 class _Pool:
-    """States met, by their codes, and how promising it is to set out from each code."""
+    """The states met so far, grouped by code, with what `choose` needs to weigh each code.
+
+    Codes get rows in the order in which they are met; the arrays below are indexed by row.
+    """
 
     def __init__(self, distances: Distances, config: PlannerConfig, *, nx_as_hops: bool) -> None:
         self._distances, self._config, self._nx_as_hops = distances, config, nx_as_hops
         self._rows: dict[GaussCode, int] = {}
-        self._nodes: list[list[Node]] = []  # by row, as what follows
-        self._far = np.empty(0)
-        self._tries = np.empty(0, dtype=np.int64)
-        self._earliest = np.empty(0, dtype=np.int64)
-        self._left = np.empty(0)  # steps to the goal, about
+        self._nodes: list[list[Node]] = []
+        self._distance = np.empty(0)  # macro-actions to the goal
+        self._tries = np.empty(0, dtype=np.int64)  # macro-actions started from states of the code
+        self._earliest = np.empty(0, dtype=np.int64)  # fewest steps from the root
+        self._left = np.empty(0)  # estimated steps to the goal
 
     def __iter__(self) -> Iterator[Node]:
         return itertools.chain.from_iterable(self._nodes)
 
     def hops(self, code: GaussCode) -> int:
-        """Changes of code from here to the goal, about."""
-        self._distances(code)  # a code just met may get its hops now
+        """Estimated number of code changes from a code to the goal."""
+        self._distances(code)  # fills in `hops` for a code that the graph meets only now
         unknown = code.nx if self._nx_as_hops else self._config.unknown_hops
         return self._distances.hops.get(code, unknown)
 
     def add(self, node: Node) -> None:
-        """Put a state in; of too many with one code the longest and most tried goes."""
+        """Add a state; if its code now has too many, drop the one latest and tried most often."""
         row = self._row(node.code)
         nodes = self._nodes[row]
         nodes.append(node)
         if len(nodes) > self._config.kept:
             cost = self._config.try_cost
             nodes.remove(max(nodes, key=lambda node: node.steps + cost * node.tries))
+        # computed anew, since the state dropped may have been the earliest
         self._earliest[row] = min([node.steps for node in nodes])
 
     def tries(self, code: GaussCode) -> int:
-        """How often a state with this code was set out from."""
+        """Number of macro-actions started from states of this code."""
         return int(self._tries[self._rows[code]]) if code in self._rows else 0
 
     def choose(self, rng: np.random.Generator) -> Node:
-        """Draw a code, near and early ones more often, then a state that shows it."""
+        """Draw a code, then a state that shows it, and count the try."""
         config = self._config
+        # A code's weight falls with its distance to the goal (greed), with how often it was tried
+        # (weariness), and with the estimated length of an episode through it (patience). Lengths
+        # are compared to the shortest one, which keeps the exponentials from underflowing.
         late = self._earliest + self._left
         weights = (
-            (1 + self._far) ** -config.greed
+            (1 + self._distance) ** -config.greed
             / (1 + self._tries / config.weariness)
             * np.exp(-(late - late.min()) / config.patience)
         )
         row = _drawn(weights, rng)
+        # among the code's states: early ones, and ones tried less often
         nodes = self._nodes[row]
         fresh = [np.exp(-node.steps / config.patience) / (1 + node.tries) for node in nodes]
         node = nodes[_drawn(np.array(fresh), rng)]
@@ -135,11 +146,11 @@ class _Pool:
         return node
 
     def _row(self, code: GaussCode) -> int:
-        """The row of a code, which may be new."""
+        """The row of a code; a new code gets one."""
         if code not in self._rows:
             self._rows[code] = len(self._nodes)
             self._nodes.append([])
-            self._far = np.append(self._far, self._distances(code))
+            self._distance = np.append(self._distance, self._distances(code))
             self._tries = np.append(self._tries, 0)
             self._earliest = np.append(self._earliest, 0)
             self._left = np.append(self._left, self._config.stride * self.hops(code))
@@ -148,7 +159,15 @@ class _Pool:
 
 @dataclass(eq=False)
 class _Branch:
-    """A copy of the rope under way from a node."""
+    """A simulation in the middle of a macro-action.
+
+    Attributes:
+        node: where the macro-action started.
+        kind: of the macro-action.
+        code: shown after the last action.
+        haul: the haul under way, None for a macro-action that follows waypoints.
+        actions: taken so far, each float32 (6,).
+    """
 
     node: Node
     kind: str
@@ -158,7 +177,7 @@ class _Branch:
 
     @property
     def steps(self) -> int:
-        """From the state planned from."""
+        """Actions from the root to the current state."""
         return self.node.steps + len(self.actions)
 
 
@@ -177,29 +196,31 @@ def plan(
     met: Callable[[Node], object] | None = None,
     hauling: bool = False,
 ) -> Plan:
-    """Find steps that lead to the goal code.
+    """Find actions that lead to the goal code.
 
     Args:
-        simulation: at least `config.batch_size` ropes, whose states are overwritten.
-        state: integration state to set out from.
+        simulation: at least `config.batch_size` ropes; their states are overwritten.
+        state: integration state to start from.
         goal: compared without chirality.
-        graph: knows distances; an empty one guides by crossings alone.
-        config: how hard to try.
-        rng: decides what is tried.
-        steps: that there are.
-        hold: consecutive states that shall show the goal.
-        budget: simulated actions, instead of the configuration's; after ANEW of them the search
-            begins anew.
-        bound: where the rope's centre must stay; None for anywhere.
-        met: called with every state as it is met, the goal's last.
-        hauling: a rope of HARD_NX crossings or more, and more than the goal has, may be hauled too.
+        graph: gives distances; an empty one is guided by numbers of crossings alone.
+        config: settings of the search.
+        rng: source of all random choices.
+        steps: most actions that the plan may have.
+        hold: number of consecutive states that must show the goal.
+        budget: most actions to simulate, `config.budget` if None; the search restarts after every
+            ANEW of them.
+        bound: region in which the rope's centre must stay; None for no limit.
+        met: called with every state that is kept, in order; the goal comes last.
+        hauling: allow hauls if the rope has at least HARD_NX crossings, and more than the goal.
 
     Returns:
-        The first plan found that reaches the goal; for want of one, the plan to the state nearest
-        to it.
+        The first plan found that reaches the goal; if none is found, the plan to the state nearest
+        to the goal.
     """
+    # Restarts draw from the same generator, so they differ. A last search shorter than ANEW gets
+    # what is left; the loop ends when that is less than one action per rope.
     limit = config.budget if budget is None else budget
-    spent, nearest = 0, list[Node]()
+    spent, nearest = 0, list[Node]()  # the best node of each restart
     while True:
         search = _Search(
             simulation, state, goal, graph, config, rng, steps, hold, bound, met, hauling
@@ -208,18 +229,18 @@ def plan(
         spent += search.spent
         if reached is not None:
             return _plan_to(reached, True, spent)
-        nearest.append(min(search.pool, key=search.far))
+        nearest.append(min(search.pool, key=search.remoteness))
         if spent + config.batch_size > limit or not search.spent:
             break
-    return _plan_to(min(nearest, key=search.far), False, spent)
+    return _plan_to(min(nearest, key=search.remoteness), False, spent)
 
 
 def reason(before: GaussCode, after: GaussCode, kind: str) -> str:
-    """Name what a macro-action did to a code, and its kind: "R1+ curl", "R2- pass".
+    """Name the change of code that a macro-action made, and its kind: "R1+ curl", "R2- pass".
 
-    R1 and R2, + or -, are one or two crossings more or less; "slide" moves the base bead past
-    crossings; R3 keeps number and writhe of three crossings or more; what is left is "other", and
-    "none" where the code is the same.
+    The change is read from the two codes alone. R1 and R2 mean that one or two crossings were added
+    (+) or removed (-); "slide" that the base bead moved past crossings; R3 that at least three
+    crossings kept their number and writhe; "none" that the code is the same; "other" is the rest.
 
     >>> reason(GaussCode.parse(""), GaussCode.parse("1+a,1-a"), "curl")
     'R1+ curl'
@@ -236,41 +257,42 @@ def reason(before: GaussCode, after: GaussCode, kind: str) -> str:
     return f"{move} {kind}"
 
 
+@dataclass(eq=False)
 class _Search:
-    """One plan in the making."""
+    """One search, from its root until the goal is reached or its budget is spent.
 
-    def __init__(
-        self,
-        simulation: Ropes,
-        state: Array,
-        goal: GaussCode,
-        graph: TransitionGraph,
-        config: PlannerConfig,
-        rng: np.random.Generator,
-        steps: int,
-        hold: int,
-        bound: TowBound | None,
-        met: Callable[[Node], object] | None,
-        hauling: bool,
-    ) -> None:
-        self.simulation, self.goal, self.graph = simulation, goal, graph
-        self.config, self.rng = config, rng
-        self.steps, self.hold, self.bound, self.met = steps, hold, bound, met
-        simulation.restore(state[None], [0])
-        self.root = Node(state, label_many(simulation.points[:1])[0])
-        self.distances = graph.distances(goal, self.root.code)
-        nx = self.root.code.nx
-        self.hauling = hauling and nx >= HARD_NX and nx > goal.nx
-        self.pool = _Pool(self.distances, config, nx_as_hops=self.hauling)
-        self.pool.add(self.root)
+    The fields are arguments of `plan`.
+    """
+
+    simulation: Ropes
+    state: Array
+    goal: GaussCode
+    graph: TransitionGraph
+    config: PlannerConfig
+    rng: np.random.Generator
+    steps: int
+    hold: int
+    bound: TowBound | None
+    met: Callable[[Node], object] | None
+    hauling: bool
+
+    def __post_init__(self) -> None:
+        self.simulation.restore(self.state[None], [0])
+        root = Node(self.state, label_many(self.simulation.points[:1])[0])
+        self.distances = self.graph.distances(self.goal, root.code)
+        # Hauls take crossings out. Where they are allowed the graph knows few paths, and each
+        # crossing is taken for a change of code to go.
+        self.hauling &= root.code.nx >= HARD_NX and root.code.nx > self.goal.nx
+        self.pool = _Pool(self.distances, self.config, nx_as_hops=self.hauling)
+        self.pool.add(root)
         self.towards: dict[GaussCode, Towards] = {}
         self.promises: Promises = Counter()
-        self.controller = WaypointController(simulation.count, config.macro_actions)
-        self.branches: dict[int, _Branch] = {}  # by the rope of the simulation
+        self.controller = WaypointController(self.simulation.count, self.config.macro_actions)
+        self.branches: dict[int, _Branch] = {}  # by rope of the simulation
         self.spent = 0
 
     def run(self, budget: int) -> Node | None:
-        """Search until the goal is reached or the budget spent; the node that reaches it."""
+        """Search until the budget is spent; return the node that reaches the goal, if any does."""
         count = self.config.batch_size
         while self.spent + count <= budget and self.steps > 0:
             for row in range(count):
@@ -281,27 +303,28 @@ class _Search:
                 return reached
         return None
 
-    def far(self, node: Node) -> tuple[float, int]:
-        """How far a state's code is from the goal, and after how many steps it was met."""
+    def remoteness(self, node: Node) -> tuple[float, int]:
+        """Sort key: the distance of a node's code to the goal, then its steps from the root."""
         return self.distances(node.code), node.steps
 
     def _step(self) -> Node | None:
-        """Take one step of every branch; the node at which the goal has been held, if any is."""
+        """Take one action in every branch; return a node at which the goal was held, if any."""
         count, simulation, controller = self.config.batch_size, self.simulation, self.controller
         controller.advance(simulation.points)
         beads = controller.beads[:count].copy()
         forces = controller.forces(simulation.points)[:count]
         for row, branch in self.branches.items():
             if branch.haul is not None:
+                # instead of the controller's pull, which is left over from another branch
                 beads[row], forces[row] = branch.haul.pull(len(branch.actions))
         actions, held = step_ropes(simulation, beads, forces, np.arange(count))
         self.spent += count
         held &= self._allowed(np.arange(count))
         codes = label_many(simulation.points[:count])
-        controller.advance(simulation.points)
+        controller.advance(simulation.points)  # a waypoint just reached may be the last one
         idle = controller.idle
         for row in range(count):
-            if not held[row]:
+            if not held[row]:  # unstable, or out of bounds: nothing from here on is of use
                 del self.branches[row]
                 continue
             branch, code = self.branches[row], codes[row]
@@ -314,6 +337,7 @@ class _Search:
                     if reached is not None:
                         return reached
                     ended = True
+                # progress is worth a fresh choice of macro-action rather than the rest of this one
                 ended |= self.distances(code) < self.distances(branch.node.code)
             branch.code = code
             if ended:
@@ -321,22 +345,23 @@ class _Search:
         return None
 
     def _allowed(self, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Which ropes of the simulation lie where they may."""
+        """Return which ropes lie within the bound, bool (len(rows),)."""
         if self.bound is None:
             return np.ones(len(rows), dtype=bool)
         return ~self.bound.exceeded(self.simulation.points[rows])
 
     def _is_over(self, branch: _Branch) -> bool:
-        """Whether the branch, or the episode, has no step left."""
+        """Tell whether the macro-action or the episode has used up its actions."""
         longest = self.config.longest if branch.haul is None else branch.haul.steps
         return len(branch.actions) >= longest or branch.steps >= self.steps
 
     def _is_worth_keeping(self, branch: _Branch, code: GaussCode, ended: bool) -> bool:
-        """Whether the state joins the pool: a code just changed, or a macro-action's end.
+        """Tell whether a state should join the pool.
 
-        An end with the code that the branch set out from counts only where that code is stuck: then
-        the same code, lying otherwise, is worth setting out from. What a haul passes through
-        counts only where it is nearer to the goal than where it set out.
+        States at which the code changes do, and so do the ends of macro-actions. But an end with
+        the code that the branch started from is kept only if that code is stuck: then another
+        configuration with the same code may be a better start. Along a haul, only states nearer to
+        the goal than its start are kept.
         """
         if branch.haul is not None:
             return ended or self.distances(code) < self.distances(branch.node.code)
@@ -346,7 +371,7 @@ class _Search:
         return ended and (stuck or code != branch.node.code)
 
     def _set_out(self, row: int) -> _Branch:
-        """Choose a state and a macro-action, and lay a rope there."""
+        """Choose a state and a macro-action; restore the state in rope `row`."""
         node = self.pool.choose(self.rng)
         self.simulation.restore(node.state[None], [row])
         points = self.simulation.points[row]
@@ -370,7 +395,7 @@ class _Search:
         return _Branch(node, macro_action.kind, node.code)
 
     def _keep(self, row: int, branch: _Branch, code: GaussCode) -> Node:
-        """Put a state into the pool, if there are steps enough left to go on from it."""
+        """Make a node of the current state; pool it if the goal is still within reach."""
         node = Node(
             self.simulation.states([row])[0],
             code,
@@ -381,12 +406,13 @@ class _Search:
         )
         if self.met is not None:
             self.met(node)
+        # optimistic: every change of code that is left takes the fewest steps it can
         if node.steps + self.config.least_stride * self.pool.hops(code) <= self.steps:
             self.pool.add(node)
         return node
 
     def _hold_goal(self, row: int, node: Node) -> Node | None:
-        """Rest until the goal has been held long enough; None if it is lost before."""
+        """Rest for hold - 1 actions; return the node after them, or None if the goal is lost."""
         still: tuple[NDArray[np.float32], ...] = ()
         for extra in range(1, self.hold):
             actions, held = step_ropes(
@@ -406,14 +432,15 @@ class _Search:
 
 
 def _drawn(weights: Array, rng: np.random.Generator) -> int:
-    """A place, drawn by weights."""
+    """Draw an index with probability proportional to its weight."""
     return int(cumulative_shares(weights).searchsorted(rng.random(), side="right"))
 
 
 def _plan_to(node: Node, solved: bool, spent: int) -> Plan:
-    """The actions from the root to a node."""
+    """Collect the actions from the root to a node, following the parents back."""
     stretches: list[tuple[tuple[NDArray[np.float32], ...], str]] = []
     while node.before is not None:
+        # one reason for the whole macro-action: the change of code between its two ends
         stretches.append((node.actions, reason(node.before.code, node.code, node.kind)))
         node = node.before
     stretches.reverse()

@@ -1,48 +1,43 @@
-"""How hard the planner tries."""
+"""Settings of the planner."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from knotgym.common.configuration import check_numbers
-from knotgym.common.errors import KnotgymError
 from knotgym.control.macro_actions import MacroActionConfig
 from knotgym.control.surrogate import SurrogateConfig
 from knotgym.control.transition_graph import TransitionGraphConfig
 
 
-class InvalidPlanner(KnotgymError, ValueError):
-    """Settings that no planner can have."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class PlannerConfig:
-    """How hard to plan.
+    """Settings of the planner, see `planner` for the search that they control.
 
     Attributes:
-        budget: simulated actions for one episode at most, all its plans together. A search that
-            has had `planner.ANEW` of them begins anew, for other draws may have more luck.
-        batch_size: copies of the rope led side by side.
-        guided: share of macro-actions that are chosen by surrogate rollouts; the others are any.
-        surrogate_rollouts: macro-actions looked at for each one so chosen.
-        longest: steps of one macro-action.
-        kept: states kept for a code.
-        greed: how much likelier a state is to be set out from the nearer it is; 0 for not at all.
-        stride: steps that a change of code takes, about.
-        least_stride: steps that it takes at least: states too late for the changes left are
+        budget: most actions simulated for one episode, over all its plans. A search restarts after
+            `planner.ANEW` of them.
+        batch_size: copies of the rope simulated side by side.
+        guided: share of macro-actions that are chosen by surrogate rollouts; the rest are random.
+        surrogate_rollouts: candidates compared for each macro-action chosen in this way.
+        longest: most actions of one macro-action.
+        kept: most states kept per code.
+        greed: exponent of the preference for codes near the goal; 0 for no preference.
+        stride: expected actions per change of code.
+        least_stride: fewest actions per change of code; a state from which the goal can't be
+            reached in time even at this rate is dropped.
+        unknown_hops: changes of code to the goal assumed where the graph knows no path.
+        patience: delay, in actions, that makes a state e times less likely to be chosen.
+        weariness: macro-actions from a code that halve its probability to be chosen again.
+        try_cost: actions that each try of a state counts for when the worst state of a code is
             dropped.
-        unknown_hops: changes of code to the goal where the graph knows no path.
-        patience: steps later at which a state is e times less likely to be set out from.
-        weariness: macro-actions from a code that halve its chance to be set out from again.
-        try_cost: steps that a macro-action from a state counts as when the worst state of a code
-            is dropped.
-        stuck: macro-actions from a code after which states that show it, lying otherwise, are kept
-            too.
-        trust: macro-actions chosen for the same promise after which it counts half.
-        template_noise: standard deviation of a template's places along the arcs, in arcs.
-        graph: how distances are counted.
-        macro_actions: how they are drawn and carried out.
-        surrogate: how their surrogate rollouts move the rope.
+        stuck: macro-actions from a code after which other configurations with the same code are
+            kept too.
+        trust: times a predicted change must have been chosen for its gain to count half.
+        template_noise: standard deviation of a template's positions, in arcs.
+        graph: settings of the distances.
+        macro_actions: settings of the macro-actions.
+        surrogate: settings of the surrogate rollouts.
     """
 
     budget: int = 20000
@@ -73,5 +68,4 @@ class PlannerConfig:
             positive=("patience", "weariness", "trust"),
             non_negative=("greed", "stride", "try_cost", "template_noise"),
             shares=("guided",),
-            error=InvalidPlanner,
         )

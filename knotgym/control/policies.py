@@ -1,30 +1,36 @@
-"""Policies by name: which there are, and how one is made.
+"""Look up policies by name and make them.
 
 random          uniform in [-1, 1]^6
 constant        (1, 1, 1, 1, 1, 1) at every step, which tows the rope
-scripted        one macro-action after the other, without a goal
-expert          plans in the simulator from the state the rope is in, see `expert`
-noisy-expert    an expert; each step is a random one instead with probability `noise`, and the
-                expert plans anew
-mixed           each episode is one of the four
-module:name     of the user's own: a function of (observation) or (observation, info, generator),
-                or an object with `reset` and `act`, see `own_policies`; its module may lie in the
+scripted        one macro-action after another, without a goal
+expert          plans in the simulator from the rope's current state, see `expert`
+noisy-expert    the expert, but each action is replaced by a random one with probability `noise`,
+                after which the expert replans
+mixed           draws one of random, scripted, noisy-expert and expert for each episode
+module:name     user code: a function of (observation) or (observation, info, generator), or an
+                object with `reset` and `act`, see `own_policies`; the module may lie in the
                 current folder
 FOLDER          a learner that `knotgym train` wrote; `pretrained` for the one that ships
-FILE            a model that takes observations: .zip (Stable-Baselines3; FILE.zip:SAC for another
-                algorithm than PPO), .onnx, or .pt (TorchScript)
-prompt:FILE     what a model did in the episodes of transcripts (`knotgym prompt`), once more
+FILE            a model that takes observations: .zip (Stable-Baselines3; FILE.zip:SAC selects an
+                algorithm other than PPO), .onnx, or .pt (TorchScript)
+prompt:FILE     replays the actions in the transcripts of `knotgym prompt`
 
-`register_policy` adds a name. Workers make their policies themselves: a name that is registered
-outside the package must be so in every process that uses it.
+`register_policy` adds a single name. A `PolicyFamily` handles every name of some form; packages
+provide families through the entry-point group `knotgym.policies`, and FOLDER and prompt:FILE are
+provided in this way by `knotgym.learn` and `knotgym.prompting`. Worker processes make their own
+policies, so a name must be registered in every process that uses it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
 from math import inf
 from pathlib import Path
+from typing import Any
 
 from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import one_line
@@ -36,20 +42,11 @@ from knotgym.control.basic_policies import (
     ScriptedPolicy,
 )
 from knotgym.control.expert import Expert
-from knotgym.control.learned_policies import (
-    MODEL_FILES,
-    ModelPolicy,
-    is_learner,
-    learner_files,
-    load_learner,
-    load_model,
-)
+from knotgym.control.learned_policies import MODEL_FILES, ModelPolicy, load_model
 from knotgym.control.own_policies import OwnPolicy, load_own, module_files
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policy import Choice, Effort, InvalidPolicy, Policy
-from knotgym.control.transcript_policy import TranscriptPolicy, load_transcripts
 from knotgym.control.transition_graph import TRANSITIONS
-from knotgym.prompting.transcripts import transcripts_at
 
 __all__ = [
     "MIXED",
@@ -58,25 +55,26 @@ __all__ = [
     "InvalidPolicy",
     "Policy",
     "PolicyConfig",
+    "PolicyFamily",
     "make_policy",
     "policy_digests",
-    "policy_names",
     "register_policy",
+    "training_card",
 ]
 
-TRANSCRIPTS = "prompt"  # before the colon: what comes after it is a file, not a name
+GROUP = "knotgym.policies"  # entry points that each name a PolicyFamily
 MIXED = ("random", "scripted", "noisy-expert", "expert")  # what a mixed policy draws from
 
 
 @dataclass(frozen=True, kw_only=True)
 class PolicyConfig:
-    """Which policy.
+    """Which policy acts, and its settings.
 
     Attributes:
-        policy: a name or a place, as in the module's first lines.
-        noise: chance that a noisy expert's step is a random one.
-        shares: of random, scripted, noisy-expert and expert in a mixed policy.
-        planner: of the experts; its macro-actions are the scripted policy's too.
+        policy: a name in one of the forms listed at the top of this module.
+        noise: probability that an action of the noisy expert is random.
+        shares: weights of random, scripted, noisy-expert and expert in a mixed policy.
+        planner: settings of the experts; the scripted policy uses its macro-actions.
     """
 
     policy: str = "random"
@@ -93,118 +91,187 @@ class PolicyConfig:
                 f"shares must be {len(MIXED)} finite numbers of at least 0, not all 0, for"
                 f" {', '.join(MIXED)}; got {self.shares}"
             )
-        place = ":" in self.policy or Path(self.policy).suffix in MODEL_FILES
-        place = place or is_learner(self.policy)
-        if self.policy not in _constructors and not place:
-            raise InvalidPolicy(
-                f"no policy {self.policy!r}; there is {', '.join(_constructors)}, module:name,"
-                " prompt:FILE, pretrained, a learner's folder, or a .zip, .onnx or .pt file"
-            )
+        _family(self.policy)
 
     @property
     def core_seconds(self) -> float:
-        """Estimate of what an episode of 50 steps costs on one core of the machine of
-        docs/validation.md; policies that plan take longer.
+        """Rough cost of an episode of 50 steps, in seconds on one core of the machine described in
+        docs/validation.md. Policies that plan take longer.
         """
         return 3.0 if "expert" in self.policy or self.policy == "mixed" else 0.5
 
     @property
     def short(self) -> str:
-        """A name for datasets, letters, digits and dashes."""
+        """A name for dataset ids: letters, digits and dashes."""
         stem = self.policy
         if stem not in _constructors:
             stem = Path(stem.partition(":")[0]).stem.split(".")[-1]
         return "".join(letter if letter.isalnum() else "-" for letter in stem)
 
 
+@dataclass(frozen=True, kw_only=True)
+class PolicyFamily:
+    """Policies whose names share a form, such as `module:name` or the path of a model file.
+
+    Attributes:
+        form: what such a name looks like, for error messages.
+        matches: tell whether a name has this form. Must be cheap; what the name refers to need not
+            exist.
+        make: make the policy, or raise InvalidPolicy.
+        files: name -> the files that decide how the policy acts, by the names used for them in
+            results.
+        card: name -> facts about the policy's training, or None if it has none.
+    """
+
+    form: str
+    matches: Callable[[str], bool]
+    make: Callable[[PolicyConfig], Policy]
+    files: Callable[[str], Mapping[str, Path]]
+    card: Callable[[str], dict[str, Any] | None] = lambda name: None
+
+
 Constructor = Callable[[PolicyConfig], Policy]
 _constructors: dict[str, Constructor] = {}
-_files: dict[str, tuple[Path, ...]] = {}  # that a registered policy is made from
+_files: dict[str, tuple[Path, ...]] = {}  # files that a registered policy is made from
 
 
 def register_policy(name: str, constructor: Constructor, files: Sequence[Path] = ()) -> None:
-    """Let `name` stand for the policy that `constructor` makes of a configuration.
+    """Register a policy under a name.
 
     Args:
-        name: neither module:name nor that of a model file.
-        constructor: makes the policy.
-        files: what decides how it acts, such as its weights; results hold their digests.
+        name: neither module:name nor the path of a model file.
+        constructor: makes the policy from a configuration.
+        files: what decides how the policy acts, such as its weights; results hold their digests.
 
     Raises:
         InvalidPolicy: the name is taken, or would be read as a module or file.
     """
     if name in _constructors:
-        raise InvalidPolicy(f"there is a policy {name!r} already")
-    if not name or ":" in name or Path(name).suffix in MODEL_FILES:
-        raise InvalidPolicy(f"a policy's name is neither module:name nor a file, got {name!r}")
+        raise InvalidPolicy(f"a policy named {name!r} is already registered")
+    if not name or ":" in name or _is_model_file(name):
+        raise InvalidPolicy(
+            f"a policy's name must not look like module:name or a model file, got {name!r}"
+        )
     _constructors[name], _files[name] = constructor, tuple(files)
 
 
-def policy_names() -> tuple[str, ...]:
-    """The names registered, in order."""
-    return tuple(_constructors)
-
-
 def make_policy(config: PolicyConfig) -> Policy:
-    """The policy of a configuration.
+    """Make the policy of a configuration.
 
     Raises:
-        InvalidPolicy: the function or file isn't there, or its library isn't installed.
+        InvalidPolicy: the function or file doesn't exist, or its library isn't installed.
     """
-    if config.policy in _constructors:
-        return _constructors[config.policy](config)
-    if is_learner(config.policy):
-        return load_learner(config.policy)
-    place, _, word = config.policy.partition(":")
-    if place == TRANSCRIPTS:
-        return TranscriptPolicy(load_transcripts(Path(word)), word)
-    if Path(place).suffix in MODEL_FILES:
-        return ModelPolicy(load_model(Path(place), word), config.short)
-    return OwnPolicy(load_own(place, word), config.policy)
+    return _family(config.policy).make(config)
 
 
 def policy_digests(config: PolicyConfig) -> dict[str, str]:
-    """SHA-256 of the files that decide how a policy acts, by their names: weights, code of the
-    user's own, transcripts, and tables of the planner. The package's code is `versions`'s.
+    """SHA-256 of each file that decides how a policy acts: weights, user code, transcripts, and the
+    planner's table. The package's own code isn't among them; its version is recorded elsewhere.
 
     Raises:
         InvalidPolicy: a file can't be read.
     """
-    name, (place, _, word) = config.policy, config.policy.partition(":")
-    table = {TRANSITIONS.name: TRANSITIONS} if TRANSITIONS.is_file() else {}
-    if name in _constructors:
-        files = {path.name: path for path in _files[name]}
-        files |= table if "expert" in name or name == "mixed" else {}
-    elif is_learner(name):
-        files = table | learner_files(name)
-    elif place == TRANSCRIPTS:
-        files = {"transcripts": transcripts_at(Path(word)) or Path(word)}
-    elif Path(place).suffix in MODEL_FILES:
-        files = {Path(place).name: Path(place)}
-    else:
-        files = module_files(place)
+    files = _family(config.policy).files(config.policy)
     try:
-        return {called: sha256(files[called]) for called in sorted(files)}
+        return {name: sha256(files[name]) for name in sorted(files)}
     except OSError as error:
-        raise InvalidPolicy(f"policy {name}: {one_line(error)}") from error
+        raise InvalidPolicy(f"policy {config.policy}: {one_line(error)}") from error
+
+
+def training_card(name: str) -> dict[str, Any] | None:
+    """Facts about the training of a policy, or None if its family records none."""
+    return _family(name).card(name)
+
+
+def _family(name: str) -> PolicyFamily:
+    """The first family whose form a name has. Entry points are read only if they are needed."""
+    if _REGISTERED.matches(name):
+        return _REGISTERED
+    families = (*_entry_point_families(), _MODEL_FILE, _OWN_CODE)
+    for family in families:
+        if family.matches(name):
+            return family
+    raise InvalidPolicy(
+        f"no policy {name!r}; use {', '.join((*_constructors, *(one.form for one in families)))}"
+    )
+
+
+@cache
+def _entry_point_families() -> tuple[PolicyFamily, ...]:
+    found = {one.value: one for one in entry_points(group=GROUP)}
+    # A checkout that is on the path but isn't installed, or was installed before it declared an
+    # entry point, lacks that metadata; its pyproject.toml has it.
+    project = Path(__file__).parents[2] / "pyproject.toml"
+    if project.is_file():
+        declared = tomllib.loads(project.read_text(encoding="utf-8")).get("project", {})
+        for name, value in declared.get("entry-points", {}).get(GROUP, {}).items():
+            found.setdefault(value, EntryPoint(name, value, GROUP))
+    families = []
+    for value in sorted(found):
+        try:
+            families.append(found[value].load())
+        except Exception as error:  # another package's import may raise anything
+            raise InvalidPolicy(
+                f"the policies of entry point {found[value].name} = {value} can't be loaded:"
+                f" {one_line(error)}"
+            ) from error
+    return tuple(families)
+
+
+def _is_model_file(name: str) -> bool:
+    return Path(name.partition(":")[0]).suffix in MODEL_FILES
+
+
+def _model(config: PolicyConfig) -> Policy:
+    path, _, algorithm = config.policy.partition(":")
+    return ModelPolicy(load_model(Path(path), algorithm), config.short)
+
+
+def _model_files(name: str) -> dict[str, Path]:
+    path = Path(name.partition(":")[0])
+    return {path.name: path}
+
+
+def _own(config: PolicyConfig) -> Policy:
+    module, _, name = config.policy.partition(":")
+    return OwnPolicy(load_own(module, name), config.policy)
+
+
+_REGISTERED = PolicyFamily(
+    form="a registered name",
+    matches=lambda name: name in _constructors,
+    make=lambda config: _constructors[config.policy](config),
+    files=lambda name: {path.name: path for path in _files[name]},
+)
+_MODEL_FILE = PolicyFamily(
+    form="a .zip, .onnx or .pt file", matches=_is_model_file, make=_model, files=_model_files
+)
+_OWN_CODE = PolicyFamily(
+    form="module:name",
+    matches=lambda name: ":" in name,
+    make=_own,
+    files=lambda name: module_files(name.partition(":")[0]),
+)
 
 
 def _scripted(config: PolicyConfig) -> Policy:
     return ScriptedPolicy(config.planner.macro_actions)
 
 
+def _noisy_expert(config: PolicyConfig) -> Policy:
+    return NoisyPolicy("noisy-expert", Expert(config.planner), config.noise)
+
+
 def _mixed(config: PolicyConfig) -> Policy:
-    expert = Expert(config.planner)  # one for both: what it knows of an episode is kept by episode
+    expert = Expert(config.planner)  # shared by both: it keeps what it knows by episode
     noisy = NoisyPolicy("noisy-expert", expert, config.noise)
     return MixedPolicy([RandomPolicy(), _scripted(config), noisy, expert], config.shares)
 
 
+_planner_files = (TRANSITIONS,) if TRANSITIONS.is_file() else ()
 register_policy("random", lambda config: RandomPolicy())
 register_policy("constant", lambda config: ConstantPolicy())
 register_policy("scripted", _scripted)
-register_policy("expert", lambda config: Expert(config.planner))
-register_policy(
-    "noisy-expert",
-    lambda config: NoisyPolicy("noisy-expert", Expert(config.planner), config.noise),
-)
-register_policy("mixed", _mixed)
+register_policy("expert", lambda config: Expert(config.planner), _planner_files)
+register_policy("noisy-expert", _noisy_expert, _planner_files)
+register_policy("mixed", _mixed, _planner_files)

@@ -1,4 +1,4 @@
-"""What a policy is: one interface for a batch of ropes, every draw from a generator handed in."""
+"""The interface of policies: they act in a batch of episodes, with a generator per episode."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from knotgym.rope.simulation import InvalidAction
 
 
 class InvalidPolicy(KnotgymError, ValueError):
-    """There is no such policy, or it doesn't do what a policy does."""
+    """The policy doesn't exist, can't be made, or returned invalid actions."""
 
 
 class Choice(NamedTuple):
-    """What a policy does in n episodes.
+    """Actions for n episodes.
 
     Attributes:
         actions: float32 (n, 6), in [-1, 1].
-        moves: why, a word or two each, "" where the policy gives no reasons.
+        moves: n reasons of a word or two; "" where the policy gives none.
     """
 
     actions: NDArray[np.float32]
@@ -32,10 +32,16 @@ class Choice(NamedTuple):
 def checked(
     actions: list[Any], episodes: EpisodeBatch, ids: NDArray[np.int64], name: str
 ) -> Choice:
-    """Actions of somebody else's policy, refused as the environment's `step` refuses them.
+    """Validate the actions of user code or a model, by the rules of the environment's `step`.
+
+    Args:
+        actions: one per episode in `ids`.
+        episodes: the batch.
+        ids: episodes to act in.
+        name: of the policy, for error messages.
 
     Raises:
-        InvalidPolicy: not six finite numbers in [-1, 1] for each of the episodes `ids`.
+        InvalidPolicy: an action isn't six finite numbers in [-1, 1].
     """
     wanted = f"policy {name} must give 6 finite numbers in [-1, 1] for an episode"
     try:
@@ -54,23 +60,28 @@ def checked(
 
 
 class Effort(NamedTuple):
-    """What planning an episode took: simulated actions, and seconds of wall time."""
+    """Cost of planning in one episode.
+
+    Attributes:
+        actions: actions simulated.
+        seconds: wall time.
+    """
 
     actions: int = 0
     seconds: float = 0.0
 
     def plus(self, other: Effort) -> Effort:
-        """Both."""
+        """The sum of two costs."""
         return Effort(self.actions + other.actions, self.seconds + other.seconds)
 
 
 class Policy(Protocol):
-    """Acts in any of the episodes of one batch, each from its own generator."""
+    """Acts in the episodes of one batch."""
 
     def suited(self, task: TaskConfig) -> TaskConfig:
-        """Return the task with the observation that this policy takes.
+        """Return the task with the observation that this policy needs.
 
-        Called before any episode begins. A policy that takes any task returns it as it is.
+        Called before any episode begins. A policy that can act in any task returns it unchanged.
 
         Raises:
             InvalidPolicy: the task lacks something that the policy needs, such as a view.
@@ -78,27 +89,27 @@ class Policy(Protocol):
         return task
 
     def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
-        """Episode `index` has begun; every draw for it comes from `rng`."""
+        """Start episode `index`; all random draws for it must come from `rng`."""
 
     def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
-        """Decide for the episodes `ids`, in rising order."""
+        """Choose actions for the episodes `ids`, which are in increasing order."""
 
     def name(self, index: int) -> str:
-        """Who acts in episode `index`."""
+        """The name of the policy that acts in episode `index`."""
 
     def effort(self, index: int) -> Effort:
-        """What planning took in episode `index` so far."""
+        """The cost of planning in episode `index` so far."""
 
 
 class PlanningPolicy(Policy, Protocol):
-    """A policy that can be told that its plan no longer holds."""
+    """A policy whose plan can be invalidated from outside."""
 
     def replan(self, index: int) -> None:
-        """Plan anew before the next action."""
+        """Replan before the next action."""
 
 
 class UnplannedPolicy(Policy):
-    """What policies without plans share: a name, and a generator for each episode."""
+    """Base of policies that don't plan: a name, and a generator for each episode."""
 
     def __init__(self, name: str) -> None:
         self._name = name

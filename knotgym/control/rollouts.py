@@ -1,9 +1,9 @@
-"""Rollouts: a policy acting in the environment's own episodes.
+"""Rollouts: let a policy act in episodes of the environment.
 
-Episode i of a run with seed s is what `env.reset(seed=episode_seed(s, i))` begins, whichever
-process plays it and whatever is played beside it. Datasets and scores draw from different streams
-(`DATASET`, `EVALUATION`): no seed makes an evaluation play the episodes of a dataset. No picture is
-drawn here: an episode keeps the rope, and its observations are made from that.
+Episode i of a run with seed s starts as after `env.reset(seed=episode_seed(s, i))`, whichever
+process plays it and whatever else is played beside it. Datasets and evaluations draw from different
+streams (`DATASET`, `EVALUATION`), so no seed makes an evaluation play the episodes of a dataset.
+Rollouts record the rope and no pictures; observations are rendered from it later.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from knotgym.rope.model import Array
 
 
 class EpisodeStreams(NamedTuple):
-    """What the seeds of environments and the draws of policies are taken from."""
+    """The random streams of a run: for the environments' seeds, and for the policy."""
 
     episode: Stream
     policy: Stream
@@ -37,12 +37,12 @@ EVALUATION = EpisodeStreams(Stream.EVALUATION_EPISODE, Stream.EVALUATION_POLICY)
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
-    """One episode played to its end.
+    """One complete episode.
 
     Attributes:
-        number: i.
-        episode: what happened.
-        effort: what planning took.
+        number: of the episode in its run.
+        episode: states, actions, rewards and infos.
+        effort: cost of planning, for the policy and the expert's advice together.
     """
 
     number: int
@@ -51,13 +51,17 @@ class Rollout:
 
     @property
     def success(self) -> bool:
-        """The episode ended in the goal."""
+        """Whether the episode ended in the goal."""
         return bool(self.episode.is_success[-1])
 
 
 @dataclass(eq=False)
 class _Track:
-    """What has been seen of one episode; the lists have a place for each action, or each state."""
+    """Record of one episode under way.
+
+    `points` and `infos` have an entry per state, one more than the other lists, which have an entry
+    per action.
+    """
 
     start_qpos: Array
     goal_points: Array
@@ -66,28 +70,28 @@ class _Track:
     points: list[Array] = field(default_factory=list)
     infos: list[dict[str, object]] = field(default_factory=list)
     actions: list[NDArray[np.float32]] = field(default_factory=list)
-    labels: list[NDArray[np.float32]] = field(default_factory=list)
-    labelling: Effort = Effort()
+    expert_actions: list[NDArray[np.float32]] = field(default_factory=list)
+    advice: Effort = Effort()  # cost of the expert's actions
     rewards: list[float] = field(default_factory=list)
     terminations: list[bool] = field(default_factory=list)
     truncations: list[bool] = field(default_factory=list)
 
     def see(self, episodes: EpisodeBatch, index: int, move: str) -> None:
-        """Keep the state that the episode is in now, and why it came to be."""
+        """Record the current state, and the reason for the action that led to it."""
         self.points.append(episodes.simulation.points[index].copy())
         self.infos.append({**episodes.info(index), "move": move})
 
     def ask(
-        self, labeller: Expert, episodes: EpisodeBatch, index: int, rng: np.random.Generator
+        self, expert: Expert, episodes: EpisodeBatch, index: int, rng: np.random.Generator
     ) -> None:
-        """Keep what an expert would do in the state that the episode is in now."""
-        action, effort = labeller.advise(episodes, index, rng)
-        self.labels.append(action)
-        self.labelling = self.labelling.plus(effort)
+        """Record what an expert would do in the current state."""
+        action, effort = expert.advise(episodes, index, rng)
+        self.expert_actions.append(action)
+        self.advice = self.advice.plus(effort)
 
 
 def episode_seed(seed: int, number: int, streams: EpisodeStreams = DATASET) -> int:
-    """The seed of the reset that begins episode `number` of a run, 52 bits for JSON's sake."""
+    """The reset seed of episode `number` of a run; 52 bits, which JSON numbers keep exactly."""
     return derived_seed(streams.episode, seed, number)
 
 
@@ -104,13 +108,13 @@ def rollout(
     """Play episodes side by side.
 
     Args:
-        task: the environment; the policy may take another observation of it.
-        policy: who acts.
+        task: the environment; the policy may replace its observation.
+        policy: the policy that acts.
         numbers: which episodes of the run, at least one.
         seed: of the run.
-        streams: what the episodes are for.
-        attempt: the policy draws otherwise in each; the episodes begin alike.
-        labeller: asked at every state what it would do, which changes nothing.
+        streams: DATASET or EVALUATION.
+        attempt: changes the policy's random draws; the episodes start in the same states.
+        labeller: an expert whose action is recorded at every state, without being taken.
     """
     episodes = EpisodeBatch(policy.suited(task), len(numbers))
     tracks = []
@@ -139,14 +143,14 @@ def rollout(
         Rollout(
             number,
             _episode(track, policy.name(index), seeds[index]),
-            policy.effort(index).plus(track.labelling),
+            policy.effort(index).plus(track.advice),
         )
         for index, (number, track) in enumerate(zip(numbers, tracks, strict=True))
     ]
 
 
 def _begun(episodes: EpisodeBatch, index: int) -> _Track:
-    """The track of an episode that has just begun."""
+    """Start the record of an episode that has just been reset."""
     info = episodes.info(index)
     track = _Track(
         start_qpos=episodes.simulation.qpos([index])[0],
@@ -180,7 +184,10 @@ def _episode(track: _Track, policy: str, seed: int) -> Episode:
         simulation_failed=column("simulation_failed", np.bool_),
         move=column("move", np.str_),
         expert_action=(
-            np.stack([*track.labels, np.zeros(6, dtype=np.float32)]) if track.labels else None
+            # the last state has no action; a row of zeros keeps one row per state
+            np.stack([*track.expert_actions, np.zeros(6, dtype=np.float32)])
+            if track.expert_actions
+            else None
         ),
         goal_gauss_code=track.goal,
         seed=seed,

@@ -1,10 +1,10 @@
-"""Surrogate rollouts: about where a macro-action would lead a rope, without simulating it.
+"""Surrogate rollouts: predict roughly where a macro-action leads a rope, without the simulator.
 
-The led bead goes straight to its waypoints and takes its neighbours along; from there on to both
-sides every vertex follows the one before it at its distance, as the links of a chain do in
-something thick. Inertia, contact and the drag in the joints are left out: of the codes that
-surrogate rollouts show one in four is one that the simulated rope goes through. A rollout takes
-about a fourteenth of a millisecond.
+The bead moves straight towards its waypoints and drags its neighbours along. Outwards from it, in
+both directions, each vertex then moves along the line to the vertex before it until their segment
+has its old length: follow-the-leader kinematics, the overdamped limit of a chain of links. Inertia,
+contact and joint damping are ignored, so only one in four of the codes that a surrogate rollout
+predicts is one that the simulated rope goes through. A rollout takes about 0.07 ms.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from knotgym.common.configuration import check_numbers
 from knotgym.control.macro_actions import MacroAction
 from knotgym.rope.model import Array
 
-_LEAST_SHARE = 1e-3  # of the bead's motion, below which a neighbour isn't taken along
+_LEAST_SHARE = 1e-3  # neighbours that would move by less than this share aren't dragged
 
 
 @dataclass(frozen=True, kw_only=True)
 class SurrogateConfig:
-    """How surrogate rollouts move a rope.
+    """Settings of surrogate rollouts.
 
     Attributes:
-        steps: of the rope that a rollout foresees.
-        pace: metres that a step leads a bead, on average.
-        stride: metres that the surrogate moves the bead at once.
-        reach: vertices away at which a neighbour is taken along by exp(-1/2).
+        steps: most environment steps that a rollout predicts.
+        pace: metres that a bead travels in one environment step, on average.
+        stride: metres that the surrogate moves the bead in one iteration.
+        reach: standard deviation, in vertices, of the Gaussian by which neighbours are dragged.
     """
 
     steps: int = 10
@@ -44,16 +44,16 @@ class SurrogateConfig:
 def surrogate_rollout(
     points: Array, macro_action: MacroAction, arrived: float, config: SurrogateConfig
 ) -> Array:
-    """Configurations about after each step of a macro-action.
+    """Predict the configuration after each environment step of a macro-action.
 
     Args:
-        points: float64 (beads, 3), metres; left alone.
-        macro_action: what the rope is led through.
-        arrived: metres from a waypoint that count as there.
-        config: how the rope moves.
+        points: float64 (beads, 3), metres; not modified.
+        macro_action: the bead and its waypoints.
+        arrived: distance in metres at which a waypoint counts as reached.
+        config: settings of the rollout.
 
     Returns:
-        float64 (k, beads, 3), metres, `config.steps` of them at most.
+        float64 (k, beads, 3), metres, with k at most `config.steps`.
     """
     frames, count = _lead(
         points,
@@ -79,10 +79,16 @@ def _lead(
     stride: float,
     reach: float,
 ) -> tuple[Array, int]:
+    """Compiled body of `surrogate_rollout`: frames (steps, n, 3) and how many are filled.
+
+    Bead i is the segment from vertex i to vertex i + 1, and its position is their midpoint.
+    """
     n = len(points)
     half = n // 2
     now = points.copy()
     frames = np.empty((steps, n, 3))
+    # lengths[i]: of the segment from vertex i to i + 1; taken[k]: share of the bead's motion that
+    # vertices k beyond either end of the bead get
     lengths, taken = np.empty(n), np.empty(half)
     for i in range(n):
         square = 0.0
@@ -103,12 +109,16 @@ def _lead(
         step = min(stride, far)
         for c in range(3):
             move[c] *= step / far
+        # Both ends of the bead move by the whole step (taken[0] is 1), vertices beyond by less.
         for k in range(half):
             if taken[k] < _LEAST_SHARE:
                 break
             for c in range(3):
                 now[(bead + 1 + k) % n, c] += taken[k] * move[c]
                 now[(bead - k) % n, c] += taken[k] * move[c]
+        # Restore the segment lengths outwards from the bead, one vertex on each side in turn. The
+        # two fronts meet at the far side of the loop; the one segment between them isn't
+        # corrected and may change its length.
         ahead, back = (bead + 1) % n, bead
         for _ in range(half - 1):
             after, before = ahead + 1, back - 1
@@ -117,12 +127,13 @@ def _lead(
             _follow(now, ahead, after, lengths[ahead])
             _follow(now, back, before, lengths[before])
             ahead, back = after, before
+        # Several iterations make one environment step: record a frame every `pace` metres.
         walked += step
         if walked >= pace:
             walked = 0.0
             _copy(now, frames[count])
             count += 1
-    if count < steps:
+    if count < steps:  # where the macro-action ends, between two frames
         _copy(now, frames[count])
         count += 1
     return frames, count
@@ -137,10 +148,10 @@ def _copy(points: Array, frame: Array) -> None:
 
 @njit(cache=True)
 def _follow(now: Array, lead: int, after: int, length: float) -> None:
-    """Put a vertex at its old distance from the one that leads it."""
+    """Move vertex `after` along its line to vertex `lead` until they are `length` apart."""
     far = 0.0
     for c in range(3):
         far += (now[after, c] - now[lead, c]) ** 2
-    share = length / max(np.sqrt(far), 1e-9)
+    share = length / max(np.sqrt(far), 1e-9)  # coincident vertices have no direction
     for c in range(3):
         now[after, c] = now[lead, c] + share * (now[after, c] - now[lead, c])

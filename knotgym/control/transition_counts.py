@@ -1,13 +1,15 @@
-"""What macro-actions do to Gauss codes: how often one leads from a code to another, and examples.
+"""Count what macro-actions do to Gauss codes, and keep examples.
 
-A macro-action begins at one code and may show several others on its way; each counts. What one rope
-does, it shows at every start of its walk that is nearly a symmetry (`rope.base_shifts`) and,
-exactly, in its mirrors and walked the other way: so codes are counted by classes, `before` brought
-to its canonical form and `after` along with it.
+A macro-action starts at one code and may pass through several others; each of those counts as a
+change. The dynamics are the same, exactly, for mirrored ropes and for ropes walked the other way,
+and nearly the same for every base bead in `rope.base_shifts`. So each change is counted for all
+these base beads, and up to symmetry: the code before it is brought to its canonical form, and the
+same symmetry is applied to the code after it.
 
-A *template* names a macro-action by what it does in the diagram and not where: places along the
-rope are told by the arc between two visits that they lie in. Arc 0 runs from the base bead to the
-first visit, the last one back to the base bead.
+A *template* describes a macro-action in terms of the diagram instead of beads: a position along the
+rope is given by the arc that it lies on and how far along the arc it is. Arcs are the stretches
+between consecutive visits of crossings. Arc 0 runs from the base bead to the first visit, the last
+arc from the last visit back to the base bead, so a code of nx crossings has 2 nx + 1 arcs.
 """
 
 from __future__ import annotations
@@ -15,7 +17,6 @@ from __future__ import annotations
 import hashlib
 import os
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import product
@@ -36,7 +37,7 @@ from knotgym.topology.symmetry import canonical_form, images, shifted_base
 FORMAT = "knotgym-transitions"
 FORMAT_VERSION = 1
 
-_DIGEST = "content_sha256"  # an attribute of a file of transitions alone
+_DIGEST = "content_sha256"  # attribute of a transitions file; groups in other files lack it
 _COLUMNS = (
     Column("codes", "uint8", (None,)),
     Column("tried", "int32", ("codes",), least=0),
@@ -50,11 +51,13 @@ _COLUMNS = (
 )
 _Element = tuple[bool, bool, bool]  # symmetry element: reverse, switch, reflect
 _BOTH = (False, True)
-ELEMENTS: tuple[_Element, ...] = tuple(product(_BOTH, _BOTH, _BOTH))  # as `symmetry.images`
+# Element k is the one that `symmetry.images` applies for its k-th image. Read as bits of k, the
+# three flags make composition a bitwise xor, which `transition_graph` relies on.
+ELEMENTS: tuple[_Element, ...] = tuple(product(_BOTH, _BOTH, _BOTH))
 
 
 class InvalidTransitions(KnotgymError, ValueError):
-    """A file that holds no transitions this version can read."""
+    """The file holds no transitions that this version can read."""
 
 
 class MacroTemplate(NamedTuple):
@@ -62,9 +65,10 @@ class MacroTemplate(NamedTuple):
 
     Attributes:
         kind: one of `macro_actions.KINDS`.
-        side: +1 over the target, -1 under it, 0 without target.
-        bead: arc and how far along it, as one number: 2.25 is a quarter down arc 2.
-        target: the same of the strand passed; -1 without.
+        side: +1 over the target or upwards, -1 under it or downwards, 0 for neither.
+        bead: position of the bead: the arc plus the fraction along it; 2.25 is a quarter of the
+            way along arc 2.
+        target: position of the strand to pass; -1 if there is none.
     """
 
     kind: str
@@ -73,10 +77,15 @@ class MacroTemplate(NamedTuple):
     target: float
 
     def transformed(self, element: _Element, arcs: int) -> MacroTemplate:
-        """The same on a rope walked the other way, switched over and under, or reflected."""
-        reverse, switch, _ = element
+        """The template for the image of the rope under a symmetry element.
+
+        Args:
+            element: reverse the walk, switch over and under, reflect.
+            arcs: number of arcs of the diagram.
+        """
+        reverse, switch, _ = element  # a reflection moves no position along the rope
         bead, target = self.bead, self.target
-        if reverse:
+        if reverse:  # position 0 and position `arcs` are both the base bead
             bead = arcs - bead
             target = arcs - target if target >= 0 else target
         return MacroTemplate(self.kind, -self.side if switch else self.side, bead, target)
@@ -84,12 +93,15 @@ class MacroTemplate(NamedTuple):
 
 @dataclass
 class TransitionCounts:
-    """Counts of changes between classes of codes.
+    """Counts of changes from classes of codes to codes.
+
+    A class is the set of images of a code under ELEMENTS, and is named by its canonical form. The
+    code after a change is moved by the element that brings the code before it to that form.
 
     Attributes:
-        tried: class -> macro-actions that began at it.
-        seen: (class before, code after, moved along) -> macro-actions that showed it.
-        templates: the same -> examples, the first few met.
+        tried: class -> macro-actions that started there.
+        seen: (class before, code after) -> macro-actions that made this change.
+        templates: (class before, code after) -> the first few examples.
     """
 
     tried: Counter[GaussCode] = field(default_factory=Counter)
@@ -97,18 +109,17 @@ class TransitionCounts:
     templates: dict[tuple[GaussCode, GaussCode], list[MacroTemplate]] = field(default_factory=dict)
 
     def set_out(self, before: GaussCode) -> None:
-        """Count a macro-action that begins at a code."""
+        """Count a macro-action that starts at a code."""
         self.tried[canonical_form(before)] += 1
 
     def change(
         self, before: GaussCode, after: GaussCode, template: MacroTemplate, most_templates: int
     ) -> None:
-        """Count a code that a macro-action showed for the first time.
-
-        Its template is kept if the change has fewer than `most_templates`.
-        """
+        """Count a change of code, and keep its template if it has fewer than `most_templates`."""
+        # A code with symmetries reaches its canonical form by several elements. They give different
+        # images of `after` for the same change, and the least of these is counted.
         element = min(
-            _elements(before, canonical_form(before)),
+            _elements(before),
             key=lambda element: (_order(transformed(after, element)), element),
         )
         key = canonical_form(before), transformed(after, element)
@@ -118,7 +129,7 @@ class TransitionCounts:
             kept.append(template.transformed(element, 2 * before.nx + 1))
 
     def add(self, other: TransitionCounts, most_templates: int) -> None:
-        """Count another table's macro-actions too, keeping so many templates of a change."""
+        """Add the counts of another table; keep at most `most_templates` per change."""
         self.tried.update(other.tried)
         self.seen.update(other.seen)
         for key, templates in other.templates.items():
@@ -126,7 +137,7 @@ class TransitionCounts:
             kept += templates[: max(0, most_templates - len(kept))]
 
     def pruned(self, *, max_nx: int, least: int) -> TransitionCounts:
-        """Without codes of more than max_nx crossings and changes seen fewer than `least` times."""
+        """Drop codes of more than max_nx crossings, and changes seen fewer than `least` times."""
         keys = [
             key
             for key, count in self.seen.items()
@@ -140,9 +151,12 @@ class TransitionCounts:
         )
 
     def write(self, group: h5py.Group) -> None:
-        """Write into an HDF5 group."""
+        """Write the counts into an HDF5 group; docs/formats/search.md describes the datasets."""
+        # Rows of codes: those tried first, then the rest, each once in the order of first use.
+        # `before` and `after` are rows of codes, `template_of` is a row of `before` and `after`.
         known = dict.fromkeys([*self.tried, *(code for key in self.seen for code in key)])
         codes = {code: row for row, code in enumerate(known)}
+        # flat: the templates of all changes one after another, each with the row of its change
         templates = [
             (row, template) for row, key in enumerate(self.seen) for template in self.templates[key]
         ]
@@ -163,6 +177,7 @@ class TransitionCounts:
             "template_places": places.astype(np.float16).reshape(-1, 2),
         }
         for name, values in columns.items():
+            # HDF5 can't compress an empty dataset
             group.create_dataset(name, data=values, **(squeezed if values.size else {}))
 
     @classmethod
@@ -170,16 +185,17 @@ class TransitionCounts:
         """Read what `write` wrote.
 
         Raises:
-            InvalidTransitions: it says which values were written, and these aren't.
+            InvalidTransitions: the group has a digest, and its values don't match it.
         """
         columns = _read_columns(group)
         if _DIGEST in group.attrs:
             if read_attribute(group, Column(_DIGEST, "text", ())) != _digest(columns):
                 raise InvalidTransitions(
-                    f"{group.file.filename}: its counts are not those written into it (SHA-256"
-                    " differs)"
+                    f"{group.file.filename} is corrupted: the SHA-256 of its counts differs from"
+                    " the one stored with them"
                 )
         read = {name: values.tolist() for name, values in columns.items()}
+        # one code per line; the plain loop's is an empty line, so no codes and one look the same
         text = bytes(read["codes"]).decode()
         codes = [GaussCode.parse(line) for line in text.split("\n")] if read["tried"] else []
         counts = zip(codes, read["tried"], strict=True)
@@ -189,15 +205,15 @@ class TransitionCounts:
         templates: dict[tuple[GaussCode, GaussCode], list[MacroTemplate]] = {
             key: [] for key in keys
         }
-        by_row = [templates[key] for key in keys]
-        told = (read[f"template_{name}"] for name in ("of", "kind", "side", "places"))
-        for row, kind, side, (bead, target) in zip(*told, strict=True):
+        by_row = [templates[key] for key in keys]  # the same lists, filled below
+        fields = (read[f"template_{name}"] for name in ("of", "kind", "side", "places"))
+        for row, kind, side, (bead, target) in zip(*fields, strict=True):
             by_row[row].append(MacroTemplate(KINDS[kind], side, bead, target))
         seen = Counter(dict(zip(keys, read["seen"], strict=True)))
         return cls(tried, seen, templates)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a file of transitions alone."""
+        """Write a transitions file."""
         with atomic_write(path) as temporary, h5py.File(temporary, "w") as file:
             file.attrs["format"], file.attrs["format_version"] = FORMAT, FORMAT_VERSION
             self.write(file)
@@ -205,15 +221,15 @@ class TransitionCounts:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> TransitionCounts:
-        """Read such a file.
+        """Read a transitions file.
 
         Raises:
-            MissingFile: there is none.
-            InvalidTransitions: foreign, truncated, or of an unknown format.
+            MissingFile: the file doesn't exist.
+            InvalidTransitions: the file is truncated, corrupted or in another format.
         """
         with opened_hdf5(
             path,
-            what="file of transitions",
+            what="transitions file",
             format=FORMAT,
             versions=(FORMAT_VERSION,),
             error=InvalidTransitions,
@@ -221,10 +237,12 @@ class TransitionCounts:
             return cls.read(file)
 
 
-class Places:
-    """Places along one rope told by the arcs of its diagram, walked from vertex `base_shift`."""
+class ArcCoordinates:
+    """Converts between beads of a rope and positions on the arcs of its diagram."""
 
     def __init__(self, crossings: Crossings, beads: int, base_shift: int = 0) -> None:
+        """Take a rope's crossings, its number of beads, and the vertex where the walk starts."""
+        # ends of the arcs, in beads from the base; visits are sorted along the walk
         visits = np.concatenate([crossings.over_place, crossings.under_place]) - base_shift
         self._cuts: NDArray[np.float64] = np.concatenate(
             [[0.0], np.sort(visits % beads), [float(beads)]]
@@ -232,41 +250,49 @@ class Places:
         self._beads, self._base_shift = beads, base_shift
 
     def arc(self, bead: int) -> float:
-        """Arc and fraction of a bead's middle."""
-        place = (bead + 0.5 - self._base_shift) % self._beads
-        arc = min(int(np.searchsorted(self._cuts, place, side="right")) - 1, len(self._cuts) - 2)
+        """Return the arc plus the fraction along it of a bead's middle."""
+        middle = (bead + 0.5 - self._base_shift) % self._beads
+        arc = min(int(np.searchsorted(self._cuts, middle, side="right")) - 1, len(self._cuts) - 2)
         start, end = self._cuts[arc], self._cuts[arc + 1]
-        return arc + min(0.999, float((place - start) / max(1e-9, end - start)))
+        # below 1, or the sum would name the next arc; two visits may coincide, so no division by 0
+        return arc + min(0.999, float((middle - start) / max(1e-9, end - start)))
 
-    def bead(self, place: float) -> int:
-        """The bead at an arc and fraction; the inverse of `arc`."""
-        arc = min(max(int(place), 0), len(self._cuts) - 2)
+    def bead(self, position: float) -> int:
+        """Return the bead at a position; the inverse of `arc`, clipped to the arcs there are."""
+        arc = min(max(int(position), 0), len(self._cuts) - 2)
         start, end = self._cuts[arc], self._cuts[arc + 1]
-        along = start + min(max(place - arc, 0.0), 1.0) * (end - start)
+        along = start + min(max(position - arc, 0.0), 1.0) * (end - start)
         return int(along + self._base_shift) % self._beads
 
 
 class TransitionRecorder:
-    """Follows one rope through its macro-actions and counts what it shows.
+    """Counts the changes of code that one rope goes through, macro-action by macro-action.
 
     Attributes:
-        transitions: counted so far.
+        transitions: the counts so far.
     """
 
     def __init__(self, base_shifts: list[int], beads: int, most_templates: int) -> None:
-        """Count each code as walked from each of `base_shifts`, with so many templates a change."""
+        """Set up the counts.
+
+        Args:
+            base_shifts: vertices where the walk starts; changes are counted for each.
+            beads: beads of the rope.
+            most_templates: templates kept per change.
+        """
         self.transitions = TransitionCounts()
         self._base_shifts, self._beads = base_shifts, beads
         self._most_templates = most_templates
+        # of the macro-action under way, one entry per base shift
         self._before: list[GaussCode] = []
         self._templates: list[MacroTemplate] = []
-        self._met: list[set[GaussCode]] = []
+        self._met: list[set[GaussCode]] = []  # codes already counted
 
     def set_out(self, crossings: Crossings, macro_action: MacroAction) -> None:
-        """A macro-action begins on a rope that shows `crossings`."""
+        """Start a macro-action on a rope with these crossings."""
         self._before = [shifted_base(crossings, base_shift) for base_shift in self._base_shifts]
         self._templates = [
-            template_of(macro_action, Places(crossings, self._beads, base_shift))
+            template_of(macro_action, ArcCoordinates(crossings, self._beads, base_shift))
             for base_shift in self._base_shifts
         ]
         self._met = [{code} for code in self._before]
@@ -274,7 +300,8 @@ class TransitionRecorder:
             self.transitions.set_out(before)
 
     def show(self, crossings: Crossings) -> None:
-        """The rope shows `crossings` after a step of the macro-action."""
+        """Count the code that the rope shows after a step, unless it was counted before."""
+        # from each base bead the rope is a walk of its own, with its own codes
         for walk, base_shift in enumerate(self._base_shifts):
             after = shifted_base(crossings, base_shift)
             if after not in self._met[walk]:
@@ -284,30 +311,27 @@ class TransitionRecorder:
                 )
 
 
-def template_of(macro_action: MacroAction, places: Places) -> MacroTemplate:
-    """A macro-action in terms of the diagram that its rope shows."""
-    target = places.arc(macro_action.target) if macro_action.target >= 0 else -1.0
-    bead = places.arc(macro_action.bead)
+def template_of(macro_action: MacroAction, arcs: ArcCoordinates) -> MacroTemplate:
+    """Describe a macro-action in terms of the diagram of its rope."""
+    target = arcs.arc(macro_action.target) if macro_action.target >= 0 else -1.0
+    bead = arcs.arc(macro_action.bead)
     return MacroTemplate(macro_action.kind, macro_action.side, bead, target)
 
 
 def transformed(code: GaussCode, element: _Element) -> GaussCode:
-    """A code with chirality as the rope shows it after a symmetry element; each undoes itself."""
+    """Apply a symmetry element to a code with chirality; applying it twice gives the code back."""
     reverse, switch, reflect = element
     code = code.reversed() if reverse else code
     code = code.mirrored() if switch else code
     return code.reflected() if reflect else code
 
 
-def elements(code: GaussCode) -> Iterator[_Element]:
-    """Every symmetry element that brings a code to its canonical form."""
-    return iter(_elements(code, canonical_form(code)))
-
-
 @lru_cache(maxsize=200_000)
-def _elements(code: GaussCode, wanted: GaussCode) -> tuple[_Element, ...]:
+def _elements(code: GaussCode) -> tuple[_Element, ...]:
+    """All symmetry elements that bring a code to its canonical form."""
+    wanted = canonical_form(code)
     return tuple(
-        element for shown, element in zip(images(code), ELEMENTS, strict=True) if shown == wanted
+        element for image, element in zip(images(code), ELEMENTS, strict=True) if image == wanted
     )
 
 
@@ -318,9 +342,10 @@ def _read_columns(group: h5py.Group) -> dict[str, NDArray[Any]]:
 
 
 def _digest(columns: dict[str, NDArray[Any]]) -> str:
-    """SHA-256 of all columns with their names and shapes, hexadecimal."""
+    """SHA-256 of all columns with their names, types and shapes, hexadecimal."""
     whole = hashlib.sha256()
     for name, values in columns.items():
+        # little-endian and contiguous, so that every machine hashes the same bytes
         little = values.astype(values.dtype.newbyteorder("<"), copy=False)
         whole.update(f"{name} {little.dtype.str} {values.shape}".encode())
         whole.update(np.ascontiguousarray(little).tobytes())

@@ -1,12 +1,13 @@
-"""How far a code is from a goal, in macro-actions: shortest paths over counted changes of codes.
+"""Distances from codes to a goal, in macro-actions: shortest paths over counted changes of code.
 
-A change that one macro-action in n makes costs n macro-actions, and more where few were tried. The
-distances of all codes to a goal come from Dijkstra's algorithm, run backwards from the goal; a code
-that the counts don't reach is as far as the last one reached and farther by its crossings.
+A change that was seen in s of t macro-actions costs (t + doubt) / s macro-actions. Dijkstra's
+algorithm, run backwards from the goal, gives the distances of all codes; a code that it doesn't
+reach counts as farther than the last one that it does, by an amount that grows with the difference
+in crossings.
 
-Counts reach to four crossings, and some way into five. For goals and ropes beyond, Reidemeister's
-single moves, which every code has, go on where the counts end, each at the cost that its like has
-among those counted: backwards from the goal at the search, and down from a code when it is met.
+The counts cover codes of up to four crossings and some of five. For goals and ropes beyond that,
+single Reidemeister moves extend the graph, each at the average cost of its kind (`diagram_moves`):
+backwards from the goal during the search, and downwards from a code when it is looked up.
 """
 
 from __future__ import annotations
@@ -30,11 +31,11 @@ from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import canonical_form, images
 
 TRANSITIONS = Path(str(files("knotgym.control") / "data" / "transitions.h5"))  # that ships
-_IMAGES = len(ELEMENTS)  # of a code
-_COUNTED_NX = 4  # codes of more crossings are led to by single moves too
-_MOST_MOVED = 1000  # codes that moves leading to them are looked for, for one goal, nearest first
-_FARTHEST_DOWN = 3  # crossings more than goal and counts have, from which moves down are looked for
-_GOALS_KEPT = 128  # whose distances are remembered; a megabyte or two each
+_IMAGES = len(ELEMENTS)  # images of a code
+_COUNTED_NX = 4  # the counts are complete up to here; codes with more crossings use moves too
+_MOST_MOVED = 1000  # most codes per goal that are expanded by single moves, nearest first
+_FARTHEST_DOWN = 3  # moves down are tried from codes with at most this many crossings too many
+_GOALS_KEPT = 128  # goals whose distances are cached; one or two megabytes each
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,9 +43,9 @@ class TransitionGraphConfig:
     """How counts become distances.
 
     Attributes:
-        doubt: failures added to those counted: a change seen in two of three macro-actions isn't
-            taken at its word.
-        strange: macro-actions that a crossing too many or too few costs where nothing is known.
+        doubt: failures added to those counted, so that a change seen in two of three macro-actions
+            doesn't pass for likely.
+        strange: cost in macro-actions of each crossing too many or too few where no path is known.
     """
 
     doubt: float = 30.0
@@ -55,15 +56,15 @@ class TransitionGraphConfig:
 
 
 class Step(NamedTuple):
-    """A change of code that leads towards a goal.
+    """A change of code that leads nearer to a goal.
 
     Attributes:
-        after: the code it shows.
-        chance: that a random macro-action makes it.
-        gain: macro-actions that it saves.
-        examples: templates of its class.
-        image: the symmetry element between the two, a place in `ELEMENTS`.
-        arcs: of the code set out from.
+        after: the code after the change.
+        chance: probability that a random macro-action makes the change.
+        gain: by how many macro-actions the distance to the goal falls.
+        examples: templates of the change, for the canonical form of the code before it.
+        image: index into ELEMENTS of the symmetry from that form to the code before the change.
+        arcs: number of arcs of the code before the change.
     """
 
     after: GaussCode
@@ -73,31 +74,25 @@ class Step(NamedTuple):
     image: int
     arcs: int
 
-    @property
-    def templates(self) -> tuple[MacroTemplate, ...]:
-        """The examples, as they go for this change."""
-        return tuple(self.template(number) for number in range(len(self.examples)))
-
     def template(self, number: int) -> MacroTemplate:
-        """One of them."""
+        """Example `number`, transformed to apply to the code before the change."""
         return self.examples[number].transformed(ELEMENTS[self.image], self.arcs)
 
 
 @dataclass
 class Distances:
-    """Macro-actions to one goal.
+    """Distances to one goal.
 
     Attributes:
-        nx: its crossings.
-        goals: the codes with chirality that show it.
-        strange: as of the graph's configuration.
-        far: code -> expected macro-actions, for the codes known; where single moves go on, those
-            asked for are put in.
-        hops: code -> changes of code on the way.
-        beyond: what codes not in `far` are at least away.
-        by_place: float64, the distances of all the graph's codes, in its own order.
-        by_moves: single moves go on where counts end.
-        moved: code -> steps that single moves are.
+        nx: crossings of the goal.
+        goals: the codes with chirality that count as the goal.
+        strange: as in the graph's configuration.
+        far: code -> expected macro-actions; with `by_moves`, codes are added as they are looked up.
+        hops: code -> changes of code on the shortest path.
+        beyond: lower bound on the distance of codes that aren't in `far`.
+        by_index: float64, distances of the graph's codes in the graph's order.
+        by_moves: whether single moves extend the counts.
+        moved: code -> single moves from it that lead nearer to the goal.
     """
 
     nx: int
@@ -106,17 +101,19 @@ class Distances:
     far: dict[GaussCode, float] = field(default_factory=dict)
     hops: dict[GaussCode, int] = field(default_factory=dict)
     beyond: float = 0.0
-    by_place: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    by_index: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     by_moves: bool = False
     moved: dict[GaussCode, list[Step]] = field(default_factory=dict)
 
     def __call__(self, code: GaussCode) -> float:
-        """Expected macro-actions from a code with chirality."""
+        """Expected number of macro-actions from a code with chirality to the goal."""
         far = self.far.get(code)
         return self._unknown(code) if far is None else far
 
     def _unknown(self, code: GaussCode) -> float:
         far = self.beyond + self.strange * max(1, abs(code.nx - self.nx))
+        # Removing crossings one move at a time ends at codes that the search has reached. The
+        # recursion ends because every move lowers the number of crossings; `far` memoizes it.
         if self.by_moves and code.nx <= max(self.nx, _COUNTED_NX) + _FARTHEST_DOWN:
             hops = None
             for lower in below(code):
@@ -129,19 +126,21 @@ class Distances:
 
 
 class TransitionGraph:
-    """The graph of codes that transitions make, every symmetry used.
+    """Graph of codes with the counted changes as edges, extended to all images by symmetry.
 
-    A code's images stand together, so that image k of the code at place p is at p ^ k; a code that
-    is its own image has several places, of which the first counts (`_first`).
+    The images of a code are stored as one block of eight, so image k of the code at index i is at
+    i ^ k: blocks begin at multiples of eight, and the elements compose by xor. A code that is its
+    own image appears several times in its block; only the first index is used (`_first`).
     """
 
     def __init__(self, transitions: TransitionCounts, config: TransitionGraphConfig) -> None:
         self._transitions, self._config = transitions, config
-        self._codes: list[GaussCode] = []  # by place
-        self._place: dict[GaussCode, int] = {}  # the first
+        self._codes: list[GaussCode] = []
+        self._index: dict[GaussCode, int] = {}  # the first index of each code
         keys = list(transitions.seen)
-        before = np.array([self._placed(key[0]) for key in keys], dtype=np.int64)
-        after = np.array([self._placed(key[1]) for key in keys], dtype=np.int64)
+        before = np.array([self._add(key[0]) for key in keys], dtype=np.int64)
+        after = np.array([self._add(key[1]) for key in keys], dtype=np.int64)
+        # estimated probabilities, shrunk towards 0 by `doubt` failures that weren't seen
         chance = np.array(
             [
                 seen / (transitions.tried[key[0]] + config.doubt)
@@ -149,9 +148,9 @@ class TransitionGraph:
             ],
             dtype=np.float64,
         )
-        self._first = np.array([self._place[code] for code in self._codes], dtype=np.int64)
+        self._first = np.array([self._index[code] for code in self._codes], dtype=np.int64)
         self._nx = np.array([code.nx for code in self._codes], dtype=np.int64)
-        # class -> changes out of it: keys, places of the codes shown, chances
+        # class -> changes out of it: keys, indices of the codes after, probabilities
         rows: dict[GaussCode, list[int]] = {}
         for row, key in enumerate(keys):
             rows.setdefault(key[0], []).append(row)
@@ -163,66 +162,73 @@ class TransitionGraph:
         self._known: dict[tuple[GaussCode, bool], Distances] = {}
 
     def distances(self, goal: GaussCode, start: GaussCode | None = None) -> Distances:
-        """Distances of all codes to a goal, whose chirality is left open.
+        """Distances of all codes to a goal.
 
-        They take about a twelfth of a second, with single moves a third, and are kept for a while.
+        A search takes about 0.08 s, or 0.3 s with single moves; recent ones are cached.
 
         Args:
             goal: compared without chirality.
-            start: the code of the rope; single moves count too where it has more than five
-                crossings, or the goal more than four.
+            start: code of the rope. Single moves are used if it has more than five crossings, or
+                the goal more than four.
         """
         by_moves = goal.nx > _COUNTED_NX or (start is not None and start.nx > _COUNTED_NX + 1)
         key = goal.plain, by_moves
         if key not in self._known:
-            if len(self._known) >= _GOALS_KEPT:
+            if len(self._known) >= _GOALS_KEPT:  # drop the oldest
                 del self._known[next(iter(self._known))]
             self._known[key] = self._search(goal.plain, by_moves)
         return self._known[key]
 
     def steps(self, code: GaussCode, distances: Distances) -> list[Step]:
-        """Changes out of a code that lead nearer to the goal, for a rope that shows this code.
+        """List the changes of a code that lead nearer to the goal.
 
         Args:
             code: with chirality.
-            distances: to the goal, of this graph.
+            distances: of this graph to the goal.
         """
         base = canonical_form(code)
         towards = distances.moved.get(code, [])
         if base not in self._out:
             return towards
         towards = towards.copy()
+        # Changes are stored for the canonical form. Each element that maps it to the code maps its
+        # changes to changes of the code; a code with symmetries has several such elements.
         here, arcs = distances(code), 2 * code.nx + 1
         keys, shown, chances = self._out[base]
         for image, member in enumerate(images(code)):
             if member != base:
                 continue
-            places = self._first[shown ^ image]
-            far = distances.by_place[places]
+            indices = self._first[shown ^ image]
+            far = distances.by_index[indices]
+            # the tolerance keeps out changes between codes at the same distance
             for change in np.flatnonzero(far < here - 1e-9).tolist():
-                after, gain = self._codes[places[change]], here - float(far[change])
+                after, gain = self._codes[indices[change]], here - float(far[change])
                 examples = self._transitions.templates[keys[change]]
                 towards.append(Step(after, chances[change], gain, examples, image, arcs))
         return towards
 
-    def _placed(self, code: GaussCode) -> int:
-        """A code's first place; a new one's class is given places."""
-        if code not in self._place:
+    def _add(self, code: GaussCode) -> int:
+        """Return the first index of a code; add a new code with all its images."""
+        if code not in self._index:
             for image in images(code):
-                self._place.setdefault(image, len(self._codes))
+                self._index.setdefault(image, len(self._codes))
                 self._codes.append(image)
-        return self._place[code]
+        return self._index[code]
 
     def _leading_to(
         self, before: NDArray[np.int64], after: NDArray[np.int64], chance: NDArray[np.float64]
     ) -> dict[int, list[tuple[int, float]]]:
-        """Place of a code -> places from which a change leads to it, and the change's cost.
+        """Reverse edges: index of a code -> (index of a code before it, cost of the change).
 
-        They come in the order of the first change counted between the two.
+        Edges are in the order in which their first change was counted, which decides ties in the
+        search.
         """
+        # Every counted change gives eight edges, one per image: (before, after) ^ k.
         element = np.arange(_IMAGES)
         target = self._first[after[:, None] ^ element].reshape(-1)
         origin = self._first[before[:, None] ^ element].reshape(-1)
+        # Images coincide for codes with symmetries: of parallel edges the likeliest is kept. A pair
+        # of indices is packed into one integer for np.unique.
         pair, first, which = np.unique(
             target * len(self._codes) + origin, return_index=True, return_inverse=True
         )
@@ -240,34 +246,37 @@ class TransitionGraph:
         return leading
 
     def _search(self, goal: GaussCode, by_moves: bool) -> Distances:
+        """Dijkstra's algorithm, backwards from all codes with chirality that show the goal."""
         goals = frozenset(GaussCode(goal.visits, letters) for letters in chiralities(goal))
         distances = Distances(goal.nx, goals, self._config.strange, by_moves=by_moves)
-        queue: list[tuple[float, int, int, int]] = []  # distance, tie, hops, place
-        codes, new = self._codes.copy(), dict[GaussCode, int]()  # what the counts don't have
+        queue: list[tuple[float, int, int, int]] = []  # distance, tie breaker, hops, index
+        # codes that only single moves reach are numbered after the graph's own, for this goal alone
+        codes, new = self._codes.copy(), dict[GaussCode, int]()
 
-        def place_of(code: GaussCode) -> int:
-            place = self._place.get(code, new.get(code))
-            if place is None:
-                place = new[code] = len(codes)
+        def index_of(code: GaussCode) -> int:
+            index = self._index.get(code, new.get(code))
+            if index is None:
+                index = new[code] = len(codes)
                 codes.append(code)
-            return place
+            return index
 
         for code in sorted(goals, key=lambda code: code.chiral):
-            queue.append((0.0, len(queue), 0, place_of(code)))
-        nearest = {place: far for far, _, _, place in queue}
+            queue.append((0.0, len(queue), 0, index_of(code)))
+        nearest = {index: far for far, _, _, index in queue}  # upper bounds so far
         ties, moved = len(queue), 0
         while queue:
-            far, _, hops, place = heapq.heappop(queue)
-            code = codes[place]
-            if code in distances.far:
+            far, _, hops, index = heapq.heappop(queue)
+            code = codes[index]
+            if code in distances.far:  # an outdated entry: the code was settled at less
                 continue
             distances.far[code], distances.hops[code], distances.beyond = far, hops, far
-            leading = self._leading.get(place, [])
+            leading = self._leading.get(index, [])
             if by_moves and code.nx > _COUNTED_NX and moved < _MOST_MOVED:
                 moved += 1
                 leading = leading.copy()
                 for before, cost, templates in leading_to(code):
-                    leading.append((place_of(before), cost))
+                    leading.append((index_of(before), cost))
+                    # the gain is known only when both ends are settled, and is set below
                     if templates:
                         step = Step(code, 1 / cost, cost, templates, 0, 2 * before.nx + 1)
                         distances.moved.setdefault(before, []).append(step)
@@ -280,17 +289,18 @@ class TransitionGraph:
             here = distances.far[before]
             nearer = [step._replace(gain=here - distances.far[step.after]) for step in steps]
             distances.moved[before] = [step for step in nearer if step.gain > 1e-9]
-        by_place = np.array([nearest.get(place, math.inf) for place in range(len(self._codes))])
-        by_place = by_place[self._first]
+        by_index = np.array([nearest.get(index, math.inf) for index in range(len(self._codes))])
+        by_index = by_index[self._first]
+        # codes that weren't reached, as in Distances.__call__
         strange = distances.beyond + self._config.strange * np.maximum(
             1, np.abs(self._nx - goal.nx)
         )
-        distances.by_place = np.where(np.isfinite(by_place), by_place, strange)
+        distances.by_index = np.where(np.isfinite(by_index), by_index, strange)
         return distances
 
 
 @lru_cache(maxsize=4)
 def shipped_transition_graph(config: TransitionGraphConfig) -> TransitionGraph:
-    """The graph of the counts that come with the package; an empty one if they were left out."""
+    """The graph of the counts that ship with the package; an empty one if the file is missing."""
     counts = TransitionCounts.load(TRANSITIONS) if TRANSITIONS.is_file() else TransitionCounts()
     return TransitionGraph(counts, config)

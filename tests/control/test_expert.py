@@ -8,15 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from knotgym.common.configuration import InvalidConfig
 from knotgym.control import planner
 from knotgym.control.expert import BLIND, Expert
 from knotgym.control.planner import Node, Plan, plan, reason
-from knotgym.control.planner_config import InvalidPlanner, PlannerConfig
+from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.transition_counts import (
     ELEMENTS,
+    ArcCoordinates,
     InvalidTransitions,
     MacroTemplate,
-    Places,
     TransitionCounts,
     transformed,
 )
@@ -122,8 +123,10 @@ def test_single_moves_lead_to_what_was_never_counted() -> None:
     distances = graph.distances(goal.plain)
     assert 0 == distances(goal) < distances(before) < distances(FLAT) < distances.beyond
     (step,) = (step for step in graph.steps(before, distances) if step.after == goal)
-    places = {(way.kind, int(way.bead), int(way.target)) for way in step.templates}
-    assert places == {("curl", 8, 8)}  # on the last arc
+    ways = [step.template(number) for number in range(len(step.examples))]
+    assert {(way.kind, int(way.bead), int(way.target)) for way in ways} == {
+        ("curl", 8, 8)
+    }  # on the last arc
 
 
 def test_of_a_rope_of_many_crossings_it_is_known_how_many_moves_take_them_out() -> None:
@@ -138,7 +141,9 @@ def test_steps_come_with_templates_turned_for_the_rope() -> None:
     steps = graph.steps(FLAT, graph.distances(GaussCode.parse("1-,1+")))
     assert {str(step.after) for step in steps} == {"1-,1+"}
     held = {
-        (template.side, round(template.bead, 2)) for step in steps for template in step.templates
+        (template.side, round(template.bead, 2))
+        for step in steps
+        for template in map(step.template, range(len(step.examples)))
     }
     assert held == {(-1, 0.25), (1, 0.75)}  # below on the way, or above seen from the other end
 
@@ -162,9 +167,9 @@ def test_a_foreign_file_holds_no_transitions(tmp_path: Path) -> None:
 def test_a_bead_is_found_again_by_its_arc(base_shift: int, rope: Rope, states_path: str) -> None:
     episodes = EpisodeBatch(TaskConfig(task="unknot", nx=3, states=states_path))
     episodes.begin(0, np.random.default_rng(0))
-    places = Places(find_crossings(episodes.simulation.points[0]), 100, base_shift)
-    assert [places.bead(places.arc(bead)) for bead in range(100)] == list(range(100))
-    assert int(max(places.arc(bead) for bead in range(100))) == 6
+    arcs = ArcCoordinates(find_crossings(episodes.simulation.points[0]), 100, base_shift)
+    assert [arcs.bead(arcs.arc(bead)) for bead in range(100)] == list(range(100))
+    assert int(max(arcs.arc(bead) for bead in range(100))) == 6
 
 
 @pytest.mark.parametrize(
@@ -359,7 +364,7 @@ def test_with_its_budget_gone_the_expert_goes_on_without_looking_ahead(states_pa
     ],
 )
 def test_settings_no_planner_can_have_are_refused(settings: dict[str, Any]) -> None:
-    with pytest.raises(InvalidPlanner):
+    with pytest.raises(InvalidConfig):
         PlannerConfig(**settings)
 
 
@@ -367,5 +372,5 @@ def test_changed_counts_are_refused(tmp_path: Path) -> None:
     kinks().save(tmp_path / "transitions.h5")
     with h5py.File(tmp_path / "transitions.h5", "a") as file:
         file["seen"][0] = 7
-    with pytest.raises(InvalidTransitions, match="are not those written into it"):
+    with pytest.raises(InvalidTransitions, match="is corrupted"):
         TransitionCounts.load(tmp_path / "transitions.h5")

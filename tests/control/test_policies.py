@@ -18,7 +18,6 @@ from knotgym.control.policies import (
     PolicyConfig,
     make_policy,
     policy_digests,
-    policy_names,
     register_policy,
 )
 from knotgym.datasets.episode_reader import EpisodeReader
@@ -242,7 +241,7 @@ def test_a_function_sees_the_same_in_collect_as_in_evaluate(
 @pytest.mark.parametrize(
     ("policy", "says"),
     [
-        ("genius", "there is random"),
+        ("genius", "use random"),
         ("no_such_module:act", "no_such_module"),
         ("nowhere.onnx", "no policy file"),
         ("knotgym.topology.gauss:absent", "absent"),
@@ -269,10 +268,10 @@ def test_a_registered_policy_is_made_by_its_name(
     monkeypatch.setattr(policies, "_constructors", dict(policies._constructors))
     register_policy("restless", lambda config: RandomPolicy())
     config = PolicyConfig(policy="restless")
-    assert config.short == "restless" and policy_names()[-1] == "restless"
+    assert config.short == "restless"
     expected = act_once(PolicyConfig(policy="random"), states_path, 0)
     assert np.array_equal(act_once(config, states_path, 0), expected)
-    with pytest.raises(InvalidPolicy, match="mixed, restless, module:name"):
+    with pytest.raises(InvalidPolicy, match="mixed, restless, .*module:name"):
         PolicyConfig(policy="genius")
 
 

@@ -38,5 +38,5 @@ def test_scores_stand_beside_the_training_and_a_name_is_had_once(tmp_path: Path)
     assert (row["policy"], row["task"], row["split"]) == ("a-learner", "unknot", "test")
     assert row["policy_sha256"] == sha256(weights)
     assert row["episodes"] == 2 and row["training"] == {"steps": 7}
-    with pytest.raises(InvalidPolicy, match="there is a policy 'a-learner' already"):
+    with pytest.raises(InvalidPolicy, match="'a-learner' is already registered"):
         measured()

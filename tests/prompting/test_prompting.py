@@ -411,7 +411,7 @@ def test_a_run_is_resumed_shown_and_replayed_and_the_key_is_nowhere(
 
 def test_a_replay_shows_the_same_codes(states_path: str) -> None:
     from knotgym.control.rollouts import EVALUATION, rollout
-    from knotgym.control.transcript_policy import TranscriptPolicy
+    from knotgym.prompting.transcript_policy import TranscriptPolicy
 
     told = played(ChatServer(always(PULL)), states_path, "open")
     task = config("http://host", states_path).task

@@ -22,8 +22,7 @@ import knotgym
 from knotgym.common.atomic_files import Occupied, atomic_write, require_output
 from knotgym.common.configuration import as_json, read_json
 from knotgym.common.errors import KnotgymError
-from knotgym.control.learned_policies import is_learner, learner_card
-from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.policies import PolicyConfig, make_policy, training_card
 from knotgym.control.rollouts import EVALUATION, Rollout, rollout
 from knotgym.datasets.trajectory import Episode
 from knotgym.envs.episode_batch import OWN, SHIPPED, state_origins
@@ -216,9 +215,9 @@ def report(
         "settings": asdict(config),
         "digests": digests(source),
         "learners": {
-            one.policy: {name: learner_card(one.policy)[name] for name in _TRAINING}
+            one.policy: {name: card[name] for name in _TRAINING}
             for one in config.policies
-            if is_learner(one.policy)
+            if (card := training_card(one.policy)) is not None
         },
         "results": [asdict(one) for one in results],
     }

@@ -1,0 +1,51 @@
+"""Names of learners as policies: a folder that `knotgym train` wrote, or `pretrained`.
+
+`knotgym.control.policies` finds this module through the entry point `learner`. It must stay light:
+torch is imported when a policy is made or its files are read, not when a name is checked.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+from knotgym.common.errors import install_command
+from knotgym.control.policies import PolicyConfig, PolicyFamily
+from knotgym.control.policy import InvalidPolicy, Policy
+from knotgym.control.transition_graph import TRANSITIONS
+
+
+def _matches(name: str) -> bool:
+    return name == "pretrained" or (name != "" and Path(name).is_dir())
+
+
+def _make(config: PolicyConfig) -> Policy:
+    for library in ("torch", "safetensors"):
+        if importlib.util.find_spec(library) is None:
+            raise InvalidPolicy(
+                f"the learner {config.policy} needs {library}, which isn't installed; install it:"
+                f" {install_command('learn')}"
+            )
+    from knotgym.learn.picture_policy import learned_policy
+
+    return learned_policy(config.policy)
+
+
+def _files(name: str) -> dict[str, Path]:
+    from knotgym.learn.checkpoint import CARD, WEIGHTS, policy_folder
+
+    folder = policy_folder(name)
+    table = {TRANSITIONS.name: TRANSITIONS} if TRANSITIONS.is_file() else {}
+    return table | {file: folder / file for file in (CARD, WEIGHTS)}
+
+
+def _card(name: str) -> dict[str, Any]:
+    from knotgym.learn.checkpoint import policy_folder, read_card
+
+    return read_card(policy_folder(name))
+
+
+FAMILY = PolicyFamily(
+    form="pretrained, a learner's folder", matches=_matches, make=_make, files=_files, card=_card
+)
