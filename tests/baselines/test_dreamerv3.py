@@ -57,7 +57,7 @@ def refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
         (("--task", "braid"), "no task 'braid'"),
         (("--image-size", 60), "image_size must be 48, 64, 80, 96, 112 or 128"),
         (("--steps", 0), "steps must be a whole number of at least 1, got 0"),
-        (("--settings", "huge"), "no settings 'huge'; there is paper, small"),
+        (("--settings", "huge"), "no settings 'huge'; choose from paper, small"),
         (("--set", "run.envs"), "--set takes NAME=VALUE with one of configs, "),
         (("--set", "run.env=8"), "got 'run.env=8'"),
         (("--set", "run.envs=many"), "run.envs must be like 32, got 'many'"),

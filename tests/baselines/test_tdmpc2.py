@@ -53,7 +53,7 @@ def refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
         (("--nx", 0), "nx must be a whole number from 1 to 11, got 0"),
         (("--image-size", 78), "image_size must be at least 79 for the encoder, got 78"),
         (("--threads", -1), "threads must be a whole number of at least 0, got -1"),
-        (("--settings", "huge"), "no settings 'huge'; there is paper, small"),
+        (("--settings", "huge"), "no settings 'huge'; choose from paper, small"),
         (("--set", "lr=fast"), "lr must be like 0.0003, got 'fast'"),
         (("--set", "device=tpu"), "device must be cuda:0 or cpu, got 'tpu'"),
         (("--set", "num_envs=0"), "num_envs must be at least 1, got 0"),
