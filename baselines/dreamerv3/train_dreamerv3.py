@@ -32,9 +32,7 @@ from typing import Any
 import numpy as np
 from dreamer_rope import DreamerPolicy, DreamerRope
 
-sys.path.append(
-    str(Path(__file__).resolve().parents[1])
-)  # for the modules that all baselines share
+sys.path.append(str(Path(__file__).resolve().parents[1]))  # modules that all baselines share
 
 from baseline_script import (
     InvalidBaseline,

@@ -36,9 +36,7 @@ import numpy as np
 from official_patches import patch
 from rope_rounds import RopeRounds, TdMpcPolicy
 
-sys.path.append(
-    str(Path(__file__).resolve().parents[1])
-)  # for the modules that all baselines share
+sys.path.append(str(Path(__file__).resolve().parents[1]))  # modules that all baselines share
 
 from baseline_script import (
     InvalidBaseline,
