@@ -224,6 +224,7 @@ class Agent:
         if not episode.goal.visits:  # the goal is a plain loop, to which towing leads
             best = [Pull(-1, _TOW, REACH * _TOW)] * (episode.horizon - episode.step)
             highest = self._success_rate(episode, best)
+        # the episode's budget is a soft limit: every replanning may still use `least_budget`
         left = max(
             self.config.least_budget,
             min(self.config.budget, self.config.episode_budget - episode.imagined),
@@ -264,6 +265,8 @@ class Agent:
         reached, torn = np.zeros((2, len(points)), dtype=bool)
         middle = episode.hypotheses.position.positions.mean(axis=0)
         for bead, force, named in pulls:
+            # a pull by bead misses by a few beads; a pull by point takes the bead nearest to it in each
+            # copy, all copies being placed at the mean of the position belief
             if named is None:
                 off = np.rint(rng.normal(0, config.bead_noise, len(points))).astype(np.int64)
                 beads = (bead + off) % BEADS

@@ -122,6 +122,7 @@ def _drawn(
     after, _ = dynamics.step(before, velocities, np.maximum(beads, 0), forces)
     after[begins] = before[begins]
     moves = after - before
+    # positions relative to the rope's middle, as a camera that follows it shows them
     for own in (true, after):
         own -= own.mean(axis=1, keepdims=True)
     # augment the three of one example alike: stacked as (BEADS, 3 kinds, 3)
@@ -145,11 +146,13 @@ def _velocities(data: TrainingData, dynamics: Dynamics, rows: NDArray[np.int64])
 
 def _augmented(vectors: Array, rng: np.random.Generator) -> Array:
     """Rotate vectors (BEADS, k, 3) of one rope about z, mirror them, and renumber the beads."""
+    # mirroring y is the same as mirroring x and turning by pi, so only x and z are mirrored
     angle = rng.uniform(0, 2 * np.pi)
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     own = vectors.copy()
     own[..., :2] = own[..., :2] @ turn
     own *= (rng.choice((-1.0, 1.0)), 1.0, rng.choice((-1.0, 1.0)))
+    # walk the rope backwards, and start at another bead
     if rng.random() < 0.5:
         own = own[::-1]
     return np.roll(own, int(rng.integers(BEADS)), axis=0)
@@ -172,6 +175,8 @@ def _best_reading_loss(
 
 def _loss(read: Tensor, true: Tensor) -> Tensor:
     """Return the loss of vertices (..., BEADS, 3), averaged over beads: shape (...)."""
+    # Huber losses: of x and y in pixels, quadratic up to 0.5, and of heights in units of _HEIGHT,
+    # quadratic up to 1 and weighted by 0.3
     off = read - true
     across, height = off[..., :2] / PIXEL, off[..., 2] / _HEIGHT
     return functional.smooth_l1_loss(
