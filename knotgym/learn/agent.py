@@ -265,8 +265,8 @@ class Agent:
         reached, torn = np.zeros((2, len(points)), dtype=bool)
         middle = episode.hypotheses.position.positions.mean(axis=0)
         for bead, force, named in pulls:
-            # a pull by bead misses by a few beads; a pull by point takes the bead nearest to it in each
-            # copy, all copies being placed at the mean of the position belief
+            # a pull by bead misses by a bead or so; a pull by point takes the bead nearest to it in
+            # each copy, with the copies at the mean of the position belief
             if named is None:
                 off = np.rint(rng.normal(0, config.bead_noise, len(points))).astype(np.int64)
                 beads = (bead + off) % BEADS

@@ -1,4 +1,4 @@
-"""What adapters to official code share: settings as the paper has them, checkouts, progress."""
+"""Shared by the adapters to official code: the paper's settings, checkouts and progress."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TDMPC = FOLDER / "tdmpc2" / "settings.toml"
 
 @pytest.fixture
 def shared() -> Iterator[Any]:
-    """The module, which scripts find beside them."""
+    """Import the module as the scripts do."""
     with mock.patch.object(sys, "path", [str(FOLDER), *sys.path]):
         import official_code
 

@@ -1,5 +1,6 @@
-"""PPO with the paper's settings trains, goes on and is measured; run with -m clients where
-Stable-Baselines3 is.
+"""PPO with the paper's settings trains, resumes and is evaluated.
+
+Needs -m clients and Stable-Baselines3.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ no_sb3 = pytest.mark.skipif(
 
 
 def refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
-    """The one line that it says."""
+    """Run the script with bad options; return the line that it prints."""
     with pytest.raises(SystemExit) as ended:
         run_script(SCRIPT, *words)
     told = capsys.readouterr()

@@ -1,4 +1,4 @@
-"""Every example runs, in the smallest size that it can have; none is asked how well it learned."""
+"""Every example runs at its smallest size; how well it learns is not tested."""
 
 import importlib.util
 import json

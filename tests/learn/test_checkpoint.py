@@ -23,8 +23,8 @@ def changed(learner: Path, tmp_path: Path, **card: object) -> Path:
     """Copy a checkpoint folder and change fields of its card."""
     copy = tmp_path / "copy"
     shutil.copytree(learner, copy)
-    told = json.loads((copy / "policy.json").read_text())
-    (copy / "policy.json").write_text(json.dumps({**told, **card}))
+    written = json.loads((copy / "policy.json").read_text())
+    (copy / "policy.json").write_text(json.dumps({**written, **card}))
     return copy
 
 
@@ -73,8 +73,8 @@ def forged(learner: Path, tmp_path: Path, name: str, change: Callable[[Any], Any
     path = copy / "weights.safetensors"
     tensors = load_file(path)
     save_file({**tensors, name: change(tensors[name])}, path)
-    told = json.loads((copy / "policy.json").read_text())
-    card = {**told, "weights_sha256": sha256(path)}
+    card = json.loads((copy / "policy.json").read_text())
+    card = {**card, "weights_sha256": sha256(path)}
     (copy / "policy.json").write_text(json.dumps(card))
     return copy
 

@@ -1,4 +1,4 @@
-"""Replies that a run has kept are taken for what was answered, or refused."""
+"""The log of replies is reused as it was written, or refused."""
 
 import os
 from pathlib import Path
@@ -24,7 +24,7 @@ def test_replies_come_back(path: Path) -> None:
     assert len(kept) == 2
 
 
-def test_a_line_that_a_kill_cut_goes(path: Path) -> None:
+def test_a_truncated_last_line_is_dropped(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-5])
     kept = KeptReplies(path)
     kept.close()

@@ -1,4 +1,4 @@
-"""A model put to episodes and pictures: what it is asked, what it answers, and what goes wrong."""
+"""Episodes and pictures with a scripted model: requests, answers and errors."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def played(server: ChatServer, states_path: str, mode: str, **more: Any) -> dict
 
 
 def asked(answer: Callable[[int, Any], Answer]) -> tuple[Any, ChatServer]:
-    """One question, put to a server; the reply or what was raised."""
+    """Send one request to a server; return the reply or the error raised."""
     server = ChatServer(answer)
     with server.serving():
         chat = Chat(config(server.url, "").chat)
@@ -194,7 +194,7 @@ def test_a_question_the_server_calls_wrong_is_not_put_again(status: int) -> None
 
 
 def drip(first: bytes) -> Callable[[], Iterator[bytes]]:
-    """Some bytes, then one every 50 ms, for two seconds."""
+    """Yield some bytes, then one every 50 ms for two seconds."""
 
     def pieces() -> Iterator[bytes]:
         yield first
@@ -464,7 +464,15 @@ def test_side_by_side_gives_the_same_transcripts(states_path: str, tmp_path: Pat
             )
             texts.append((out / "transcripts.jsonl").read_text())
         with pytest.raises(InvalidRun, match="at least 1"):
-            run(own, play, 1, out, side_by_side=0, existing=Existing(), progress=Progress(True))  # type: ignore[arg-type]
+            run(
+                own,
+                lambda number, ask: play(own, number, ask),
+                1,
+                out,
+                side_by_side=0,
+                existing=Existing(),
+                progress=Progress(True),
+            )
     assert texts[0] == texts[1]
 
 
