@@ -94,7 +94,8 @@ def _rope_with_code() -> Canvas:
     picture = draw(points, config)
     found = find_crossings(points)
     middle = np.array([_LARGE / 2, _LARGE / 2])
-    labels = _labels(points)
+    # the code numbers crossings by their first visit: take the rank of each crossing's first place
+    labels = 1 + np.minimum(found.over_place, found.under_place).argsort().argsort()
     for pixel, label in zip(crossing_pixels(found, points, config), labels, strict=True):
         outward = (pixel - middle) / np.linalg.norm(pixel - middle)
         place = pixel + 34 * outward
@@ -107,16 +108,6 @@ def _rope_with_code() -> Canvas:
     _write(picture, "then towards red", (8, 40), _GREY)
     head = _lines(["a rope and its Gauss code"], _LARGE)
     return np.concatenate([head, picture, _lines([f"Gauss code: {found.code}"], _LARGE)])
-
-
-def _labels(points: Array) -> list[int]:
-    """Return the code's number for each crossing, in the order of `find_crossings`."""
-    found = find_crossings(points)
-    first = np.minimum(found.over_place, found.under_place)
-    order = np.argsort(first)
-    out = np.empty(len(order), dtype=np.int64)
-    out[order] = np.arange(1, len(order) + 1)
-    return [int(label) for label in out]
 
 
 def _pixel(point: Array, points: Array, config: PictureConfig, right_up: tuple[int, int]) -> Pixel:

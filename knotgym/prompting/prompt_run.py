@@ -75,7 +75,8 @@ def run(
         read_states(states_file(config.task.states), images=False)
     compile_first(progress)
     with staging(out, existing) as folder:
-        _require_same(folder, settings)
+        if (folder / _REQUEST).is_file():
+            _refuse_other(read_json(folder / _REQUEST), settings)
         stop = threading.Event()
         chat = Chat(config.chat, stop)
         with atomic_write(folder / _REQUEST) as temporary:
@@ -116,13 +117,6 @@ def _finished(
         raise
     progress.say(f"{out} is finished already")
     return dict(made)
-
-
-def _require_same(folder: Path, settings: dict[str, Any]) -> None:
-    """Refuse to resume a run with other settings."""
-    if not (folder / _REQUEST).is_file():
-        return
-    _refuse_other(read_json(folder / _REQUEST), settings)
 
 
 def _refuse_other(there: Any, here: dict[str, Any]) -> None:

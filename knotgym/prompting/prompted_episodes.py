@@ -9,7 +9,7 @@ same codes.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -89,26 +89,13 @@ class PromptConfig:
             raise InvalidPrompting("prompts support only the view from the top, without depth")
 
 
-class Counts:
-    """Totals over an episode's replies."""
-
-    def __init__(self) -> None:
-        self.retries: Counter[str] = Counter()
-        self.prompt_tokens = self.completion_tokens = 0
-
-    def add(self, reply: Reply) -> None:
-        """Add a reply."""
-        self.retries.update(reply.retries)
-        self.prompt_tokens += reply.prompt_tokens
-        self.completion_tokens += reply.completion_tokens
-
-    def as_fields(self) -> dict[str, Any]:
-        """Return the totals as fields of a transcript."""
-        return {
-            "retries": dict(self.retries),
-            "prompt_tokens": self.prompt_tokens,
-            "completion_tokens": self.completion_tokens,
-        }
+def _totals(replies: Sequence[Reply]) -> dict[str, Any]:
+    """Add up the retries and tokens of an episode's replies, as fields of a transcript."""
+    return {
+        "retries": dict(sum((Counter(reply.retries) for reply in replies), Counter())),
+        "prompt_tokens": sum(reply.prompt_tokens for reply in replies),
+        "completion_tokens": sum(reply.completion_tokens for reply in replies),
+    }
 
 
 def begin_episode(config: PromptConfig, number: int) -> EpisodeBatch:
@@ -141,7 +128,8 @@ def play(config: PromptConfig, number: int, ask: Asking) -> dict[str, Any]:
         number: index of the episode.
         ask: sends a request to the model.
     """
-    episodes, counts, most = begin_episode(config, number), Counts(), config.task.horizon
+    episodes, most = begin_episode(config, number), config.task.horizon
+    replies: list[Reply] = []
     goal = goal_picture(episodes)
     before = opening(goal)
     start, done = episodes.info(0), False
@@ -154,7 +142,7 @@ def play(config: PromptConfig, number: int, ask: Asking) -> dict[str, Any]:
         if config.mode != OPEN or not actions:
             now = current_picture(episodes, config)
             reply = ask(messages(before, window, config.mode, most, now))
-            counts.add(reply)
+            replies.append(reply)
             answered, fault = read_actions(reply.text, most if config.mode == OPEN else 1)
             if reply.refused:
                 answered, fault = [], "refusal"
@@ -191,7 +179,7 @@ def play(config: PromptConfig, number: int, ask: Asking) -> dict[str, Any]:
         "actions": actions,
         "prompt": [part if isinstance(part, str) else {"picture": part.sha256} for part in before],
         "turns": turns,
-        **counts.as_fields(),
+        **_totals(replies),
     }
 
 
@@ -204,10 +192,9 @@ def read(config: PromptConfig, number: int, row: Mapping[str, Any], ask: Asking)
         row: the picture's row of a perception table.
         ask: sends a request to the model.
     """
-    counts, picture = Counts(), Picture(row["image"], "picture")
+    picture = Picture(row["image"], "picture")
     parts = reading(picture)
     reply = ask([message(parts)])
-    counts.add(reply)
     code, fault = read_code(reply.text)
     if reply.refused:
         code, fault = None, "refusal"
@@ -222,7 +209,7 @@ def read(config: PromptConfig, number: int, row: Mapping[str, Any], ask: Asking)
         "answer": reply.text,
         "read": None if code is None else str(code),
         "fault": fault,
-        **counts.as_fields(),
+        **_totals([reply]),
     }
 
 
