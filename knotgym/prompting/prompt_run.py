@@ -120,6 +120,7 @@ def _finished(
 
 
 def _refuse_other(there: Any, here: dict[str, Any]) -> None:
+    """Raise InvalidRun if two runs' settings differ in more than _FLEXIBLE."""
     if not isinstance(there, dict) or not isinstance(there.get("chat"), dict):
         raise InvalidRun("the run can't be resumed: its settings are missing or corrupted")
     fixed = [
