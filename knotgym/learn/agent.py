@@ -157,6 +157,7 @@ class Agent:
             goal = np.ascontiguousarray(picture[:, size:])
             episode.goals = episode.hypotheses.read_codes(goal)
         rope = np.ascontiguousarray(picture[:, :size])
+        # before the first action there is nothing to predict from
         if episode.named is None:
             episode.hypotheses.start(rope)
         else:
@@ -258,6 +259,7 @@ class Agent:
         assert episode.goal is not None
         config, rng = self.config, episode.rng
         points, velocities = episode.hypotheses.sample(config.copies)
+        # one factor per copy for the whole plan: a force that is off is off at every step
         gains = np.exp(rng.normal(0, config.force_noise, (len(points), 1)))
         # copy 0 stays the most likely hypothesis itself
         points[1:] = perturb_heights(points[1:], config.height_noise, rng)

@@ -12,6 +12,7 @@ class BeadNetwork(nn.Module):
 
     def __init__(self, inputs: int, outputs: int, width: int, dilations: tuple[int, ...]) -> None:
         super().__init__()
+        # names of modules are keys of stored weights, so a rename breaks checkpoints
         self.inward = nn.Conv1d(inputs, width, 6, stride=2)
         self.blocks = nn.ModuleList(
             nn.ModuleList(

@@ -36,6 +36,7 @@ class Imagination:
 
     def states(self, ids: Any) -> Array:
         """Copy points and velocities of ropes, float64 (len(ids), 6 BEADS)."""
+        # a row is x, y, z of every bead, then their velocities in the same order
         both = np.stack([self.points[ids], self.velocities[ids]], axis=1)
         return both.reshape(len(both), -1)
 
@@ -52,6 +53,7 @@ class Imagination:
 
     def act(self, actions: NDArray[np.float32], ids: Any) -> NDArray[np.bool_]:
         """Step ropes; return False for those whose strands passed through each other."""
+        # float32 holds bead numbers exactly, so the first column needs no rounding
         ids = np.asarray(ids)
         beads = actions[:, 0].astype(np.int64)
         before = label_many(self.points[ids])
