@@ -1,6 +1,4 @@
-"""What the scripts of the baselines share: options, refusals in one line, the folder of a training,
-and what a learner is tried at.
-"""
+"""Shared by the baseline scripts: options, one-line errors, folders and progress of trainings."""
 
 from __future__ import annotations
 
@@ -25,18 +23,18 @@ PROGRESS = "progress.json"
 
 
 class InvalidBaseline(KnotgymError, ValueError):
-    """A training that can't be done as asked."""
+    """A training that can't run: its options, checkout or folder are invalid."""
 
 
 class _OneLine(argparse.ArgumentParser):
-    """Says in one line what is wrong."""
+    """Raise usage errors as InvalidBaseline, for one line of output."""
 
     def error(self, message: str) -> NoReturn:
         raise InvalidBaseline(f"{message}; see --help")
 
 
 def parser(description: str, steps: str) -> argparse.ArgumentParser:
-    """The options of every script; `steps` says where --steps ends."""
+    """Return the options of every script; `steps` is the help text of --steps."""
     options = _OneLine(
         description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -45,31 +43,33 @@ def parser(description: str, steps: str) -> argparse.ArgumentParser:
     options.add_argument("--states", help="readable (default), random-walk or a state file")
     options.add_argument("--image-size", type=int, default=128)
     options.add_argument("--steps", type=int, default=1_000_000, help=steps)
-    options.add_argument("--out", type=Path, required=True, help="folder to make")
-    options.add_argument("--resume", action="store_true", help="go on from the last checkpoint")
-    options.add_argument("--split", default="train,test", help="to be tried on")
-    options.add_argument("--episodes", type=int, default=384, help="tried of each split; 0: not")
+    options.add_argument("--out", type=Path, required=True, help="folder to create")
+    options.add_argument("--resume", action="store_true", help="continue from the last checkpoint")
+    options.add_argument("--split", default="train,test", help="splits to evaluate on")
+    options.add_argument(
+        "--episodes", type=int, default=384, help="evaluated per split; 0 for none"
+    )
     options.add_argument("--quiet", action="store_true")
     return options
 
 
 def run(train: Callable[[argparse.Namespace], None], options: argparse.ArgumentParser) -> None:
-    """Train as the command line asks; what can't be had ends it with status 2 and one line."""
+    """Train with the options of the command line; exit with status 2 and one line on an error."""
     try:
         train(options.parse_args())
     except KnotgymError as error:
         print(f"error: {one_line(error)}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
-        print("stopped; --resume goes on from the last checkpoint", file=sys.stderr)
+        print("stopped; --resume continues from the last checkpoint", file=sys.stderr)
         sys.exit(130)
 
 
-def trials(given: argparse.Namespace, task: TaskConfig) -> dict[str, Any] | None:
-    """What the learner will be tried at, once all states for it are found; None for nothing.
+def evaluation_settings(given: argparse.Namespace, task: TaskConfig) -> dict[str, Any] | None:
+    """Return the settings of the evaluation after training; None if there is none.
 
     Raises:
-        InvalidSetting, InvalidEvaluation: something that can't be had.
+        InvalidSetting, InvalidEvaluation: a setting is invalid or its states are missing.
     """
     state_origins(task)
     if given.episodes == 0:
@@ -87,68 +87,69 @@ def trials(given: argparse.Namespace, task: TaskConfig) -> dict[str, Any] | None
 
 
 def require_folder(out: Path, name: str, request: dict[str, Any], resume: bool) -> None:
-    """Refuse a folder that holds something already, or, to resume, no training asked for alike.
+    """Check that a folder is empty, or, to resume, that it holds a training with these settings.
 
     Raises:
-        InvalidBaseline, Unwritable: so it is.
+        InvalidBaseline: it isn't, or it doesn't.
+        Unwritable: nothing can be written there.
     """
     if not resume:
         require_writable(out / name)
         if out.is_file() or (out.is_dir() and any(out.iterdir())):
             raise InvalidBaseline(
-                f"{out} holds something already; name a new folder, or --resume a training in it"
+                f"{out} isn't empty; name a new folder, or --resume the training in it"
             )
         return
     try:
         before = json.loads((out / name).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InvalidBaseline(
-            f"no training of this script in {out}; leave --resume out to begin one"
+            f"no training of this script in {out}; leave out --resume to begin one"
         ) from error
     if found := list(differences(before, request)):
-        raise InvalidBaseline(f"{out} was begun otherwise: {'; '.join(found)}")
+        raise InvalidBaseline(f"the training in {out} has other settings: {'; '.join(found)}")
 
 
-def write_json(path: Path, told: dict[str, Any]) -> None:
-    """Write all of it or nothing; the folder is made."""
+def write_json(path: Path, value: dict[str, Any]) -> None:
+    """Write a JSON file atomically, creating its folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with atomic_write(path) as part:
-        part.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+        part.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
 
 
 class Progress:
-    """How far a training is and what it took, of all its runs, in `progress.json`.
+    """Steps and time spent by a training over all its runs, kept in `progress.json`.
 
     Attributes:
-        steps: made, as of the last time it was written.
-        resumed_at: steps at which an earlier run was gone on with.
+        steps: environment steps when the file was last written.
+        resumed_at: steps at which the training was resumed.
     """
 
     def __init__(self, folder: Path, resume: bool) -> None:
         self._path = folder / PROGRESS
-        told: dict[str, Any] = {"steps": 0, "resumed_at": [], "seconds": 0.0, "cpu_seconds": 0.0}
+        fields: dict[str, Any] = {"steps": 0, "resumed_at": [], "seconds": 0.0, "cpu_seconds": 0.0}
         if resume and self._path.exists():
             try:
-                told |= json.loads(self._path.read_text(encoding="utf-8"))
+                fields |= json.loads(self._path.read_text(encoding="utf-8"))
             except (OSError, ValueError, TypeError) as error:
-                raise InvalidBaseline(f"{self._path} can't be gone on from") from error
-        self.steps = int(told["steps"])
-        self.resumed_at = [int(one) for one in told["resumed_at"]]
-        self._began = time.perf_counter() - float(told["seconds"])
-        self._spent = time.process_time() - float(told["cpu_seconds"])
+                raise InvalidBaseline(f"{self._path} is corrupted") from error
+        self.steps = int(fields["steps"])
+        self.resumed_at = [int(one) for one in fields["resumed_at"]]
+        self._began = time.perf_counter() - float(fields["seconds"])
+        self._spent = time.process_time() - float(fields["cpu_seconds"])
 
-    def gone_on(self, goal: int) -> None:
-        """A run goes on from here, unless it has nothing to do."""
+    def resume(self, goal: int) -> None:
+        """Note that the training is resumed here, unless it has reached `goal` steps."""
         if 0 < self.steps < goal:
             self.resumed_at = [one for one in self.resumed_at if one < self.steps] + [self.steps]
 
     def write(self, steps: int) -> None:
-        """So many steps are made, and could be gone on from."""
+        """Write the file once a checkpoint of `steps` steps exists."""
         self.steps = steps
-        write_json(self._path, self.told())
+        write_json(self._path, self.as_json())
 
-    def told(self) -> dict[str, Any]:
-        """All of it, as JSON."""
+    def as_json(self) -> dict[str, Any]:
+        """Return the fields of the file."""
         return {
             "steps": self.steps,
             "resumed_at": self.resumed_at,

@@ -1,6 +1,4 @@
-"""Code that a user fetches himself: its checkout, at the commit that an adapter was made for, and
-the settings that an adapter gives it.
-"""
+"""Official code that users clone themselves: its checkout, its commit, and the settings for it."""
 
 from __future__ import annotations
 
@@ -23,15 +21,15 @@ Settings = dict[str, Any]
 
 @dataclass(frozen=True, kw_only=True)
 class OfficialCode:
-    """A repository that an adapter was made for.
+    """A repository for which there is an adapter.
 
     Attributes:
-        name: of the method.
-        repository: where it is.
-        commit: all 40 digits.
-        files: of its checkout, which tell it from any other folder.
-        root: folder of the checkout that its modules are imported from.
-        libraries: that it imports.
+        name: name of the method.
+        repository: host and path of the repository.
+        commit: tested commit, 40 digits.
+        files: files by which a checkout is recognized.
+        root: folder in the checkout from which modules are imported.
+        libraries: libraries that the code imports.
     """
 
     name: str
@@ -43,25 +41,28 @@ class OfficialCode:
 
 
 def add_options(options: argparse.ArgumentParser, code: OfficialCode) -> None:
-    """The options of every adapter."""
-    place = f"of {code.repository} at {code.commit[:12]}"
+    """Add the options of every adapter."""
+    place = f"checkout of {code.repository} at {code.commit[:12]}"
     options.add_argument("--checkout", type=Path, required=True, help=place)
-    options.add_argument("--settings", default="paper", help="table of settings.toml, or small")
-    options.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="one")
+    options.add_argument(
+        "--settings", default="paper", help="table of settings.toml: paper or small"
+    )
+    options.add_argument(
+        "--set", action="append", default=[], metavar="NAME=VALUE", help="change a setting"
+    )
     options.add_argument("--seed", type=int, default=0)
 
 
 def require_checkout(code: OfficialCode, folder: Path) -> str:
-    """The commit that a checkout is at, "unknown" where Git can't tell; another than the adapter's
-    is warned of in one line.
+    """Return the commit of a checkout, or "unknown"; print a warning if it isn't the tested one.
 
     Raises:
-        InvalidBaseline: it is no checkout of that code.
-        MissingExtra: a library that it imports isn't installed.
+        InvalidBaseline: the folder isn't a checkout of that code.
+        MissingExtra: a library that the code imports isn't installed.
     """
     if missing := [name for name in code.files if not (folder / name).is_file()]:
         raise InvalidBaseline(
-            f"{folder} is no checkout of {code.repository} at {code.commit[:12]}: it has no"
+            f"{folder} isn't a checkout of {code.repository} at {code.commit[:12]}: it has no"
             f" {missing[0]}"
         )
     for library in code.libraries:
@@ -70,26 +71,27 @@ def require_checkout(code: OfficialCode, folder: Path) -> str:
     commit = _commit(folder)
     if commit != code.commit:
         print(
-            f"warning: {folder} is at commit {commit[:12]}; this was made for {code.commit[:12]}",
+            f"warning: {folder} is at commit {commit[:12]}; this adapter was tested with"
+            f" {code.commit[:12]}",
             file=sys.stderr,
         )
     return commit
 
 
 def import_from(code: OfficialCode, folder: Path) -> None:
-    """Have the modules of a checkout found before all others."""
+    """Put a checkout first on the import path."""
     sys.path.insert(0, str((folder / code.root).resolve()))
 
 
 def read_settings(file: Path, table: str, changes: Sequence[str]) -> Settings:
-    """A table of a settings file, with changes such as "run.envs=8".
+    """Read a table of a settings file and apply changes such as "run.envs=8".
 
     Raises:
-        InvalidBaseline: no such table, no such setting in any, or a value of another type.
+        InvalidBaseline: the table or a setting is unknown, or a value has the wrong type.
     """
     tables = tomllib.loads(file.read_text(encoding="utf-8"))
     if table not in tables:
-        raise InvalidBaseline(f"no settings {table!r}; there is {', '.join(tables)}")
+        raise InvalidBaseline(f"no settings {table!r}; choose from {', '.join(tables)}")
     known: Settings = {}
     for one in (*tables.values(), tables[table]):
         known |= one
@@ -105,7 +107,7 @@ def read_settings(file: Path, table: str, changes: Sequence[str]) -> Settings:
 
 
 def _value(name: str, text: str, usual: Any) -> Any:
-    """What is written, of the type that the setting usually has."""
+    """Parse a value; its type must be that of the setting's usual value."""
     try:
         value = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:

@@ -1,26 +1,26 @@
-"""Stable-Baselines3's PPO with the settings of the paper, on pictures or on states.
+"""Train PPO of Stable-Baselines3 with the settings of the paper, on pictures or on states.
 
     python baselines/ppo.py --task unknot --nx 2 --observation pixels --out ppo-unknot-nx2
     python baselines/ppo.py --task unknot --nx 2 --observation pixels --out ppo-unknot-nx2 --resume
     knotgym evaluate --policy ppo-unknot-nx2/model.zip --task unknot --nx 2 --observation pixels
 
-Needs stable-baselines3, and tensorboard for its log. Learns on the train split, `CnnPolicy` or
-`MlpPolicy` unmodified, in `knotgym.adapters.sb3_vec_env`. Writes into --out:
+Needs stable-baselines3, and tensorboard for its log. Trains the unmodified `CnnPolicy` or
+`MlpPolicy` on the train split, in `knotgym.adapters.sb3_vec_env`. Writes to --out:
 
-    model.zip         the learner, for `knotgym evaluate`
-    evaluation.json   how it did, greedily, for `benchmarks/results.py`
-    curve.json, .png  how its training went
-    checkpoints/      the learner every --every steps, between two rollouts
-    tensorboard/      the log of Stable-Baselines3
-    ppo.json          what was asked for, which --resume compares
+    model.zip         the trained model, for `knotgym evaluate`
+    evaluation.json   results of its deterministic policy, for `benchmarks/results.py`
+    curve.json, .png  learning curve
+    checkpoints/      models saved every --every steps, between rollouts
+    tensorboard/      log of Stable-Baselines3
+    ppo.json          settings, which --resume compares
 
-A zip of Stable-Baselines3 holds pickles: reading one may run its code, so --resume only folders and
-evaluate only models that you trust.
+Stable-Baselines3's zip files hold pickles, and loading one may run code from it: --resume only
+folders and evaluate only models that you trust.
 
-A run that was killed loses what came after its last checkpoint. --resume makes as many steps as an
-unbroken run, but isn't the same to the bit: weights, optimizer and count of steps are kept, the
-episodes under way and the states of the random generators are not. Ropes begin anew, with seeds
-drawn from --seed and the steps made.
+A killed run loses the steps after its last checkpoint. A resumed training makes as many steps as an
+uninterrupted one but isn't the same to the bit: weights, optimizer and step count are restored; the
+current episodes and random states are not. Episodes start afresh, with seeds drawn from --seed and
+the number of steps so far.
 """
 
 from __future__ import annotations
@@ -34,7 +34,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from baseline_script import InvalidBaseline, parser, require_folder, run, trials, write_json
+from baseline_script import (
+    InvalidBaseline,
+    evaluation_settings,
+    parser,
+    require_folder,
+    run,
+    write_json,
+)
 from rich.console import Console
 
 import knotgym
@@ -52,17 +59,17 @@ POLICIES = {"pixels": "CnnPolicy", "state": "MlpPolicy"}
 
 @dataclass(frozen=True, kw_only=True)
 class PpoConfig:
-    """The paper's settings; where it names none, Stable-Baselines3's defaults (`rollout`).
+    """The paper's settings; where it gives none (`rollout`), Stable-Baselines3's default.
 
     Attributes:
-        learning_rate: of Adam, constant.
-        features: that the convolutions of `CnnPolicy` end in; `MlpPolicy` has none.
-        envs: ropes side by side.
-        rollout: steps of each rope between two updates.
-        batch: of the gradient steps; divides envs times rollout.
-        epochs: passes over a rollout.
-        gamma, gae_lambda, clip: as in PPO.
-        seed: of everything.
+        learning_rate: constant learning rate of Adam.
+        features: width of the convolutional features of `CnnPolicy`; unused by `MlpPolicy`.
+        envs: parallel environments.
+        rollout: steps per environment between updates.
+        batch: minibatch size; must divide envs times rollout.
+        epochs: passes over each rollout.
+        gamma, gae_lambda, clip: parameters of PPO.
+        seed: seed of all random draws.
     """
 
     learning_rate: float = 1e-5
@@ -94,22 +101,24 @@ class PpoConfig:
 
 
 def options() -> argparse.ArgumentParser:
-    """What can be asked for."""
+    """Return the command-line options."""
     usual = PpoConfig()
-    found = parser(__doc__ or "", "to the end of the rollout")
+    found = parser(__doc__ or "", "environment steps, rounded up to whole rollouts")
     found.add_argument("--observation", default="pixels", choices=tuple(POLICIES))
     found.add_argument("--every", type=int, default=250_000, help="steps between checkpoints")
-    found.add_argument("--device", default="auto", help="cpu, cuda ...")
-    found.add_argument("--threads", type=int, default=0, help="of the simulation; 0: every core")
+    found.add_argument("--device", default="auto", help="cpu, cuda, ...")
+    found.add_argument(
+        "--threads", type=int, default=0, help="threads of the simulation; 0 for all cores"
+    )
     for name in ("learning_rate", "envs", "rollout", "batch", "epochs", "seed"):
         value = getattr(usual, name)
         word = f"--{name.replace('_', '-')}"
-        found.add_argument(word, type=type(value), default=value, help=f"{value}")
+        found.add_argument(word, type=type(value), default=value, help=f"default {value}")
     return found
 
 
 def train(given: argparse.Namespace) -> None:
-    """Refuse what can't be had, then train, write the model and try it."""
+    """Check the options, then train, save the model and evaluate it."""
     chosen = {name: getattr(given, name) for name in vars(PpoConfig()) if hasattr(given, name)}
     config = PpoConfig(**chosen)
     task = TaskConfig(
@@ -119,29 +128,29 @@ def train(given: argparse.Namespace) -> None:
         observation=given.observation,
         image_size=given.image_size,
     )
-    tried_at = trials(given, task)
+    evaluation = evaluation_settings(given, task)
     check_numbers(given, counts=("steps", "every"), whole=("threads",), error=InvalidBaseline)
     _require_device(given.device)
     request = {"ppo": as_json(config), "task": as_json(task)}
     require_folder(given.out, REQUEST, request, given.resume)
     found = _newest(given.out) if given.resume else None
     envs = _envs(task, config, given.threads)
-    model, course = _learner(given, config, envs, found)
+    model, training_log = _learner(given, config, envs, found)
     write_json(given.out / REQUEST, request)
     if model.num_timesteps < given.steps:
         left = given.steps - model.num_timesteps
-        model.learn(left, course, reset_num_timesteps=False, tb_log_name="ppo")
-        course.save()
+        model.learn(left, training_log, reset_num_timesteps=False, tb_log_name="ppo")
+        training_log.save()
     _copy_last(given.out)
-    if tried_at is not None:
+    if evaluation is not None:
         evaluate_learner(
             f"sb3-ppo-{task.observation}",
             ModelPolicy(lambda seen: model.predict(seen, deterministic=True)[0], "ppo"),
             given.out,
-            _told(model, course, config),
+            _report(model, training_log, config),
             files=[given.out / MODEL],
             quiet=given.quiet,
-            **tried_at,
+            **evaluation,
         )
 
 
@@ -154,8 +163,10 @@ def _require_device(device: str) -> None:
 
     try:
         torch.zeros(1, device=get_device(device))
-    except (RuntimeError, AssertionError) as error:  # torch's own, of CUDA the latter
-        raise InvalidBaseline(f"no device {device!r}: {one_line(error)[:200]}") from error
+    except (RuntimeError, AssertionError) as error:  # torch raises the latter for CUDA
+        raise InvalidBaseline(
+            f"device {device!r} is not available: {one_line(error)[:200]}"
+        ) from error
 
 
 def _envs(task: TaskConfig, config: PpoConfig, threads: int) -> Any:
@@ -168,9 +179,9 @@ def _envs(task: TaskConfig, config: PpoConfig, threads: int) -> Any:
 def _learner(
     given: argparse.Namespace, config: PpoConfig, envs: Any, found: Path | None
 ) -> tuple[Any, Any]:
-    """The learner, new or as it was saved, and the course of its training so far."""
+    """Return the model, new or from checkpoint `found`, and the callback with its history."""
     from stable_baselines3 import PPO
-    from training_course import Course, read_rows
+    from training_log import TrainingLog, read_rows
 
     extra = {"features_extractor_kwargs": {"features_dim": config.features}}
     log = str(given.out / "tensorboard") if importlib.util.find_spec("tensorboard") else None
@@ -191,47 +202,49 @@ def _learner(
             device=given.device,
             seed=config.seed,
         )
-        return model, Course(given.out, given.every, [], [], console)
+        return model, TrainingLog(given.out, given.every, [], [], console)
     try:
         model = PPO.load(found, envs, device=given.device)
         steps = model.num_timesteps
         rows, before = read_rows(given.out, steps)
-    except Exception as error:  # pickle, zipfile, torch: each has its own for a broken file
-        raise InvalidBaseline(f"{found} can't be gone on from: {one_line(error)[:200]}") from error
+    except (
+        Exception
+    ) as error:  # pickle, zipfile and torch each raise their own for a corrupted file
+        raise InvalidBaseline(f"can't resume from {found}: {one_line(error)[:200]}") from error
     if steps < given.steps:
         before = [*(one for one in before if one < steps), steps]
     model.tensorboard_log = log
-    anew = np.random.SeedSequence([config.seed, steps]).generate_state(1, np.uint32)[0]
-    model.set_random_seed(int(anew) // 2)  # seeds of ropes count on from it
-    return model, Course(given.out, given.every, rows, before, console)
+    fresh = np.random.SeedSequence([config.seed, steps]).generate_state(1, np.uint32)[0]
+    model.set_random_seed(int(fresh) // 2)  # episodes take this and the following seeds
+    return model, TrainingLog(given.out, given.every, rows, before, console)
 
 
 def _newest(out: Path) -> Path | None:
-    from training_course import checkpoints
+    from training_log import checkpoints
 
     return checkpoints(out)[-1] if checkpoints(out) else None
 
 
 def _copy_last(out: Path) -> None:
-    from training_course import checkpoints
+    from training_log import checkpoints
 
     with atomic_write(out / MODEL) as part:
         shutil.copyfile(checkpoints(out)[-1], part)
 
 
-def _told(model: Any, course: Any, config: PpoConfig) -> dict[str, Any]:
-    """How it was trained, beside its scores."""
+def _report(model: Any, training_log: Any, config: PpoConfig) -> dict[str, Any]:
+    """Describe the training, for the evaluation file."""
     import stable_baselines3
     import torch
 
-    last = course.rows[-1]
+    last = training_log.rows[-1]
     return {
         "library": f"stable-baselines3 {stable_baselines3.__version__}, torch {torch.__version__}",
         "knotgym": knotgym.__version__,
         "policy": type(model.policy).__name__,
         "parameters": sum(one.numel() for one in model.policy.parameters()),
         "steps": model.num_timesteps,
-        "resumed_at": course.resumed_at,
+        "resumed_at": training_log.resumed_at,
         "settings": as_json(config),
         "seed": config.seed,
         "seconds": last.seconds,

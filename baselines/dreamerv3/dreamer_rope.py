@@ -1,4 +1,4 @@
-"""A rope as the official DreamerV3 sees an environment, and its agent as a policy of ours."""
+"""Adapt the environment to the official DreamerV3, and its agent to our policies."""
 
 from __future__ import annotations
 
@@ -11,19 +11,20 @@ from knotgym.control.policy import Choice, UnplannedPolicy, checked
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 
-LANES = 8  # episodes that `knotgym evaluate` plays at once: one size is compiled
+BATCH = 8  # episodes that `knotgym evaluate` plays at once; a fixed size is compiled only once
 
 
 class DreamerRope:
-    """An environment of `embodied`: observations and actions are dicts, and the action that holds
-    `reset`, like the one after an end, begins an episode instead.
+    """An environment with the interface of `embodied`.
 
-    The picture is the environment's own, uint8 (size, 2 size, 3), rope left and goal right.
-    `is_last` is the end of an episode, `is_terminal` only that by success.
+    Observations and actions are dicts. An action with `reset` set, or the first one after an
+    episode has ended, begins a new episode instead of acting. The picture is that of our
+    environment, uint8 (size, 2 size, 3), rope left and goal right. `is_last` marks the end of any
+    episode, `is_terminal` only success.
     """
 
     def __init__(self, config: TaskConfig, rng: np.random.Generator, space: Any) -> None:
-        """Every draw comes from rng; `space` is `elements.Space`."""
+        """Create an environment; all draws come from `rng`, and `space` is `elements.Space`."""
         self._episodes = EpisodeBatch(config)
         self._rng, self._space = rng, space
         self._ended = True
@@ -47,7 +48,7 @@ class DreamerRope:
         }
 
     def step(self, action: dict[str, Any]) -> dict[str, Any]:
-        """What is seen after an action."""
+        """Act or begin an episode; return the observation."""
         begins = bool(action["reset"]) or self._ended
         reward, won, cut = 0.0, False, False
         if begins:
@@ -68,17 +69,17 @@ class DreamerRope:
         }
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: no resource is open."""
 
 
 class DreamerPolicy(UnplannedPolicy):
-    """An official agent in episodes of ours; it draws its actions, as its own evaluation does."""
+    """The official agent as a policy; it samples its actions, as in its own evaluation."""
 
     def __init__(self, agent: Any) -> None:
         super().__init__("dreamerv3")
         self._agent = agent
-        self._first = np.ones(LANES, dtype=bool)
-        self._carry = agent.init_policy(LANES)
+        self._first = np.ones(BATCH, dtype=bool)
+        self._carry = agent.init_policy(BATCH)
 
     def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
         super().begin(episodes, index, rng)
@@ -86,12 +87,12 @@ class DreamerPolicy(UnplannedPolicy):
 
     def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
         pictures = [episodes.picture(index) for index in ids.tolist()]
-        seen = np.zeros((LANES, *pictures[0].shape), dtype=np.uint8)
+        seen = np.zeros((BATCH, *pictures[0].shape), dtype=np.uint8)
         seen[ids] = pictures
-        never = np.zeros(LANES, dtype=bool)
+        never = np.zeros(BATCH, dtype=bool)
         observed = {
             "image": seen,
-            "reward": np.zeros(LANES, dtype=np.float32),
+            "reward": np.zeros(BATCH, dtype=np.float32),
             "is_first": self._first.copy(),
             "is_last": never,
             "is_terminal": never,

@@ -1,4 +1,4 @@
-"""The official DreamerV3 with the settings of the paper, on pictures.
+"""Train the official DreamerV3 with the settings of the paper, on pictures.
 
     git clone https://github.com/danijar/dreamerv3 && git -C dreamerv3 checkout e3f02248693a
     python baselines/dreamerv3/train_dreamerv3.py --checkout dreamerv3 --task unknot --nx 2 \\
@@ -6,17 +6,16 @@
     python baselines/dreamerv3/train_dreamerv3.py --checkout dreamerv3 --task unknot --nx 2 \\
         --out dreamer-unknot-nx2 --resume
 
-Needs jax and the other libraries of the official requirements. Its own `main` is run, on ropes of
-ours; logs, checkpoints and replay are its own, and so is how a training is gone on with. Writes
-into --out:
+Needs jax and the other libraries of the official requirements. Runs the official `main` on our
+environment; logs, checkpoints, replay and resuming are the official code's. Writes to --out:
 
-    official/         what the official code writes: ckpt/, replay/, metrics.jsonl, config.yaml
-    evaluation.json   how it did, for `benchmarks/results.py`
-    progress.json     steps, and what they took, of the runs that ended
-    dreamerv3.json    what was asked for, which --resume compares
+    official/         files of the official code: ckpt/, replay/, metrics.jsonl, config.yaml
+    evaluation.json   results, for `benchmarks/results.py`
+    progress.json     steps and time spent, of all runs that ended
+    dreamerv3.json    settings, which --resume compares
 
-The official code counts the observation that begins an episode as a step. It saves every
-`run.save_every` seconds and when it ends; what a killed training did since is lost. Its checkpoints
+The official code counts the first observation of an episode as a step. It saves every
+`run.save_every` seconds and when it ends; a killed training loses what came after. Its checkpoints
 hold pickles: --resume only folders that you trust.
 """
 
@@ -33,15 +32,15 @@ from typing import Any
 import numpy as np
 from dreamer_rope import DreamerPolicy, DreamerRope
 
-sys.path.append(str(Path(__file__).resolve().parents[1]))  # what all baselines share
+sys.path.append(str(Path(__file__).resolve().parents[1]))  # modules that all baselines share
 
 from baseline_script import (
     InvalidBaseline,
     Progress,
+    evaluation_settings,
     parser,
     require_folder,
     run,
-    trials,
     write_json,
 )
 from official_code import (
@@ -71,61 +70,64 @@ NETWORKS = ("enc/", "dyn/", "dec/", "rew/", "con/", "pol/", "val/")
 
 
 def options() -> argparse.ArgumentParser:
-    """What can be asked for."""
-    found = parser(__doc__ or "", "as the official code counts them")
+    """Return the command-line options."""
+    found = parser(__doc__ or "", "environment steps as the official code counts them")
     add_options(found, DREAMER)
     return found
 
 
 def train(given: argparse.Namespace) -> None:
-    """Refuse what can't be had, then train, save the agent and try it."""
+    """Check the options, then train, save the agent and evaluate it."""
     task = TaskConfig(
         task=given.task, nx=given.nx, states=given.states, image_size=given.image_size
     )
     if given.image_size not in range(48, 129, 16):
         raise InvalidBaseline(
-            f"image_size must be 48, 64, 80, 96, 112 or 128 for four halvings to fit, got"
+            f"image_size must be 48, 64, 80, 96, 112 or 128, to be halved four times; got"
             f" {given.image_size}"
         )
     check_numbers(given, counts=("steps",), whole=("seed",), error=InvalidBaseline)
     settings = read_settings(SETTINGS, given.settings, given.set)
-    tried_at = trials(given, task)
+    evaluation = evaluation_settings(given, task)
     commit = require_checkout(DREAMER, given.checkout)
     _require_platform(settings["jax.platform"])
     request = {"settings": settings, "task": as_json(task), "seed": given.seed, "commit": commit}
     require_folder(given.out, REQUEST, request, given.resume)
     progress = Progress(given.out, given.resume)
-    progress.gone_on(given.steps)
+    progress.resume(given.steps)
     import_from(DREAMER, given.checkout)
     write_json(given.out / REQUEST, request)
     agent = _trained(given, task, settings, progress)
-    if tried_at is not None:
-        told = {**_told(agent, commit, settings, given.seed), **progress.told()}
+    if evaluation is not None:
+        report = {**_report(agent, commit, settings, given.seed), **progress.as_json()}
         saved = sorted((given.out / OFFICIAL / "ckpt").rglob("agent*"))  # in folders by date
         files = [path for path in saved if path.is_file()][-1:]
         evaluate_learner(
             "dreamerv3",
             DreamerPolicy(agent),
             given.out,
-            told,
+            report,
             files=files,
             quiet=given.quiet,
-            **tried_at,
+            **evaluation,
         )
 
 
 def _require_platform(platform: str) -> None:
-    """Refuse CUDA where jax has none; asked itself, it would be set up before the official code."""
+    """Refuse CUDA where jax has no plugin for it.
+
+    Asking jax itself would initialize it before the official code configures it.
+    """
     plugins = ("jax_cuda12_plugin", "jax_cuda13_plugin")
     if platform == "cuda" and not any(map(importlib.util.find_spec, plugins)):
         raise InvalidBaseline(
-            "jax has no CUDA here, which --settings paper asks for; install jax[cuda12], or"
+            "jax has no CUDA here, which --settings paper needs; install jax[cuda12], or give"
             " --set jax.platform=cpu"
         )
 
 
 def flags(given: argparse.Namespace, settings: Settings) -> list[str]:
-    """The command line of the official code."""
+    """Build the command line of the official code."""
     words = ["--configs", *settings["configs"]]
     ours: Settings = {
         "logdir": str((given.out / OFFICIAL).resolve()),
@@ -143,13 +145,13 @@ def flags(given: argparse.Namespace, settings: Settings) -> list[str]:
 def _trained(
     given: argparse.Namespace, task: TaskConfig, settings: Settings, progress: Progress
 ) -> Any:
-    """The agent, once the official code has trained it; it is saved as that saves it."""
+    """Train by the official code; save and return the agent."""
     elements = importlib.import_module("elements")
     official = importlib.import_module("dreamerv3.main")
     made: dict[str, Any] = {}
     begun_at = progress.steps
 
-    def kept(name: str) -> Any:
+    def keeping(name: str) -> Any:
         make = getattr(official, f"make_{name}")
 
         def keep(*words: Any) -> Any:
@@ -159,12 +161,14 @@ def _trained(
         return keep
 
     def make_env(config: Any, index: int, **_: Any) -> Any:
-        rng = np.random.default_rng([given.seed, begun_at, index])  # other ropes when gone on
+        rng = np.random.default_rng(
+            [given.seed, begun_at, index]
+        )  # a resumed run draws other episodes
         return official.wrap_env(DreamerRope(task, rng, elements.Space), config)
 
-    # its main looks these up by name, and makes everything else itself
+    # the official main looks these functions up by name; everything else is left alone
     names = vars(official)
-    names |= {f"make_{name}": kept(name) for name in ("agent", "replay", "logger")}
+    names |= {f"make_{name}": keeping(name) for name in ("agent", "replay", "logger")}
     names["make_env"] = make_env
     try:
         official.main(flags(given, settings))
@@ -177,7 +181,7 @@ def _trained(
 
 
 def _save(out: Path, made: dict[str, Any], progress: Progress) -> None:
-    """Save all that the official code saves, as it does; by itself it leaves out what came last."""
+    """Save a last checkpoint in the official format; the official code doesn't save at its end."""
     steps = int(made["logger"].step)
     if steps == progress.steps:
         return
@@ -189,8 +193,8 @@ def _save(out: Path, made: dict[str, Any], progress: Progress) -> None:
     progress.write(steps)
 
 
-def _told(agent: Any, commit: str, settings: Settings, seed: int) -> dict[str, Any]:
-    """How it was trained, beside its scores."""
+def _report(agent: Any, commit: str, settings: Settings, seed: int) -> dict[str, Any]:
+    """Describe the training, for the evaluation file."""
     jax = importlib.import_module("jax")
     weights = {name: one for name, one in agent.params.items() if name.startswith(NETWORKS)}
     return {

@@ -1,6 +1,4 @@
-"""What is changed of the official TD-MPC2 while it runs: its encoder, as the paper tells, and the
-device, which it has written into its code.
-"""
+"""Patch the official TD-MPC2 at run time: the paper's encoder, and devices other than CUDA."""
 
 from __future__ import annotations
 
@@ -11,7 +9,7 @@ from typing import Any
 
 
 def patch(latent_dim: int, device: str) -> None:
-    """Change the official modules, which are imported by now or never."""
+    """Patch the official modules; call this before an agent is created."""
     torch = importlib.import_module("torch")
     layers: Any = importlib.import_module("common.layers")
     layers.conv = wider_conv(torch, layers.conv, latent_dim)
@@ -21,15 +19,16 @@ def patch(latent_dim: int, device: str) -> None:
 
 
 def wider_conv(torch: Any, official: Callable[..., Any], latent_dim: int) -> Callable[..., Any]:
-    """The official encoder of pictures with one more Conv2d(5, stride 2) + ReLU behind its 5 x 5
-    layer, and a Linear before its last activation.
+    """Extend the official picture encoder as the paper does.
+
+    Adds Conv2d(5, stride 2) + ReLU after its 5 x 5 layer, and a Linear before its last activation.
     """
     nn = torch.nn
 
     def conv(in_shape: tuple[int, ...], num_channels: int, act: Any = None) -> Any:
         layers = list(official((in_shape[0], 64, 64), num_channels, act))
         kernels = [getattr(layer, "kernel_size", None) for layer in layers]
-        behind = kernels.index((5, 5)) + 2  # its ReLU too
+        behind = kernels.index((5, 5)) + 2  # after the layer's ReLU
         layers[behind:behind] = [nn.Conv2d(num_channels, num_channels, 5, stride=2), nn.ReLU()]
         with torch.no_grad():
             flat = nn.Sequential(*layers[2:-1])(torch.zeros(1, *in_shape)).shape[1]
@@ -40,7 +39,7 @@ def wider_conv(torch: Any, official: Callable[..., Any], latent_dim: int) -> Cal
 
 
 def _both_halves(torch: Any, shift: Any) -> Any:
-    """The official augmentation, which takes squares, on two of them side by side, moved alike."""
+    """Apply the official augmentation, made for squares, to both halves with the same shift."""
 
     class BothHalves(torch.nn.Module):
         def __init__(self) -> None:
@@ -55,8 +54,9 @@ def _both_halves(torch: Any, shift: Any) -> Any:
 
 
 class _TorchOn:
-    """torch, but for the device that the official code asks for by name, and for the marks of CUDA
-    graphs, which elsewhere only load a compiler that nothing is compiled by.
+    """A stand-in for torch that maps every device to ours and ignores marks of CUDA graphs.
+
+    The official code hard-codes its device. Off CUDA, the marks would only load an unused compiler.
     """
 
     def __init__(self, torch: Any, device: str) -> None:
@@ -67,5 +67,5 @@ class _TorchOn:
         return getattr(self._torch, name)
 
     def device(self, _: str) -> Any:
-        """Ours, whatever is asked for."""
+        """Return our device, whatever is requested."""
         return self._torch.device(self._device)

@@ -1,4 +1,4 @@
-"""Ropes in rounds, as the official TD-MPC2 resets them: all at once. And its agent as a policy."""
+"""Environments that reset all at once, as the official TD-MPC2 expects; its agent as a policy."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from knotgym.envs.tasks import TaskConfig
 
 
 class Step(NamedTuple):
-    """What a step of n ropes shows.
+    """The outcome of one step of n environments.
 
     Attributes:
         pictures: uint8 (n, 3, size, 2 size), rope left and goal right.
         rewards: float32 (n,).
-        terminated: bool (n,), the goal is or was reached.
-        over: the round is, for all of them.
+        terminated: bool (n,), whether the goal has been reached in this round.
+        over: whether the round is over, for all environments.
     """
 
     pictures: NDArray[np.uint8]
@@ -29,19 +29,19 @@ class Step(NamedTuple):
 
 
 class RopeRounds:
-    """Episodes that begin together, and wait for each other.
+    """Parallel episodes that begin together and wait for each other.
 
-    A rope whose episode has ended stays as it is, paid nothing, until the round is over: where all
-    have ended, but not before `least` steps, without which no sequence could be learned from.
+    An environment whose episode has ended keeps its state, with reward 0, until the round is over:
+    once all have ended, and after `least` steps, the length of a training sequence.
 
     Attributes:
-        acted: actions really taken, without those of ropes that wait.
+        acted: actions taken, not counting environments that wait.
     """
 
     def __init__(
         self, config: TaskConfig, count: int, rng: np.random.Generator, least: int, threads: int = 0
     ) -> None:
-        """Every draw comes from rng."""
+        """Create `count` environments; all draws come from `rng`."""
         self._episodes = EpisodeBatch(config, count, threads)
         self._rng, self._least = rng, least
         self._pictures = np.zeros((0,), dtype=np.uint8)
@@ -49,7 +49,7 @@ class RopeRounds:
         self._steps = self.acted = 0
 
     def reset(self) -> NDArray[np.uint8]:
-        """Begin a round; its pictures, see `Step`."""
+        """Begin a round; return the pictures, as in `Step`."""
         everyone = range(self._episodes.count)
         for index in everyone:
             self._episodes.begin(index, self._rng)
@@ -60,7 +60,7 @@ class RopeRounds:
         return self._pictures.copy()
 
     def step(self, actions: NDArray[np.float32]) -> Step:
-        """Act with the ropes whose episodes go on; actions float32 (n, 6), in [-1, 1]."""
+        """Step the environments whose episodes continue; actions are float32 (n, 6) in [-1, 1]."""
         going = np.flatnonzero(~self._ended)
         rewards = np.zeros(len(self._ended), dtype=np.float32)
         if len(going):
@@ -76,13 +76,14 @@ class RopeRounds:
 
 
 def channels_first(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """uint8 (size, 2 size, 3) as (3, size, 2 size)."""
+    """Transpose uint8 (size, 2 size, 3) to (3, size, 2 size)."""
     return np.ascontiguousarray(picture.transpose(2, 0, 1))
 
 
 class TdMpcPolicy(UnplannedPolicy):
-    """An official agent in episodes of ours: each action is planned anew, from where the plan of
-    the same episode's last one ended, and without the noise of training.
+    """The official agent as a policy: it replans at each step, without exploration noise.
+
+    Planning is warm-started from the previous plan of the same episode.
     """
 
     def __init__(self, agent: Any, torch: Any) -> None:

@@ -1,4 +1,4 @@
-"""The official TD-MPC2 with the settings and the encoder of the paper, on pictures.
+"""Train the official TD-MPC2 with the settings and the encoder of the paper, on pictures.
 
     git clone https://github.com/nicklashansen/tdmpc2 && git -C tdmpc2 checkout 97c14471997d
     python baselines/tdmpc2/train_tdmpc2.py --checkout tdmpc2 --task unknot --nx 2 \\
@@ -6,19 +6,19 @@
     python baselines/tdmpc2/train_tdmpc2.py --checkout tdmpc2 --task unknot --nx 2 \\
         --out tdmpc-unknot-nx2 --resume
 
-Needs torch, tensordict, torchrl, hydra-core, pandas and termcolor. The commit is of its branch with
-vectorized environments; its trainer, agent and buffer are run, on ropes of ours. Writes into --out:
+Needs torch, tensordict, torchrl, hydra-core, pandas and termcolor. The commit is on the branch with
+vectorized environments; its trainer, agent and buffer run on our environment. Writes to --out:
 
-    model.pt          the agent, as the official code saves it, and its optimizers
-    losses.jsonl      a line for each round of episodes
-    evaluation.json   how it did, for `benchmarks/results.py`
-    progress.json     steps, and what they took
-    tdmpc2.json       what was asked for, which --resume compares
+    model.pt          agent, in the official format, and its optimizers
+    losses.jsonl      one line per round of episodes
+    evaluation.json   results, for `benchmarks/results.py`
+    progress.json     steps and time spent
+    tdmpc2.json       settings, which --resume compares
 
-A training is saved every `eval_freq` steps, where the official trainer tries it, and when it ends.
-The official code has no way to go on. --resume loads weights, optimizers and scale; the buffer, 98
-kB a step, isn't kept: it is filled anew for `seed_steps` steps, by the agent instead of at random,
-and then as many updates are made up for, as the official trainer does at the beginning.
+The agent is saved every `eval_freq` steps, when the official trainer evaluates it, and at the end.
+The official code can't resume. --resume loads weights, optimizers and scale, but not the buffer,
+which isn't saved (98 kB a step): the agent, instead of a random policy, refills it for `seed_steps`
+steps, after which as many updates follow, as at the start of the official training.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ import numpy as np
 from official_patches import patch
 from rope_rounds import RopeRounds, TdMpcPolicy
 
-sys.path.append(str(Path(__file__).resolve().parents[1]))  # what all baselines share
+sys.path.append(str(Path(__file__).resolve().parents[1]))  # modules that all baselines share
 
 from baseline_script import (
     InvalidBaseline,
     Progress,
+    evaluation_settings,
     parser,
     require_folder,
     run,
-    trials,
     write_json,
 )
 from official_code import (
@@ -73,21 +73,23 @@ TDMPC = OfficialCode(
 )
 REQUEST, MODEL, LOSSES = "tdmpc2.json", "model.pt", "losses.jsonl"
 SETTINGS = Path(__file__).with_name("settings.toml")
-OURS = ("device", "seed_steps")  # settings that aren't in the official config.yaml
+OURS = ("device", "seed_steps")  # settings of ours, not of the official config.yaml
 DEVICES = ("cuda:0", "cpu")
-LEAST_SIZE = 79  # pixels that are left one by the encoder's five convolutions
+LEAST_SIZE = 79  # the encoder's five convolutions reduce this to one pixel
 
 
 def options() -> argparse.ArgumentParser:
-    """What can be asked for."""
-    found = parser(__doc__ or "", "to the end of the round of episodes")
-    found.add_argument("--threads", type=int, default=0, help="of the simulation; 0: every core")
+    """Return the command-line options."""
+    found = parser(__doc__ or "", "environment steps, rounded up to whole rounds of episodes")
+    found.add_argument(
+        "--threads", type=int, default=0, help="threads of the simulation; 0 for all cores"
+    )
     add_options(found, TDMPC)
     return found
 
 
 def train(given: argparse.Namespace) -> None:
-    """Refuse what can't be had, then train, save the agent and try it."""
+    """Check the options, then train, save the agent and evaluate it."""
     task = TaskConfig(
         task=given.task, nx=given.nx, states=given.states, image_size=given.image_size
     )
@@ -98,34 +100,34 @@ def train(given: argparse.Namespace) -> None:
     check_numbers(given, counts=("steps",), whole=("seed", "threads"), error=InvalidBaseline)
     settings = read_settings(SETTINGS, given.settings, given.set)
     check_settings(settings, task.horizon)
-    tried_at = trials(given, task)
+    evaluation = evaluation_settings(given, task)
     commit = require_checkout(TDMPC, given.checkout)
     request = {"settings": settings, "task": as_json(task), "seed": given.seed, "commit": commit}
     require_folder(given.out, REQUEST, request, given.resume)
     progress = Progress(given.out, given.resume)
-    progress.gone_on(given.steps)
+    progress.resume(given.steps)
     import_from(TDMPC, given.checkout)
     agent = _agent(given, task, settings, progress)
     write_json(given.out / REQUEST, request)
     if progress.steps < given.steps:
         _learn(given, task, agent, progress)
-    if tried_at is not None:
+    if evaluation is not None:
         torch = importlib.import_module("torch")
         torch.manual_seed(given.seed)
-        agent._plan_val = agent._plan  # not compiled: fewer and fewer episodes are under way
-        told = {**_told(agent, commit, settings, given.seed), **progress.told()}
+        agent._plan_val = agent._plan  # not compiled: the batch shrinks as episodes end
+        report = {**_report(agent, commit, settings, given.seed), **progress.as_json()}
         policy = TdMpcPolicy(agent, torch)
         files = [given.out / MODEL]
         evaluate_learner(
-            "tdmpc2", policy, given.out, told, files=files, quiet=given.quiet, **tried_at
+            "tdmpc2", policy, given.out, report, files=files, quiet=given.quiet, **evaluation
         )
 
 
 def check_settings(settings: Settings, horizon: int) -> None:
-    """Refuse what the official trainer would stumble over, or never come to.
+    """Check the settings that the official trainer doesn't check itself.
 
     Raises:
-        InvalidBaseline: so it is.
+        InvalidBaseline: a setting would make it crash or skip evaluation or training.
     """
     if settings["device"] not in DEVICES:
         raise InvalidBaseline(f"device must be {' or '.join(DEVICES)}, got {settings['device']!r}")
@@ -145,7 +147,7 @@ def check_settings(settings: Settings, horizon: int) -> None:
 
 
 def _config(given: argparse.Namespace, task: TaskConfig, settings: Settings, begun_at: int) -> Any:
-    """The official configuration, as its own parser makes it."""
+    """Make the official configuration with the official parser."""
     omegaconf = importlib.import_module("omegaconf").OmegaConf
     hydra = importlib.import_module("hydra")
     config = omegaconf.load(given.checkout / TDMPC.root / "config.yaml")
@@ -179,15 +181,17 @@ def _config(given: argparse.Namespace, task: TaskConfig, settings: Settings, beg
 def _agent(
     given: argparse.Namespace, task: TaskConfig, settings: Settings, progress: Progress
 ) -> Any:
-    """The official agent, new or as it was saved."""
+    """Create the official agent, or load the one to resume."""
     torch = importlib.import_module("torch")
     importlib.import_module("common.seed").set_seed(given.seed + progress.steps)
     config = _config(given, task, settings, progress.steps)
     try:
         torch.zeros(1, device=settings["device"])
-    except (RuntimeError, AssertionError) as error:  # torch's own, of CUDA the latter
-        told = one_line(error)[:200]
-        raise InvalidBaseline(f"no device {settings['device']!r}: {told}") from error
+    except (RuntimeError, AssertionError) as error:  # torch raises the latter for CUDA
+        reason = one_line(error)[:200]
+        raise InvalidBaseline(
+            f"device {settings['device']!r} is not available: {reason}"
+        ) from error
     patch(config.latent_dim, settings["device"])
     agent = importlib.import_module("tdmpc2").TDMPC2(config)
     optimizers = {"optim": agent.optim, "pi_optim": agent.pi_optim}
@@ -197,9 +201,11 @@ def _agent(
             agent.load({"model": saved["model"]})
             for name, one in {**optimizers, "scale": agent.scale}.items():
                 one.load_state_dict(saved[name])
-        except Exception as error:  # zipfile, pickle, torch: each has its own for a broken file
-            told = one_line(error)[:200]
-            raise InvalidBaseline(f"{given.out / MODEL} can't be gone on from: {told}") from error
+        except (
+            Exception
+        ) as error:  # pickle, zipfile and torch each raise their own for a corrupted file
+            reason = one_line(error)[:200]
+            raise InvalidBaseline(f"can't resume from {given.out / MODEL}: {reason}") from error
     for one in optimizers.values():
         for group in one.param_groups:
             group["capturable"] = agent.device.type == "cuda"
@@ -207,24 +213,26 @@ def _agent(
 
 
 def _save(out: Path, agent: Any, torch: Any) -> None:
-    """What the official code saves, and what it would need to go on."""
+    """Save what the official code saves, and what it lacks to resume."""
     out.mkdir(parents=True, exist_ok=True)
-    told = {
+    state = {
         "model": agent.model.state_dict(),
         "optim": agent.optim.state_dict(),
         "pi_optim": agent.pi_optim.state_dict(),
         "scale": agent.scale.state_dict(),
     }
     with atomic_write(out / MODEL) as part:
-        torch.save(told, part)
+        torch.save(state, part)
 
 
 class _TensorRopes:
-    """Rounds of ropes as the official trainer has its environments, in tensors."""
+    """`RopeRounds` with the tensor interface of the official vectorized environments."""
 
     def __init__(self, rounds: RopeRounds, count: int, torch: Any, actor: Any) -> None:
-        """`actor` maps pictures, and whether they begin a round, to the actions that fill the
-        buffer; None for actions drawn evenly, as the official code does.
+        """Wrap rounds of `count` environments.
+
+        `actor` maps pictures, and whether they begin a round, to the actions that fill the buffer;
+        None for uniform random actions, as in the official code.
         """
         self._rounds, self._count, self._torch, self._actor = rounds, count, torch, actor
         self._seen: Any = None
@@ -250,7 +258,7 @@ class _TensorRopes:
 
 
 def _learn(given: argparse.Namespace, task: TaskConfig, agent: Any, progress: Progress) -> None:
-    """Run the official trainer from where the progress is."""
+    """Run the official trainer from the current progress on."""
     torch = importlib.import_module("torch")
     trainers: Any = importlib.import_module("trainer.online_trainer")
     loggers: Any = importlib.import_module("common.logger")
@@ -271,9 +279,9 @@ def _learn(given: argparse.Namespace, task: TaskConfig, agent: Any, progress: Pr
             progress.write(begun_at + self._step)
 
     class Logger(loggers.Logger):
-        def log(self, told: dict[str, Any], category: str = "train") -> None:
-            super().log(told, category)
-            line = {"category": category, **{name: float(one) for name, one in told.items()}}
+        def log(self, metrics: dict[str, Any], category: str = "train") -> None:
+            super().log(metrics, category)
+            line = {"category": category, **{name: float(one) for name, one in metrics.items()}}
             with (given.out / LOSSES).open("a", encoding="utf-8") as file:
                 file.write(json.dumps(line) + "\n")
 
@@ -291,7 +299,7 @@ def _learn(given: argparse.Namespace, task: TaskConfig, agent: Any, progress: Pr
     def acting(seen: Any, first: bool) -> Any:
         return agent.act(seen, t0=first)
 
-    rng = np.random.default_rng([given.seed, begun_at])  # other ropes when gone on
+    rng = np.random.default_rng([given.seed, begun_at])  # a resumed run draws other episodes
     rounds = RopeRounds(task, config.num_envs, rng, config.horizon + 1, given.threads)
     env = _TensorRopes(rounds, config.num_envs, torch, acting if begun_at else None)
     trainer = Trainer(
@@ -305,8 +313,8 @@ def _learn(given: argparse.Namespace, task: TaskConfig, agent: Any, progress: Pr
     trainer.save()
 
 
-def _told(agent: Any, commit: str, settings: Settings, seed: int) -> dict[str, Any]:
-    """How it was trained, beside its scores."""
+def _report(agent: Any, commit: str, settings: Settings, seed: int) -> dict[str, Any]:
+    """Describe the training, for the evaluation file."""
     torch = importlib.import_module("torch")
     return {
         "library": f"{TDMPC.repository} at {commit[:12]}, torch {torch.__version__}",

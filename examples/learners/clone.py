@@ -1,9 +1,9 @@
-"""Clone an expert from the vertices of the rope: behaviour cloning in torch, half a minute.
+"""Behaviour cloning of an expert on state observations, in torch; takes half a minute.
 
     python examples/learners/clone.py --data knotgym/unknot-nx2/expert-v0 --out cloned.pt
 
-The policy picks a bead by classification and its force by regression. `knotgym evaluate --policy
-cloned.pt` measures it.
+The policy chooses the bead by classification and the force by regression. Evaluate it by
+`knotgym evaluate --policy cloned.pt`.
 """
 
 import argparse
@@ -15,7 +15,7 @@ from knotgym.loaders import arrays
 
 
 class Policy(nn.Module):
-    """Which bead to pull, and with which force, from the vertices of the rope and of the goal."""
+    """A network from the vertices of rope and goal to an action: a bead and its force."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -23,9 +23,9 @@ class Policy(nn.Module):
         self.bead, self.force = nn.Linear(512, 100), nn.Linear(512, 3)
 
     def forward(self, state: torch.Tensor) -> torch.Tensor:
-        hidden = self.body(5 * state)  # vertices lie within 0.2 of the middle
+        hidden = self.body(5 * state)  # vertices lie within 0.2 m of the middle
         bead = self.bead(hidden).argmax(1)
-        # an action's position is normalized by 2 m
+        # an action's position is in units of 2 m
         position = state.reshape(-1, 200, 3)[torch.arange(len(state)), bead] / 2
         return torch.cat([position, self.force(hidden).tanh()], 1)
 

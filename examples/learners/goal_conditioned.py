@@ -1,14 +1,14 @@
-"""OGBench's own goal-conditioned agents on state observations: GCBC, GCIVL, GCIQL, CRL and HIQL.
+"""Train OGBench's goal-conditioned agents on state observations: GCBC, GCIVL, GCIQL, CRL, HIQL.
 
     git clone https://github.com/seohongpark/ogbench
     knotgym suite --task tie,convert --nx 2,3 --states readable --out benchmark
     python examples/learners/goal_conditioned.py gcivl benchmark/knotgym/*/scripted-v0 \\
         --ogbench ogbench --out gcivl
 
-Needs jax, flax, optax, distrax and ml_collections, and a checkout of OGBench, whose agents and
-reader of data are used as they are: its `impls` isn't a package that could be installed. What they
-read is what `knotgym dataset export --to ogbench` writes. Their goals are states that episodes come
-to, so rewards play no part; the goal's exemplar is what they are shown. Writes `agent.msgpack` and
+Needs jax, flax, optax, distrax and ml_collections, and a checkout of OGBench, because its `impls`
+can't be installed as a package; its agents and data loader are used unchanged. The data are what
+`knotgym dataset export --to ogbench` writes. Training goals are states of the episodes, so rewards
+are unused; in evaluation the agent gets the goal's exemplar. Writes `agent.msgpack` and
 `evaluation.json`.
 """
 
@@ -28,13 +28,14 @@ from knotgym.control.learned_policies import ModelPolicy
 from knotgym.datasets.exports.ogbench_export import to_ogbench
 
 LEARNERS = ("gcbc", "gcivl", "gciql", "crl", "hiql")
-SCALE = 5.0  # metres to numbers of about 1
-SIDE_BY_SIDE = 8  # episodes that are played at once: batches of one size are compiled once
+SCALE = 5.0  # scales metres to values of about 1
+BATCH = 8  # episodes evaluated at once; a fixed batch size is compiled only once
 
 
 def arrays_of(datasets: list[str]) -> dict[str, NDArray[Any]]:
-    """The training files of the export, one after another, in the form that the agents take:
-    an episode of T actions has T rows, and the last of them is terminal.
+    """Concatenate the exported training files in the layout that the agents need.
+
+    An episode of T actions has T rows, and the last of them is terminal.
     """
     parts: dict[str, list[NDArray[Any]]] = {}
     for dataset in datasets:
@@ -56,13 +57,13 @@ def arrays_of(datasets: list[str]) -> dict[str, NDArray[Any]]:
 
 
 def acting(agent: Any, key: Any) -> Any:
-    """A function of observations (n, 600), vertices of rope and goal, to actions (n, 6)."""
+    """Return a policy from observations (n, 600), vertices of rope and goal, to actions (n, 6)."""
 
     def act(observations: NDArray[np.float32]) -> NDArray[np.float32]:
         count = len(observations)
-        several = np.resize(SCALE * observations, (max(count, SIDE_BY_SIDE), 600))
+        several = np.resize(SCALE * observations, (max(count, BATCH), 600))
         rope, goal = np.split(several, 2, axis=1)
-        # at temperature 0 as OGBench evaluates; the key then decides next to nothing
+        # temperature 0, as in OGBench's evaluation; the key then hardly matters
         actions = agent.sample_actions(observations=rope, goals=goal, seed=key, temperature=0.0)
         return np.clip(np.asarray(actions)[:count], -1, 1)
 
@@ -71,10 +72,10 @@ def acting(agent: Any, key: Any) -> Any:
 
 def main() -> None:
     options = parser(__doc__ or "", LEARNERS)
-    options.add_argument("--ogbench", type=Path, required=True, help="its checkout")
+    options.add_argument("--ogbench", type=Path, required=True, help="checkout of OGBench")
     given = options.parse_args()
     if not (given.ogbench / "impls" / "agents").is_dir():
-        options.error(f"{given.ogbench} is no checkout of OGBench: it has no impls/agents")
+        options.error(f"{given.ogbench} isn't a checkout of OGBench: it has no impls/agents")
     sys.path.insert(0, str(given.ogbench / "impls"))
     data = importlib.import_module("utils.datasets")
     module = importlib.import_module(f"agents.{given.learner}")
@@ -83,7 +84,7 @@ def main() -> None:
     jax = importlib.import_module("jax")
 
     training = Training(f"OGBench's agents, jax {jax.__version__}", given, given.datasets)
-    np.random.seed(given.seed)  # its batches are drawn from there
+    np.random.seed(given.seed)  # OGBench draws batches from the global generator
     config = module.get_config()
     config.batch_size = given.batch
     batches = getattr(data, config.dataset_class)(

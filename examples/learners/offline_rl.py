@@ -1,15 +1,14 @@
-"""Offline learners of d3rlpy on state observations: behaviour cloning, IQL, TD3+BC, CQL and a
-decision transformer.
+"""Train d3rlpy on state observations: behaviour cloning, IQL, TD3+BC, CQL or decision transformer.
 
     knotgym suite --task tie,convert --nx 2,3 --states readable --out benchmark
     python examples/learners/offline_rl.py iql benchmark/knotgym/*/scripted-v0 --out iql
 
-Needs d3rlpy, best in an environment of its own, for it pins Gymnasium 1.0.0: pip install d3rlpy.
-With --relabel all, as it is, every code that an episode passes is also a goal that it reached.
---labelled adds sets of `knotgym collect --policy POLICY.pt --labels expert`, of which the expert's
-actions are learned: behaviour cloning with them is DAgger, and its row is called d3rlpy-bc-dagger.
-Writes `model.d3`, `evaluation.json`, and `policy.pt`, which `knotgym evaluate --policy` takes (none
-of the transformer, which remembers its episode).
+Needs d3rlpy, best in an environment of its own because it pins Gymnasium 1.0.0: pip install d3rlpy.
+By default (--relabel all) every code that an episode passes through also serves as a goal that it
+reached. --labelled adds datasets of `knotgym collect --policy POLICY.pt --labels expert`, with the
+expert's actions as targets; behaviour cloning with them is DAgger, reported as d3rlpy-bc-dagger.
+Writes `model.d3`, `evaluation.json`, and `policy.pt` for `knotgym evaluate --policy` (not for the
+transformer, which is stateful).
 """
 
 from __future__ import annotations
@@ -39,28 +38,28 @@ LEARNERS = {
     "cql": "CQLConfig",
     "dt": "DecisionTransformerConfig",
 }
-RETURN = 5.0  # what an episode that reaches its goal pays
+RETURN = 5.0  # return of an episode that reaches its goal
 
 
 class Transformer:
-    """A decision transformer in one episode, asked for the return of a success."""
+    """A decision transformer in one episode, conditioned on the return of a success."""
 
     def __init__(self, learner: Any) -> None:
         self._learner, self._own = learner, None
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Transformer:
-        return Transformer(self._learner)  # an episode's own memory, everyone's weights
+        return Transformer(self._learner)  # weights are shared, the context isn't
 
     def reset(self) -> None:
         self._own = self._learner.as_stateful_wrapper(target_return=RETURN)
 
     def act(self, observation: NDArray[np.float32]) -> Any:
         assert self._own is not None
-        return np.clip(self._own.predict(observation, 0.0), -1, 1)  # nothing is paid on the way
+        return np.clip(self._own.predict(observation, 0.0), -1, 1)  # rewards before the end are 0
 
 
 def buffer_of(datasets: list[str], relabel: str | None, labelled: list[str]) -> Any:
-    """One buffer of all the episodes; of the labelled ones with the expert's actions."""
+    """Load all episodes into one buffer; labelled ones with the expert's actions."""
     played = (to_d3rlpy(one, observation="state", relabel=relabel) for one in datasets)
     taught = (to_d3rlpy(one, observation="state", labels=True) for one in labelled)
     whole, *others = (*played, *taught)
@@ -73,11 +72,11 @@ def buffer_of(datasets: list[str], relabel: str | None, labelled: list[str]) -> 
 def main() -> None:
     options = parser(__doc__ or "", tuple(LEARNERS))
     options.add_argument(
-        "--relabel", choices=("all", "last", "none"), default="all", help="hindsight"
+        "--relabel", choices=("all", "last", "none"), default="all", help="hindsight goals"
     )
-    options.add_argument("--labelled", nargs="+", default=[], help="sets with the expert's labels")
+    options.add_argument("--labelled", nargs="+", default=[], help="datasets with expert actions")
     given = options.parse_args()
-    # it tells of every setting, the mean of each of 600 numbers included
+    # d3rlpy logs every setting, including the means of all 600 inputs
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.WARNING))
     training = Training(f"d3rlpy {d3rlpy.__version__}", given, [*given.datasets, *given.labelled])
     d3rlpy.seed(given.seed)
@@ -103,8 +102,8 @@ def main() -> None:
     else:
         learner.save_policy(str(given.out / "policy.pt"))
         policy = ModelPolicy(load_model(given.out / "policy.pt"), name)
-    told = {**training.ended(), "relabel": given.relabel}
-    measure(name, policy, given, told, "model.d3")
+    report = {**training.ended(), "relabel": given.relabel}
+    measure(name, policy, given, report, "model.d3")
 
 
 if __name__ == "__main__":

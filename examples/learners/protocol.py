@@ -1,5 +1,6 @@
-"""What the scripts here share: their options, and how a learner is measured: in the episodes of
-`knotgym evaluate`, into a file as it writes, which `benchmarks/results.py` reads.
+"""Shared by these scripts: their options, and evaluation with the protocol of `knotgym evaluate`.
+
+Results are written in its format, which `benchmarks/results.py` reads.
 """
 
 from __future__ import annotations
@@ -18,34 +19,34 @@ from knotgym.generate.episodes.learner_evaluation import evaluate_learner
 
 
 def parser(description: str, kinds: tuple[str, ...]) -> argparse.ArgumentParser:
-    """The options of every script: what learns, from what, for how long, and where it is tried."""
+    """Return the options of every script: learner, datasets, training and evaluation."""
     options = argparse.ArgumentParser(
         description=description, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     options.add_argument("learner", choices=kinds)
     options.add_argument("datasets", nargs="+", help="Minari ids or folders, of the train split")
-    options.add_argument("--steps", type=int, default=20_000, help="of gradient descent")
+    options.add_argument("--steps", type=int, default=20_000, help="gradient steps")
     options.add_argument("--batch", type=int, default=256)
-    options.add_argument("--seed", type=int, default=0, help="of the training")
-    options.add_argument("--out", type=Path, required=True, help="folder to make")
-    options.add_argument("--task", default="unknot,tie,convert", help="to be tried at")
-    options.add_argument("--nx", default="2-4", help="to be tried at")
+    options.add_argument("--seed", type=int, default=0, help="seed of the training")
+    options.add_argument("--out", type=Path, required=True, help="folder to create")
+    options.add_argument("--task", default="unknot,tie,convert", help="tasks to evaluate")
+    options.add_argument("--nx", default="2-4", help="crossing numbers to evaluate")
     options.add_argument("--split", default="test")
     options.add_argument("--states", default=None, help="readable or random-walk")
-    options.add_argument("--episodes", type=int, default=256, help="tried, of each set-up")
+    options.add_argument("--episodes", type=int, default=256, help="evaluated per setting")
     return options
 
 
 class Training:
-    """What a training took, told beside the scores."""
+    """Settings and cost of a training, reported with its scores."""
 
     def __init__(self, library: str, given: argparse.Namespace, datasets: list[str]) -> None:
         self._began, self._spent = time.perf_counter(), time.process_time()
         given.out.mkdir(parents=True, exist_ok=True)
         readers = [EpisodeReader(source) for source in datasets]
-        self._told: dict[str, Any] = {
+        self._report: dict[str, Any] = {
             "library": library,
-            "datasets": [_called(source) for source in datasets],
+            "datasets": [_dataset_id(source) for source in datasets],
             "episodes": sum(len(reader) for reader in readers),
             "transitions": int(sum(reader.lengths.sum() for reader in readers)),
             "steps": given.steps,
@@ -56,16 +57,16 @@ class Training:
             reader.close()
 
     def ended(self) -> dict[str, Any]:
-        """All of it, with the seconds."""
+        """Return the report, with the time spent."""
         return {
-            **self._told,
+            **self._report,
             "seconds": round(time.perf_counter() - self._began, 1),
             "cpu_seconds": round(time.process_time() - self._spent, 1),
         }
 
 
-def _called(source: str) -> str:
-    """The id of a dataset; of an episode file that has none, its name."""
+def _dataset_id(source: str) -> str:
+    """Return the id of a dataset, or the name of an episode file without one."""
     metadata = metadata_of(source)
     return Path(source).name if metadata is None else metadata.dataset_id
 
@@ -73,10 +74,17 @@ def _called(source: str) -> str:
 def measure(
     name: str, policy: Policy, given: argparse.Namespace, training: dict[str, Any], model: str
 ) -> dict[str, Any]:
-    """Try a policy at every set-up asked for, episodes 0 to N - 1 of seed 0, on state observations.
+    """Evaluate a policy in every chosen setting, in episodes 0 to N - 1 of seed 0, on states.
 
-    Writes `evaluation.json` and returns what it holds: that of `knotgym evaluate --out`, and how
-    the learner was trained; `model` is the file of its weights in the folder.
+    Args:
+        name: of the policy, in the results.
+        policy: to evaluate.
+        given: options of the command line.
+        training: report on the training.
+        model: name of the weights' file in the output folder.
+
+    Returns:
+        The content of `evaluation.json`: as from `knotgym evaluate --out`, and `training`.
     """
     return evaluate_learner(
         name,

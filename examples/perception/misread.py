@@ -1,4 +1,4 @@
-"""A page of misread pictures, for both ways of reading."""
+"""Draw a page of misread pictures; used by both readers."""
 
 from pathlib import Path
 
@@ -6,16 +6,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-# a picture (size, size, 3), the code it shows, the code that was read
+# picture (size, size, 3), true code, code read
 Misread = tuple[NDArray[np.uint8], str, str]
 
 
 def page(
     missed: list[Misread], path: Path, columns: int = 5, rows: int = 8, side: int = 256
 ) -> None:
-    """Draw the first of them, one at least, with the code they show (white) and the code that was
-    read (red).
-    """
+    """Draw the first misread pictures, at least one, with true code (white) and code read (red)."""
     tiles = []
     for picture, code, read in missed[: rows * columns]:
         tile = np.zeros((side + 40, side, 3), dtype=np.uint8)

@@ -1,18 +1,17 @@
-"""Learn to read Gauss codes: a small convolutional network, one picture in, the code out.
+"""Train a small convolutional network to read the Gauss code of a picture.
 
     python examples/perception/read.py FOLDER [--steps 20000] [--out reader]
 
-For every 2 x 2 pixels of a published picture the network says whether a crossing lies there, and at
-which of the pixels around one should look for the colours of its over and of its under strand. A
-published rope shows by its colour where along itself a pixel lies, so those two colours are two
-places along the rope, and the code is the crossings found, sorted by their places. So it learns
-from the crossings of the table, and can read codes that it has never seen and more crossings than
-it was trained on.
+For every cell of 2 x 2 pixels, the network predicts whether there is a crossing, and which pixels
+around it show the colours of the over and the under strand. In published pictures the hue encodes
+the position along the rope, so these two colours give two positions, and the code is the crossings
+sorted by position. Because the targets are single crossings, the network can read codes that it has
+never seen, with more crossings than it was trained on.
 
-It is trained on crops, every other one at a crossing, reflected, turned by quarters and their
-colours moved along the rope: all of which are exact. Writes `reader.pt`, `report.json` with exact
-matches, crossing counts and edit distances by split, nx and grade, and a page of misread pictures,
-`confusions.png`. Needs the extras torch and huggingface.
+It is trained on crops, half of them at a crossing, augmented by reflections, quarter turns and
+shifts of the colours along the rope, all of which are exact. Writes `reader.pt`, `report.json` with
+exact matches, crossing counts and edit distances by split, nx and grade, and a page of misread
+pictures, `confusions.png`. Needs the extras torch and huggingface.
 """
 
 import argparse
@@ -36,21 +35,22 @@ from knotgym.prompting.reading_scores import ReadingScores
 from knotgym.topology.gauss import GaussCode
 
 BEADS = 100
-CELL = 2  # pixels of a side
-CROP = 32  # pixels of a side
-EDGE = 2  # cells along the edge of a crop that nothing is learned from, for the rope is cut there
-WINDOW = 10  # pixels of a side, around a cell, in which the colours of its strands are looked for
-SHARP = 60.0  # a pixel whose colour is 3 beads off counts a third
+CELL = 2  # width of a cell, pixels
+CROP = 32  # width of a crop, pixels
+EDGE = 2  # cells at the border of a crop that have no loss, because the rope is cut off there
+WINDOW = 10  # width of the window around a cell in which its strands' colours are sought, pixels
+# Sharpness of colour similarity: exp(60 (cos(angle) - 1)) is 1/3 at a difference of 3 beads.
+SHARP = 60.0
 SPLITS = ("test", "test-code", "test-nx")
 
-# A published colour is a grey part, which black and white add to, and a wave of the place: RGB =
-# BASIS (grey, sine, cosine).
+# Published colours are RGB = BASIS (grey, sine, cosine), with the sine and cosine of the hue; black
+# and white only change grey.
 _TURN = 2 * torch.pi * torch.tensor([0.0, 0.33, 0.67])
 BASIS = torch.stack([torch.ones(3), torch.cos(_TURN), torch.sin(_TURN)], dim=1)
 
 
 class Reader(nn.Module):
-    """Where crossings are, and where along the rope."""
+    """A network that finds crossings and the positions of their strands along the rope."""
 
     def __init__(self, width: int = 24) -> None:
         super().__init__()
@@ -69,8 +69,9 @@ class Reader(nn.Module):
         self.look = nn.Linear(2 * width, 2 * WINDOW**2)
 
     def forward(self, pictures: Tensor) -> tuple[Tensor, Tensor]:
-        """Pictures float32 (n, 3, size, size) in [0, 1] to logits of a crossing (n, cells, cells),
-        and features of every cell.
+        """Return the logits of crossings, float32 (n, cells, cells), and the features of all cells.
+
+        `pictures` are float32 (n, 3, size, size) in [0, 1].
         """
         features = self.body(pictures)
         return self.there(features)[:, 0], features
@@ -78,10 +79,18 @@ class Reader(nn.Module):
     def strands(
         self, pictures: Tensor, features: Tensor, cells: tuple[Tensor, Tensor, Tensor]
     ) -> tuple[Tensor, Tensor]:
-        """For the over and the under strand at k cells (picture, row, column), how much each pixel
-        of the window counts, float32 (k, 2, WINDOW ** 2); and the pixels' waves, sine and cosine,
-        (k, WINDOW ** 2, 2), as long as a pixel is bright. The mean of these is the strand's place.
-        For the under strand, what has the over strand's colour doesn't count.
+        """Attend to the pixels that show the strands of k crossings.
+
+        Args:
+            pictures: float32 (n, 3, size, size) in [0, 1].
+            features: of all cells, from `forward`.
+            cells: picture, row and column of each crossing, int64 (k,) each.
+
+        Returns:
+            Attention of the over and the under strand, float32 (k, 2, WINDOW ** 2), and the pixels'
+            hue vectors (sine, cosine), float32 (k, WINDOW ** 2, 2), whose length is a pixel's
+            brightness. Their weighted mean is the strand's hue. Pixels of the over strand's colour
+            get no weight for the under strand.
         """
         picture, row, column = cells
         look = self.look(features[picture, :, row, column]).reshape(len(row), 2, WINDOW**2)
@@ -102,9 +111,7 @@ class Reader(nn.Module):
 
 
 def alike(waves: Tensor, others: Tensor) -> Tensor:
-    """How alike the colours of waves (k, n, 2) and others (k, m, 2) are, (k, n, m): 1 for the
-    same.
-    """
+    """Return the similarity of the hues of (k, n, 2) and (k, m, 2), (k, n, m): 1 for equal hues."""
     return torch.exp(
         SHARP
         * (
@@ -114,15 +121,16 @@ def alike(waves: Tensor, others: Tensor) -> Tensor:
     )
 
 
-def waves(places: Tensor) -> Tensor:
-    """Places along the rope, beads, (...,) as unit vectors (..., 2), sine and cosine."""
-    angle = 2 * torch.pi * places / BEADS
+def hue_vectors(along: Tensor) -> Tensor:
+    """Map positions along the rope, beads, (...) to unit hue vectors (sine, cosine), (..., 2)."""
+    angle = 2 * torch.pi * along / BEADS
     return torch.stack([torch.sin(angle), torch.cos(angle)], dim=-1)
 
 
 def read(net: Reader, pictures: Tensor) -> list[GaussCode]:
-    """The codes of pictures uint8 (n, 3, size, size): the cells likelier than not, and likelier
-    than the eight around them, are crossings.
+    """Read the codes of pictures, uint8 (n, 3, size, size).
+
+    Crossings are cells of probability above 1/2 that exceeds those of the eight cells around.
     """
     pictures = pictures.float() / 255
     logit, features = net(pictures)
@@ -131,19 +139,17 @@ def read(net: Reader, pictures: Tensor) -> list[GaussCode]:
     )
     weight, seen = net.strands(pictures, features, cells)
     wave = weight @ seen
-    places = (torch.atan2(wave[..., 0], wave[..., 1]) / (2 * torch.pi) % 1.0).tolist()
+    positions = (torch.atan2(wave[..., 0], wave[..., 1]) / (2 * torch.pi) % 1.0).tolist()
     visits: list[list[tuple[float, int]]] = [[] for _ in pictures]
     for label, (picture, (over, under)) in enumerate(
-        zip(cells[0].tolist(), places, strict=True), 1
+        zip(cells[0].tolist(), positions, strict=True), 1
     ):
         visits[picture] += [(over, label), (under, -label)]
     return [GaussCode.relabelled([label for _, label in sorted(own)]) for own in visits]
 
 
 class Crops:
-    """Pieces of pictures to learn from, every other one at a crossing, the rest anywhere on the
-    rope.
-    """
+    """Training crops: half of them at a crossing, the rest anywhere on the rope."""
 
     def __init__(self, folder: Path, rng: np.random.Generator) -> None:
         data, self.rng = images(folder, "train"), rng
@@ -159,9 +165,13 @@ class Crops:
         )
 
     def draw(self, count: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Pieces float32 (count, 3, CROP, CROP) in [0, 1]; the crossings in them (k, 5): piece, x,
-        y in pixels, place of over and under; and these again as a map (count, cells, cells) of 1
-        where one is, 0.5 beside, 0 elsewhere."""
+        """Draw crops and their targets.
+
+        Returns:
+            Crops, float32 (count, 3, CROP, CROP) in [0, 1]; their crossings, float32 (k, 5): crop,
+            x and y in pixels, positions of over and under strand in beads; and a map, float32
+            (count, cells, cells), that is 1 at a crossing, 0.5 next to one and 0 elsewhere.
+        """
         rng, size, half = self.rng, self.pictures.shape[-1], count // 2
         some = rng.integers(len(self.picture), size=half)
         pick = np.concatenate(
@@ -190,11 +200,12 @@ class Crops:
             (crossings[..., :2] >= 0) & (crossings[..., :2] < CROP)
         ).all(dim=2)
         piece, order = torch.nonzero(inside, as_tuple=True)
-        return self._changed(pieces, torch.cat([piece[:, None], crossings[piece, order]], dim=1))
+        return self._augmented(pieces, torch.cat([piece[:, None], crossings[piece, order]], dim=1))
 
-    def _changed(self, pieces: Tensor, crossings: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Reflect and turn all pieces alike, move each one's colours along the rope; over and under
-        stay.
+    def _augmented(self, pieces: Tensor, crossings: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Augment crops: reflect and turn all alike, shift the colours of each along the rope.
+
+        None of this exchanges over and under.
         """
         if self.rng.random() < 0.5:
             pieces, crossings[:, 1] = pieces.flip(-1), CROP - crossings[:, 1]
@@ -203,8 +214,9 @@ class Crops:
         if self.rng.random() < 0.5:
             pieces, crossings = pieces.transpose(-1, -2), crossings[:, [0, 2, 1, 3, 4]]
         shift = torch.from_numpy(self.rng.uniform(0, BEADS, size=len(pieces))).float()
-        (sine, cosine), turns = waves(shift).T, torch.eye(3).expand(len(pieces), 3, 3).clone()
+        (sine, cosine), turns = hue_vectors(shift).T, torch.eye(3).expand(len(pieces), 3, 3).clone()
         turns[:, 1, 1], turns[:, 1, 2], turns[:, 2, 1], turns[:, 2, 2] = cosine, sine, -sine, cosine
+        # a shift along the rope rotates (sine, cosine) and leaves grey alone
         pieces = torch.einsum("nij,njrc->nirc", BASIS @ turns @ torch.linalg.inv(BASIS), pieces)
         crossings[:, 3:] += shift[crossings[:, 0].long(), None]
         there = torch.zeros(len(pieces), CROP // CELL, CROP // CELL)
@@ -214,9 +226,11 @@ class Crops:
 
 
 def loss(net: Reader, pieces: Tensor, crossings: Tensor, there: Tensor) -> Tensor:
-    """Cross entropy of where crossings are, cells beside one let off with a tenth; of the pixels
-    that are pointed at where they are, those with about the strand's colour being right; and
-    squared error of the places these give.
+    """Return the loss per crossing, the sum of three terms.
+
+    - binary cross entropy of the crossing map, with weight 0.1 for cells next to a crossing
+    - negative log of the attention on pixels with about the strand's hue
+    - squared error of the hue vectors that the attention gives
     """
     logit, features = net(pieces)
     inner = slice(EDGE, -EDGE)
@@ -230,19 +244,19 @@ def loss(net: Reader, pieces: Tensor, crossings: Tensor, there: Tensor) -> Tenso
     weight, seen = net.strands(
         pieces, features, (crossings[kept, 0].long(), row[kept], column[kept])
     )
-    # the colour of bead 2 is that of places from 2 to 3, 2.5 in the mean
-    wave = waves(crossings[kept, 3:] - 0.5)
+    # the segment from position 2 to 3 has the colour of bead 2, so its mean position is 2.5
+    wave = hue_vectors(crossings[kept, 3:] - 0.5)
     pointed = -torch.log((weight * alike(wave, seen)).sum(dim=2) + 1e-3).sum()
     error = ((functional.normalize(weight @ seen, dim=2, eps=1e-3) - wave) ** 2).sum()
     return (located + pointed + 3 * error) / max(1, int(kept.sum()))
 
 
 def train(folder: Path, steps: int, batch: int, seed: int) -> Reader:
-    """Train for so many steps, the learning rate falling to nothing by then."""
+    """Train for `steps` steps with warm-up and a cosine schedule down to 0."""
     torch.manual_seed(seed)
     net, crops = Reader(), Crops(folder, np.random.default_rng(seed))
     optimizer = torch.optim.AdamW(net.parameters(), lr=3e-3, weight_decay=1e-4)
-    began = told = time.perf_counter()
+    began = reported = time.perf_counter()
     for step in range(steps):
         optimizer.param_groups[0]["lr"] = (
             3e-3 * min(1.0, (step + 1) / 100) * (0.5 + 0.5 * np.cos(np.pi * step / steps))
@@ -252,10 +266,10 @@ def train(folder: Path, steps: int, batch: int, seed: int) -> Reader:
         value.backward()
         nn.utils.clip_grad_norm_(net.parameters(), 5.0)
         optimizer.step()
-        if time.perf_counter() - told > 30:
-            told = time.perf_counter()
+        if time.perf_counter() - reported > 30:
+            reported = time.perf_counter()
             print(
-                f"{told - began:5.0f} s  step {step + 1} of {steps}  loss {value.item():.3f}",
+                f"{reported - began:5.0f} s  step {step + 1} of {steps}  loss {value.item():.3f}",
                 flush=True,
             )
     return net.eval()
@@ -263,7 +277,7 @@ def train(folder: Path, steps: int, batch: int, seed: int) -> Reader:
 
 @torch.no_grad()
 def evaluate(net: Reader, folder: Path) -> tuple[dict[str, ReadingScores], list[Misread]]:
-    """Scores by split; and the misread pictures that were accepted."""
+    """Return scores by split, and the accepted pictures that were misread."""
     scores: dict[str, ReadingScores] = {}
     missed = []
     for split in SPLITS:
@@ -290,15 +304,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--steps", type=int, default=20_000)
-    parser.add_argument("--batch", type=int, default=96, help="crops in a step")
+    parser.add_argument("--batch", type=int, default=96, help="crops per step")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("reader"))
     given = parser.parse_args()
     look = json.loads((given.folder / "manifest.json").read_text())["config"]["appearance"]
     if "colours" in look["vary"] or len(look["sizes"]) > 1:
         parser.error(
-            "places along the rope are read off its published colours, in pictures of one size;"
-            " this table has others"
+            "positions along the rope are read from the published colours, in pictures of one size;"
+            " this table has other colours or sizes"
         )
     given.out.mkdir(parents=True, exist_ok=True)
     net = train(given.folder, given.steps, given.batch, given.seed)

@@ -1,17 +1,16 @@
-"""Read the Gauss code off a published picture without learning anything: trace the hue along the
-rope.
+"""Read the Gauss code of a published picture by tracing the hue along the rope, without learning.
 
     python examples/perception/trace.py FOLDER [--split test] [--count 500] [--page misread.png]
 
-A published rope says by its colour where along itself a pixel lies: the colours of beads 1 to 99 go
-once round a circle. On a black background a pixel that one strand covers in part has that strand's
-hue, only darker. So each pixel whose colour is that of one strand gives a place along the rope; the
-mean position of the pixels of a place, from bead to bead, is the rope's axis, a closed polygon
-whose crossings are found as any rope's. Which strand is over is read at the crossing: the colour
-there is the over strand's, and the pixels of the under strand are missing.
+In published pictures the hue encodes the position along the rope: the colours of beads 1 to 99 go
+once round a circle. On a black background, a pixel that one strand covers in part has that strand's
+hue, only darker. So each pixel that shows a single strand gives a position along the rope. The mean
+coordinates of the pixels of each position form the rope's axis, a closed polygon, whose crossings
+are found as in any rope. Which strand is over is decided at the crossing: the colour there is the
+over strand's.
 
-It needs the published colours and nothing else; it fails where strands run along each other or a
-kink's eye is smaller than a pixel.
+This needs only the published colours. It fails where strands run along each other, or where the
+hole of a kink is smaller than a pixel.
 """
 
 import argparse
@@ -29,15 +28,16 @@ from knotgym.topology.crossings import find_crossings
 from knotgym.topology.gauss import GaussCode
 
 BEADS = 100
-FINE = 8  # colours between two beads that a pixel is compared with
-# pixels' worth of a bend of the axis by one pixel, against a pixel that lies one pixel off it
+FINE = 8  # colours between neighbouring beads with which pixels are compared
+# weight of the axis's squared second differences against the squared distances of its pixels
 STIFF = 2.0
 Array = NDArray[np.float64]
 
 
 def palette() -> tuple[Array, Array]:
-    """Places along the rope float64 (n,), at beads' middles where whole, and unit colours there
-    float64 (n, 3); the base bead left out.
+    """Return positions along the rope, float64 (n,), and their unit colours, float64 (n, 3).
+
+    Positions are in beads, whole numbers at the middles of beads; the white base bead is left out.
     """
     place = np.arange(1, BEADS - 1, 1 / FINE)
     colours = bead_colours(BEADS).astype(np.float64)
@@ -51,9 +51,7 @@ COLOURS = bead_colours(BEADS).astype(np.float64)
 
 
 def read(image: NDArray[np.uint8]) -> GaussCode | None:
-    """The code that a picture uint8 (size, size, 3) shows, with chirality; None where the rope
-    can't be followed.
-    """
+    """Read the code of a picture, uint8 (size, size, 3), with chirality; None if tracing fails."""
     rows, columns = np.nonzero(image.max(axis=2) > 40)
     at = np.stack([columns + 0.5, rows + 0.5], axis=1)
     seen = image[rows, columns].astype(np.float64)
@@ -62,8 +60,8 @@ def read(image: NDArray[np.uint8]) -> GaussCode | None:
     best = likeness.argmax(axis=1)
     grey = (seen.min(axis=1) > 0.75 * seen.max(axis=1)) & (seen.max(axis=1) > 60)
     pure = (likeness.max(axis=1) > 0.997) & ~grey
-    # the base bead: near its hue's place the least of the three channels says how white a pixel is.
-    # Where strands of opposite hues cross there are grey pixels too, but not so many.
+    # Find the base bead as the whitest 3 x 3 pixels, by their least channel. Crossings of strands
+    # of opposite hues are grey too, but smaller.
     whiteness = image.min(axis=2).astype(np.float64)
     top = np.unravel_index(cv2.blur(whiteness, (3, 3)).argmax(), whiteness.shape)
     white = np.where(
@@ -80,7 +78,7 @@ def read(image: NDArray[np.uint8]) -> GaussCode | None:
     if axis is None:
         return None
     flat = np.column_stack([axis[:, 0], -axis[:, 1], np.zeros(len(axis))])
-    # heights are not known yet: each crossing's over and under may be exchanged
+    # all heights are 0 so far, so which strand is called over is arbitrary
     crossings = find_crossings(flat)
     step = len(axis) / BEADS
     height = np.zeros(len(axis))
@@ -97,18 +95,28 @@ def read(image: NDArray[np.uint8]) -> GaussCode | None:
 
 
 def follow(at: Array, place: Array, weight: Array, base: Array, base_weight: float) -> Array | None:
-    """The axis, float64 (2 BEADS, 2), half a bead apart from the middle of the base bead on, from
-    pixels, their places and weights.
+    """Fit the axis to pixels.
+
+    Args:
+        at: float64 (n, 2), pixels.
+        place: float64 (n,), their positions along the rope, beads.
+        weight: float64 (n,).
+        base: float64 (2,), the base bead.
+        base_weight: its weight.
+
+    Returns:
+        float64 (2 BEADS, 2), points half a bead apart that start at the base bead; None if fewer
+        than half of them are seen.
     """
     count = 2 * BEADS
     points, weights = np.zeros((count, 2)), np.zeros(count)
     points[0], weights[0] = base, base_weight
-    for direction in (1, -1):  # from the base bead, which is sure, to the far side
+    for direction in (1, -1):  # from the base bead, which is certain, to the far side
         last = 0
         for k in range(2, BEADS + 1):
             near = np.abs(place - direction * k / 2 % BEADS) <= 0.5
-            # of two blobs of one hue, one may be a blend of two other strands: the one that follows
-            # on is meant
+            # a second blob of the same hue may be a blend of two other strands: take only pixels
+            # near the last point, and allow more distance the more points were missed since
             near &= np.linalg.norm(at - points[direction * last], axis=1) < 2.2 + 1.6 * (k - last)
             if near.any():
                 points[direction * k], weights[direction * k], last = (
@@ -118,6 +126,8 @@ def follow(at: Array, place: Array, weight: Array, base: Array, base_weight: flo
                 )
     if (weights > 0).sum() < count / 2:
         return None
+    # Minimize sum w |x - p|^2 + STIFF |D x|^2, D being the circular second difference; missing
+    # points have weight 0 and are interpolated.
     bend = (
         np.roll(np.eye(count), 1, axis=0) + np.roll(np.eye(count), -1, axis=0) - 2 * np.eye(count)
     )
@@ -129,8 +139,10 @@ def follow(at: Array, place: Array, weight: Array, base: Array, base_weight: flo
 def upper(
     image: NDArray[np.uint8], position: tuple[float, float], first: float, second: float
 ) -> bool:
-    """Whether the strand at place `first` (beads, bead middles whole) is the upper one at a
-    crossing, by the pixels around it.
+    """Return whether, at a crossing, the strand at position `first` is over that at `second`.
+
+    Compares the pixels around the crossing with both strands' colours. Positions along the rope are
+    in beads, whole numbers at the middles of beads.
     """
     x, y = position
     column, row = int(x), int(y)
@@ -145,7 +157,7 @@ def upper(
 
 
 def distance(seen: Array, place: float) -> float:
-    """From a colour to those of the rope within a bead of a place."""
+    """Return the least distance of a colour from those within a bead of a position."""
     beads = [int(round(place)) + k for k in (-1, 0, 1)]
     return float(min(np.linalg.norm(seen - COLOURS[bead % BEADS]) for bead in beads))
 
@@ -156,7 +168,7 @@ def main() -> None:
     parser.add_argument("--split")
     parser.add_argument("--count", type=int, default=10**9)
     parser.add_argument(
-        "--page", type=Path, help="draw the misread pictures that were accepted here"
+        "--page", type=Path, help="file for a page of the accepted pictures that were misread"
     )
     given = parser.parse_args()
     scores = ReadingScores()
@@ -188,7 +200,7 @@ def main() -> None:
         page(missed, given.page)
         print(f"{given.page}: {len(missed)} misread")
     elif given.page:
-        print(f"nothing accepted was misread, so there is no {given.page}")
+        print(f"no accepted picture was misread, so there is no {given.page}")
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
 #!/bin/bash
-# One shard of any knotgym command, by the number of its array task:
+# Run one shard of a knotgym command, chosen by the array task's number:
 #   sbatch --array=1-32 array.sh generate --nx 4 --count 3200 --out runs/nx4
 #SBATCH --cpus-per-task=4
 #SBATCH --time=04:00:00

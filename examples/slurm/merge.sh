@@ -1,7 +1,7 @@
 #!/bin/bash
-# All shards of a run, once they are there:
+# Merge all shards of a run once they are finished:
 #   sbatch --dependency=afterok:ARRAY merge.sh runs/nx4
-# For a collection name the dataset and, second, the root of its id:
+# For a collection, give the dataset and then the root of its id:
 #   sbatch --dependency=afterok:ARRAY merge.sh data/knotgym/tie-nx3/expert-v0 data
 #SBATCH --time=01:00:00
 set -euo pipefail

@@ -26,7 +26,7 @@ from knotgym.datasets.episode_verification import show_episodes
 from knotgym.datasets.image_table import GRADES, shards
 from knotgym.datasets.manifest_check import read_manifest, run_report
 from knotgym.prompting.reading_scores import HEAD, ReadingScores
-from knotgym.prompting.tally import tally
+from knotgym.prompting.summary import summarize
 from knotgym.prompting.transcripts import InvalidTranscript, read_transcripts, transcripts_at
 from knotgym.runs.tables import narrow_table
 from knotgym.states.state_file import read_states
@@ -143,7 +143,7 @@ def print_transcripts(path: Path, console: Console) -> None:
     found = [] if file is None else read_transcripts(file)
     if not found:
         raise InvalidTranscript(f"{path} holds no transcripts")
-    config, facts = found[0]["config"], tally(found)
+    config, facts = found[0]["config"], summarize(found)
     task = config.get("task")
     of = f"{task['task']} nx {task['nx']}, {task['split']}" if task else "pictures"
     _say(console, f"{config['chat']['model']}, mode {config['mode']}, {of}")

@@ -1,1 +1,1 @@
-"""Learners: pictures in, actions out, trained on what `knotgym collect` writes. Needs torch."""
+"""The learner from pictures, trained on what `knotgym collect` writes. Needs torch."""

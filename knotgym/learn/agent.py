@@ -1,7 +1,8 @@
-"""The agent: pictures in, actions out, and nothing else.
+"""The agent: it sees pictures and returns actions.
 
-Each step it reads where the rope lies, learns from it which bead its last pull moved, and goes on
-with its plan, or plans anew: the planner of `control.planner`, in imagination.
+At each step it updates its hypotheses of the rope's shape and position from the picture, infers
+which bead its last action pulled, and either continues its plan or replans. Planning is that of
+`control.planner`, in the learned rope model.
 """
 
 from __future__ import annotations
@@ -15,27 +16,29 @@ from numpy.typing import NDArray
 from knotgym.control.planner import plan
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.transition_graph import TransitionGraph
-from knotgym.learn.belief import BeliefConfig, RopeBelief, waved
-from knotgym.learn.imagination import Imagination, passed_through, state
+from knotgym.learn.imagination import Imagination, pack_state, passed_through
 from knotgym.learn.reader import Reader
 from knotgym.learn.rope_model import BEADS, Dynamics
+from knotgym.learn.shape_hypotheses import HypothesesConfig, ShapeHypotheses, perturb_heights
 from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
 
 Array = NDArray[np.float64]
 
-REACH = 2.0  # metres that an action's coordinate of 1 stands for
-_TOW = np.ones(3)  # force of a tow; any direction straightens as well as another
-_MISLED = 0.05  # how likely a code shown for sure is the goal, though the episode goes on
+REACH = 2.0  # metres for which an action's coordinate of 1 stands
+# Force of a tow, in all three axes the largest; any direction straightens the rope equally well.
+_TOW = np.ones(3)
+# Probability that the goal is the code now shown although the episode continues (misread picture).
+_MISREAD = 0.05
 
 
 class Pull(NamedTuple):
     """One step of a plan.
 
     Attributes:
-        bead: pulled; -1 for the one nearest to `named`.
-        force: (3,), in units of the largest.
-        named: the point of the world to name, (3,), where that isn't the bead's.
+        bead: bead to pull; -1 for the one nearest to `named`.
+        force: float64 (3,), relative to the largest.
+        named: float64 (3,), the point of the world to name instead of the bead's position.
     """
 
     bead: int
@@ -45,123 +48,151 @@ class Pull(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class AgentConfig:
-    """How hard to think.
+    """Planning budgets and thresholds.
 
     Attributes:
-        budget: imagined actions that are planned with at one step.
-        episode_budget: at all of an episode's; then a step gets `least_budget`.
-        tries: plans made at most at one step, of which the surest is taken.
-        patience: steps that a plan is kept to, however unsure.
-        enough: share of the copies that a plan must lead to the goal to be taken at once.
-        copies: imagined ropes, each a little different, on which a plan is tried.
-        doubt: metres by which their heights differ, about.
-        slip: beads by which the bead pulled differs, standard deviation.
-        gain: that of the logarithm by which forces differ.
-        sure: share of them that a plan must lead to the goal to be gone on with.
-        named: how well a bead must be named before it is pulled.
-        probes: pulls at most that are spent on finding where the rope is.
-        rise: upward force of a probe, in units of the largest.
-        belief: what is thought possible.
-        planner: of imagination.
+        budget: imagined actions per replanning, at most.
+        episode_budget: imagined actions per episode; once spent, replanning gets `least_budget`.
+        least_budget: imagined actions that every replanning may use.
+        max_plans: plans per step; the one with the highest estimated success is kept.
+        patience: steps for which a new plan is followed before it is checked again.
+        enough: estimated success at which a plan is accepted without trying another.
+        copies: perturbed hypotheses on which a plan's success is estimated.
+        height_noise: standard deviation of those perturbations' heights, metres.
+        bead_noise: standard deviation of the bead that is pulled around the intended one, beads.
+        force_noise: standard deviation of the logarithm of the force.
+        keep_plan: estimated success below which a plan is dropped for a new one.
+        aim_worth: least worth of a named point (`PositionBelief.aim`) to pull a bead; else probe.
+        max_probes: probing actions per episode, at most.
+        probe_lift: upward force of a probe, relative to the largest.
+        hypotheses: of the rope's shape.
+        planner: of the imagined actions.
     """
 
     budget: int = 1500
     episode_budget: int = 12000
     least_budget: int = 500
-    tries: int = 6
+    max_plans: int = 6
     patience: int = 2
     enough: float = 0.85
     copies: int = 12
-    doubt: float = 0.008
-    slip: float = 1.0
-    gain: float = 0.1
-    sure: float = 0.3
-    named: float = 0.45
-    probes: int = 3
-    rise: float = 0.6
-    belief: BeliefConfig = BeliefConfig()
+    height_noise: float = 0.008
+    bead_noise: float = 1.0
+    force_noise: float = 0.1
+    keep_plan: float = 0.3
+    aim_worth: float = 0.45
+    max_probes: int = 3
+    probe_lift: float = 0.6
+    hypotheses: HypothesesConfig = HypothesesConfig()
     planner: PlannerConfig = PlannerConfig(batch_size=32, surrogate_rollouts=2)
 
 
 @dataclass(eq=False)
 class _Episode:
-    """What is known of one episode."""
+    """State of one episode.
+
+    Attributes:
+        goals: candidate goal codes and their weights, which need not sum to 1.
+        goal: the most likely one.
+        named: float64 (3,), the point that the last action named; None before the first action.
+        force: float64 (3,), of the last action.
+        step: actions taken.
+        probes: probing actions taken.
+        plan: pulls that remain.
+        planned: step of the last replanning.
+        imagined: imagined actions spent.
+    """
 
     rng: np.random.Generator
     horizon: int
-    belief: RopeBelief
-    goals: dict[GaussCode, float] = field(default_factory=dict)  # what it may be, and how likely
-    goal: GaussCode | None = None  # the likeliest
-    named: Array | None = None  # the point of the world that the last action named
+    hypotheses: ShapeHypotheses
+    goals: dict[GaussCode, float] = field(default_factory=dict)
+    goal: GaussCode | None = None
+    named: Array | None = None
     force: Array = field(default_factory=lambda: np.zeros(3))
     step: int = 0
     probes: int = 0
     plan: list[Pull] = field(default_factory=list)
-    planned: int = 0  # the step at which the plan was made
+    planned: int = 0
     imagined: int = 0
 
 
 class Agent:
-    """Acts in any number of episodes, one picture at a time."""
+    """A controller from pictures that can act in several episodes in turn."""
 
     def __init__(
         self,
         reader: Reader,
         dynamics: Dynamics,
         graph: TransitionGraph,
-        met: Array,
+        starts: Array,
         config: AgentConfig | None = None,
     ) -> None:
-        self.reader, self.dynamics, self.graph, self.met = reader, dynamics, graph, met
+        """Compose an agent; `starts` are start positions met in training, float64 (n, 3)."""
+        self.reader, self.dynamics, self.graph, self.starts = reader, dynamics, graph, starts
         self.config = config or AgentConfig()
         self._imagination = Imagination(dynamics, self.config.planner.batch_size)
         self._episodes: dict[int, _Episode] = {}
 
     def begin(self, index: int, rng: np.random.Generator, horizon: int) -> None:
-        """Episode `index` begins, of `horizon` steps; every draw for it comes from `rng`."""
-        belief = RopeBelief(self.reader, self.dynamics, self.met, self.config.belief, rng)
-        self._episodes[index] = _Episode(rng, horizon, belief)
+        """Begin episode `index` of `horizon` steps; all of its random draws come from `rng`."""
+        hypotheses = ShapeHypotheses(
+            self.reader, self.dynamics, self.starts, self.config.hypotheses, rng
+        )
+        self._episodes[index] = _Episode(rng, horizon, hypotheses)
 
     def act(self, index: int, picture: NDArray[np.uint8]) -> tuple[NDArray[np.float32], str]:
-        """Decide by a picture of rope and goal, uint8 (128, 256, 3): an action (6,), and why."""
+        """Choose an action from a picture of rope and goal.
+
+        Args:
+            index: of the episode.
+            picture: uint8 (SIZE, 2 SIZE, 3), the rope on the left and the goal on the right.
+
+        Returns:
+            The action, float32 (6,), and the kind of move: "plan", "tow", "probe" or "lost".
+        """
         episode = self._episodes[index]
         size = picture.shape[0]
         if not episode.goals:
             goal = np.ascontiguousarray(picture[:, size:])
-            episode.goals = episode.belief.read_codes(goal)
+            episode.goals = episode.hypotheses.read_codes(goal)
         rope = np.ascontiguousarray(picture[:, :size])
+        # before the first action there is nothing to predict from
         if episode.named is None:
-            episode.belief.see(rope)
+            episode.hypotheses.start(rope)
         else:
-            episode.belief.see_pulled(rope, episode.named, episode.force)
-        self._aim(episode, rope)
-        move = self._decide(episode)
+            episode.hypotheses.update(rope, episode.named, episode.force)
+        self._update_goal(episode, rope)
+        move = self._choose_pull(episode)
         episode.step += 1
         assert episode.named is not None
         action = np.concatenate([episode.named / REACH, episode.force])
         return np.clip(action, -1, 1).astype(np.float32), move
 
     def imagined(self, index: int) -> int:
-        """Imagined actions of an episode."""
+        """Return the number of imagined actions that an episode has spent."""
         return self._episodes[index].imagined
 
-    def _aim(self, episode: _Episode, picture: NDArray[np.uint8]) -> None:
-        """Say which code is the goal: not the one shown now, for the episode would be over."""
-        shown = episode.belief.shown(picture)
+    def _update_goal(self, episode: _Episode, picture: NDArray[np.uint8]) -> None:
+        """Lower the weight of goal codes that the rope shows now: the episode would be over."""
+        shown = episode.hypotheses.code_probabilities(picture)
+        # Bayes' rule for "the episode continues": its likelihood is _MISREAD if the rope shows the
+        # goal's code and 1 if not, averaged over the codes that the rope may show.
         for code in episode.goals:
-            episode.goals[code] *= 1.0 - (1.0 - _MISLED) * shown.get(code, 0.0)
+            episode.goals[code] *= 1.0 - (1.0 - _MISREAD) * shown.get(code, 0.0)
         goal = max(episode.goals, key=lambda code: episode.goals[code])
         if goal != episode.goal:
             episode.goal, episode.plan = goal, []
 
-    def _decide(self, episode: _Episode) -> str:
-        """Choose bead and force."""
-        assert episode.goal is not None
+    def _choose_pull(self, episode: _Episode) -> str:
+        """Set the episode's next named point and force; return the kind of move."""
+        config, hypotheses = self.config, episode.hypotheses
         towing = bool(episode.plan) and episode.plan[0].named is not None
-        due = episode.step - episode.planned >= self.config.patience or not episode.plan
-        # a tow takes its time, and one broken off or turned takes it again
-        if due and not towing and self._surety(episode, episode.plan) < self.config.sure:
-            self._plan(episode)
+        due = episode.step - episode.planned >= config.patience or not episode.plan
+        # A tow takes many steps, and interrupting or turning it starts it over, so it is never
+        # replaced.
+        if due and not towing and self._success_rate(episode, episode.plan) < config.keep_plan:
+            self._replan(episode)
             episode.planned = episode.step
         if episode.plan:
             bead, force, point = episode.plan.pop(0)
@@ -172,32 +203,39 @@ class Agent:
         else:
             bead, force = int(episode.rng.integers(BEADS)), episode.rng.uniform(-1, 1, 3)
             move = "lost"
-        rope, whereabouts = episode.belief.ropes[0], episode.belief.whereabouts
-        named, sure = whereabouts.aim(rope, bead)
-        if sure < self.config.named and episode.probes < self.config.probes:
+        rope, position = hypotheses.ropes[0], hypotheses.position
+        named, worth = position.aim(rope, bead)
+        if worth < config.aim_worth and episode.probes < config.max_probes:
+            # The position is too uncertain to name that bead: pull where the outcome tells most
+            # about it, away from the middle (in expectation over the bead pulled) and up.
             episode.probes += 1
-            named = whereabouts.probe(rope)
-            out = (whereabouts.shares(rope, named)[:, None] * rope).sum(axis=0) * (1, 1, 0)
-            force = 0.6 * out / max(1e-6, np.linalg.norm(out)) + (0, 0, self.config.rise)
+            named = position.most_informative(rope)
+            probabilities = position.bead_probabilities(rope, named)
+            out = (probabilities[:, None] * rope).sum(axis=0) * (1, 1, 0)
+            force = 0.6 * out / max(1e-6, np.linalg.norm(out)) + (0, 0, config.probe_lift)
             move = "probe"
             episode.plan = []
         episode.named, episode.force = named, force
         return move
 
-    def _plan(self, episode: _Episode) -> None:
-        """Make plans and keep the surest."""
+    def _replan(self, episode: _Episode) -> None:
+        """Make up to `max_plans` plans and keep the one with the highest estimated success."""
         assert episode.goal is not None
-        best, surest = self._tow(episode) if not episode.goal.visits else (list[Pull](), -1.0)
+        best, highest = list[Pull](), -1.0
+        if not episode.goal.visits:  # the goal is a plain loop, to which towing leads
+            best = [Pull(-1, _TOW, REACH * _TOW)] * (episode.horizon - episode.step)
+            highest = self._success_rate(episode, best)
+        # the episode's budget is a soft limit: every replanning may still use `least_budget`
         left = max(
             self.config.least_budget,
             min(self.config.budget, self.config.episode_budget - episode.imagined),
         )
-        for _ in range(self.config.tries):
-            if surest >= self.config.enough or left < self.config.planner.batch_size:
+        for _ in range(self.config.max_plans):
+            if highest >= self.config.enough or left < self.config.planner.batch_size:
                 break
             made = plan(
                 self._imagination,
-                state(episode.belief.ropes[0], episode.belief.velocities[0]),
+                pack_state(episode.hypotheses.ropes[0], episode.hypotheses.velocities[0]),
                 episode.goal,
                 self.graph,
                 self.config.planner,
@@ -207,37 +245,39 @@ class Agent:
             )
             episode.imagined += made.spent
             left -= made.spent
-            steps = [Pull(int(one[0]), one[3:].astype(np.float64)) for one in made.actions]
-            sure = self._surety(episode, steps) if made.solved else -0.5
-            if sure > surest and steps:
-                best, surest = steps, sure
+            pulls = [Pull(int(one[0]), one[3:].astype(np.float64)) for one in made.actions]
+            # a plan that doesn't reach the goal is still better than none, which scores -1
+            success_rate = self._success_rate(episode, pulls) if made.solved else -0.5
+            if success_rate > highest and pulls:
+                best, highest = pulls, success_rate
         episode.plan = best
 
-    def _tow(self, episode: _Episode) -> tuple[list[Pull], float]:
-        """A tow that straightens the rope, and how surely."""
-        tow = [Pull(-1, _TOW, REACH * _TOW)] * (episode.horizon - episode.step)
-        return tow, self._surety(episode, tow)
-
-    def _surety(self, episode: _Episode, steps: list[Pull]) -> float:
-        """The share of ropes, lying a little otherwise, that a plan leads to the goal."""
-        if not steps:
+    def _success_rate(self, episode: _Episode, pulls: list[Pull]) -> float:
+        """Estimate a plan's success rate on perturbed hypotheses; -1 for an empty plan."""
+        if not pulls:
             return -1.0
         assert episode.goal is not None
-        rng = episode.rng
-        points, velocities = episode.belief.drawn(self.config.copies)
-        gains = np.exp(rng.normal(0, self.config.gain, (len(points), 1)))
-        points[1:] = waved(points[1:], self.config.doubt, rng)
+        config, rng = self.config, episode.rng
+        points, velocities = episode.hypotheses.sample(config.copies)
+        # one factor per copy for the whole plan: a force that is off is off at every step
+        gains = np.exp(rng.normal(0, config.force_noise, (len(points), 1)))
+        # copy 0 stays the most likely hypothesis itself
+        points[1:] = perturb_heights(points[1:], config.height_noise, rng)
         codes = label_many(points)
         reached, torn = np.zeros((2, len(points)), dtype=bool)
-        place = episode.belief.whereabouts.places.mean(axis=0)
-        for bead, force, named in steps:
+        middle = episode.hypotheses.position.positions.mean(axis=0)
+        for bead, force, named in pulls:
+            # a pull by bead misses by a bead or so; a pull by point takes the bead nearest to it in
+            # each copy, with the copies at the mean of the position belief
             if named is None:
-                off = np.rint(rng.normal(0, self.config.slip, len(points))).astype(np.int64)
+                off = np.rint(rng.normal(0, config.bead_noise, len(points))).astype(np.int64)
                 beads = (bead + off) % BEADS
             else:
-                beads = np.linalg.norm(points + place - named, axis=2).argmin(axis=1)
+                beads = np.linalg.norm(points + middle - named, axis=2).argmin(axis=1)
             points, velocities = self.dynamics.step(points, velocities, beads, gains * force)
             before, codes = codes, label_many(points)
+            # a copy whose strands passed through each other says nothing about the real rope, so
+            # it can't succeed any more
             torn |= [passed_through(*pair) for pair in zip(before, codes, strict=True)]
             reached |= ~torn & [code.matches(episode.goal) for code in codes]
             if (reached | torn).all():

@@ -1,9 +1,9 @@
-"""A learner's folder: its weights and what made them, read without running anything in it.
+"""Checkpoint folders of the learner; reading one never runs code from it.
 
-policy.json             format, version, what it was trained on and how, checksum of the weights
+policy.json             format, version, training data and configuration, checksum of the weights
 weights.safetensors     reader/*    float16, the networks' weights
-                        rope        float64 (105,), numbers of the rope's model
-                        places      float32 (n, 3), metres, where ropes began
+                        rope        float64 (105,), parameters of the rope model
+                        places      float32 (n, 3), start positions of the training episodes, metres
 """
 
 from __future__ import annotations
@@ -28,35 +28,35 @@ from knotgym.learn.rope_model import FIRST_GUESS
 
 FORMAT, FORMAT_VERSION = "knotgym-policy", 1
 CARD, WEIGHTS = "policy.json", "weights.safetensors"
-PRETRAINED = "pretrained"  # the name of the folder that ships
+PRETRAINED = "pretrained"  # name of the checkpoint that ships with the package
 
 
 class InvalidCheckpoint(KnotgymError, ValueError):
-    """A folder that holds no learner this version can read."""
+    """A folder is not a checkpoint that this version can read."""
 
 
 class Learned(NamedTuple):
-    """All that was learned.
+    """A trained learner.
 
     Attributes:
-        reader: pictures to vertices.
-        rope: numbers of the rope's model, as `rope_model.FIRST_GUESS`.
-        places: float32 (n, 3), metres, where the middles of ropes were at the start.
+        reader: network from pictures to vertices.
+        rope: float64 (105,), parameters of the rope model, laid out like `rope_model.FIRST_GUESS`.
+        starts: float32 (n, 3), middles of ropes at the start of training episodes, metres.
     """
 
     reader: Reader
     rope: NDArray[np.float64]
-    places: NDArray[np.float32]
+    starts: NDArray[np.float32]
 
 
 def save_policy(folder: Path, learned: Learned, made: dict[str, Any]) -> None:
-    """Write a learner's folder; `made` says how it was made, for the card."""
+    """Write a checkpoint folder; `made` adds to its card how it was trained."""
     tensors = {
         f"reader/{name}": own.detach().to(torch.float16).contiguous()
         for name, own in learned.reader.state_dict().items()
     }
     tensors["rope"] = torch.from_numpy(learned.rope)
-    tensors["places"] = torch.from_numpy(learned.places)
+    tensors["places"] = torch.from_numpy(learned.starts)
     folder.mkdir(parents=True, exist_ok=True)
     with atomic_write(folder / WEIGHTS) as part:
         part.write_bytes(save(tensors))
@@ -71,17 +71,17 @@ def save_policy(folder: Path, learned: Learned, made: dict[str, Any]) -> None:
 
 
 def policy_folder(name: str) -> Path:
-    """The folder of a learner by its path, or of the one that ships by its name."""
+    """Return the folder of a checkpoint: a path, or PRETRAINED for the one that ships."""
     if name == PRETRAINED:
         return Path(str(files("knotgym.learn") / "data" / PRETRAINED))
     return Path(name)
 
 
 def load_policy(name: str) -> Learned:
-    """Read a learner's folder.
+    """Load a checkpoint: a path, or PRETRAINED for the one that ships.
 
     Raises:
-        InvalidCheckpoint: there is none, it is of another version, or was changed or cut short.
+        InvalidCheckpoint: it is missing, of another version, changed or truncated.
     """
     folder = policy_folder(name)
     card = read_card(folder)
@@ -92,8 +92,7 @@ def load_policy(name: str) -> Learned:
         raise InvalidCheckpoint(f"{folder} has no {WEIGHTS} beside its {CARD}") from error
     if sha256(folder / WEIGHTS) != card.get("weights_sha256"):
         raise InvalidCheckpoint(
-            f"{folder / WEIGHTS} isn't the file that {CARD} tells the checksum of: it was changed"
-            " or cut short"
+            f"{folder / WEIGHTS} doesn't match the checksum in {CARD}: it was changed or truncated"
         )
     try:
         tensors = load(content)
@@ -105,43 +104,45 @@ def load_policy(name: str) -> Learned:
                 if key.startswith("reader/")
             }
         )
-        rope, places = tensors["rope"].numpy(), tensors["places"].numpy()
+        rope, starts = tensors["rope"].numpy(), tensors["places"].numpy()
     except (SafetensorError, KeyError, RuntimeError, TypeError, ValueError) as error:
         raise InvalidCheckpoint(
-            f"{folder / WEIGHTS} holds no learner: {' '.join(str(error).split())[:200]}"
+            f"{folder / WEIGHTS} isn't a learner: {' '.join(str(error).split())[:200]}"
         ) from error
-    if rope.shape != FIRST_GUESS.shape or places.ndim != 2 or places.shape[1:] != (3,):
-        raise InvalidCheckpoint(f"{folder / WEIGHTS} holds arrays of another shape")
-    if (rope.dtype, places.dtype) != (np.float64, np.float32):
+    if rope.shape != FIRST_GUESS.shape or starts.ndim != 2 or starts.shape[1:] != (3,):
+        raise InvalidCheckpoint(f"{folder / WEIGHTS} has arrays of the wrong shape")
+    if (rope.dtype, starts.dtype) != (np.float64, np.float32):
         raise InvalidCheckpoint(
-            f"{folder / WEIGHTS}: rope is {rope.dtype} and places {places.dtype}, should be float64"
+            f"{folder / WEIGHTS}: rope is {rope.dtype} and places {starts.dtype}, should be float64"
             " and float32"
         )
     kinds = {own.dtype for key, own in tensors.items() if key.startswith("reader/")}
     if kinds != {torch.float16}:
-        told = ", ".join(sorted(map(str, kinds)))
-        raise InvalidCheckpoint(f"{folder / WEIGHTS}: the reader is {told}, should be float16")
-    own = {"rope": torch.from_numpy(rope), "places": torch.from_numpy(places)}
+        found = ", ".join(sorted(map(str, kinds)))
+        raise InvalidCheckpoint(f"{folder / WEIGHTS}: the reader is {found}, should be float16")
+    own = {"rope": torch.from_numpy(rope), "places": torch.from_numpy(starts)}
     for name, values in {**own, **reader.state_dict()}.items():
         if not torch.isfinite(values).all():
             raise InvalidCheckpoint(f"{folder / WEIGHTS}: {name} has numbers that aren't finite")
-    return Learned(reader.eval(), rope, places)
+    return Learned(reader.eval(), rope, starts)
 
 
 def read_card(folder: Path) -> dict[str, Any]:
-    """What a learner's folder says of itself.
+    """Read a checkpoint's card, `policy.json`.
 
     Raises:
-        InvalidCheckpoint: as `load_policy`.
+        InvalidCheckpoint: as in `load_policy`.
     """
     try:
         card = read_json(folder / CARD)
     except (OSError, ValueError) as error:
         raise InvalidCheckpoint(
-            f"no learner at {folder}: it needs a {CARD} that can be read; knotgym train makes one"
+            f"no learner at {folder}: it needs a readable {CARD}; knotgym train makes one"
         ) from error
     if not isinstance(card, dict) or card.get("format") != FORMAT:
-        raise InvalidCheckpoint(f"{folder / CARD} is no {FORMAT}; knotgym train makes one")
+        raise InvalidCheckpoint(
+            f"{folder / CARD} isn't of format {FORMAT}; knotgym train makes one"
+        )
     version = card.get("format_version")
     if type(version) is not int or version != FORMAT_VERSION:
         raise InvalidCheckpoint(

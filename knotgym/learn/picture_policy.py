@@ -1,4 +1,4 @@
-"""A learner as a policy: the only thing that it is handed of an episode is its picture."""
+"""The learner as a policy: it gets nothing of an episode but its pictures."""
 
 from __future__ import annotations
 
@@ -18,10 +18,9 @@ from knotgym.learn.rope_model import Dynamics
 
 
 class PicturePolicy(Policy):
-    """Shows an agent the pictures of its episodes; a `policy.Policy`.
+    """Run an agent on the pictures of its episodes.
 
-    Of the batch of episodes nothing is asked but the task's settings, when an episode begins, and
-    pictures.
+    Reads nothing of the episode batch but the horizon, when an episode begins, and the pictures.
     """
 
     def __init__(self, agent: Agent, name: str) -> None:
@@ -29,7 +28,7 @@ class PicturePolicy(Policy):
         self._seconds: dict[int, float] = {}
 
     def suited(self, task: TaskConfig) -> TaskConfig:
-        apart = [
+        differing = [
             f"{name} {given} instead of {needed}"
             for name, given, needed in (
                 ("views", ",".join(task.views), "top"),
@@ -40,9 +39,9 @@ class PicturePolicy(Policy):
             )
             if given != needed
         ]
-        if apart:
+        if differing:
             raise InvalidPolicy(
-                f"policy {self._name} can't act in this task, which has {', '.join(apart)}"
+                f"policy {self._name} can't act in this task, which has {', '.join(differing)}"
             )
         return task
 
@@ -68,14 +67,14 @@ class PicturePolicy(Policy):
 
 
 def learned_policy(folder: str, config: AgentConfig | None = None) -> PicturePolicy:
-    """The policy of a learner's folder, or of the one that ships ("pretrained").
+    """Load the policy of a checkpoint folder, or "pretrained", which ships with the package.
 
     Raises:
-        InvalidCheckpoint: there is none that this version can read.
+        InvalidCheckpoint: there is no checkpoint that this version can read.
     """
     learned = load_policy(folder)
     graph = shipped_transition_graph(TransitionGraphConfig())
     agent = Agent(
-        learned.reader, Dynamics(learned.rope), graph, learned.places.astype(np.float64), config
+        learned.reader, Dynamics(learned.rope), graph, learned.starts.astype(np.float64), config
     )
     return PicturePolicy(agent, PRETRAINED if folder == PRETRAINED else "learned")

@@ -1,8 +1,7 @@
-"""Training the reader: on pictures drawn as it goes from stored states, each turned, mirrored and
-walked otherwise.
+"""Train the reader on pictures rendered on the fly from stored states, with augmentation.
 
-Each step's draws come from a generator of its own, so a training broken off and gone on with draws
-what an unbroken one does.
+Each step draws from its own random stream, so a resumed training draws what an uninterrupted one
+would have drawn.
 """
 
 from __future__ import annotations
@@ -23,29 +22,31 @@ from knotgym.rendering.picture import draw
 
 Array = NDArray[np.float64]
 
-_RATE = 2e-3
-_HEIGHT = 0.02  # metres by which an error of height counts as one of a pixel, and a third of it
-_GUESSES = np.array([0.0015, 0.0015, 0.02])  # metres that states are read wrong by, at most, about
-_OWN = 0.3  # of the guesses, that are the reader's own readings
-_SHARED = 0.05  # of the loss of a picture's readings, by all of them
-_NAMING = 0.05  # how much naming the best reading counts, beside reading
-_WAVES = 12  # round the loop, of the errors of guesses
+_RATE = 2e-3  # peak learning rate
+_HEIGHT = 0.02  # height error that counts like a pixel in x or y before weighting by 0.3, metres
+# Largest standard deviation of the errors put on states before the rope model predicts from them:
+# x, y, z, metres; and the highest number of waves of those errors round the loop.
+_GUESS_NOISE, _WAVES = np.array([0.0015, 0.0015, 0.02]), 12
+_OWN = 0.3  # share of guesses that are the reader's own readings, not predictions
+_SHARED = 0.05  # share of the readings' loss that is the mean over all readings, not the best one
+_CHOICE = 0.05  # weight of the log-probability of the best reading
 
 
 class ReaderTraining:
-    """A reader, and how far its training has come.
+    """A reader in training.
 
     Attributes:
-        reader: trained so far.
+        reader: as trained so far.
         step: steps done.
-        losses: of each step, of its two networks.
+        losses: losses of the two networks at each step.
     """
 
     def __init__(
         self, data: TrainingData, dynamics: Dynamics, steps: int, batch: int, seed: int
     ) -> None:
-        """Begin with a fresh reader; `dynamics` foresees what it shall correct."""
-        torch.set_num_threads(1)  # with more, sums are of another order
+        """Create a reader to be trained for `steps` steps; `dynamics` predicts its guesses."""
+        # more threads would sum in another order and round otherwise
+        torch.set_num_threads(1)
         self._data, self._dynamics = data, dynamics
         self._steps, self._batch, self._seed = steps, batch, seed
         self.reader = Reader(seed=seed)
@@ -53,7 +54,8 @@ class ReaderTraining:
         self.step, self.losses = 0, list[tuple[float, float]]()
 
     def advance(self) -> None:
-        """One step."""
+        """Take one optimizer step."""
+        # linear warm-up over 50 steps, then a cosine from 1 to 0.02
         for group in self._optimizer.param_groups:
             falling = 0.02 + 0.98 * (0.5 + 0.5 * math.cos(math.pi * self.step / self._steps))
             group["lr"] = _RATE * min(1.0, (self.step + 1) / 50) * falling
@@ -61,8 +63,9 @@ class ReaderTraining:
         true, guesses, moves = _drawn(self._data, self._dynamics, self._batch, rng)
         seen = [look(draw(points)) for points in true]
         wanted = torch.from_numpy(true).float()
-        readings, likely = self.reader.joined(seen)
-        first, best = _loss_of_best(readings, likely, wanted)
+        readings, log_probabilities = self.reader.joined(seen)
+        first, best = _best_reading_loss(readings, log_probabilities, wanted)
+        # `correct` must also refine readings, as it does for the first picture of an episode
         own = rng.random(self._batch) < _OWN
         guesses[own], moves[own] = best.detach().double().numpy()[own], 0.0
         losses = first, _loss(self.reader.corrected(seen, guesses, moves), wanted).mean()
@@ -74,7 +77,7 @@ class ReaderTraining:
         self.step += 1
 
     def state(self) -> dict[str, Tensor]:
-        """All that it takes to go on."""
+        """Return the tensors that `restore` needs to resume."""
         tensors = {f"reader.{name}": own for name, own in self.reader.state_dict().items()}
         for number, moments in self._optimizer.state_dict()["state"].items():
             tensors |= {f"optimizer.{number}.{name}": own for name, own in moments.items()}
@@ -82,7 +85,7 @@ class ReaderTraining:
         return tensors
 
     def restore(self, tensors: dict[str, Tensor]) -> None:
-        """Go on from `state`."""
+        """Resume from what `state` returned."""
         self.reader.load_state_dict(
             {
                 name.removeprefix("reader."): own
@@ -103,64 +106,77 @@ class ReaderTraining:
 def _drawn(
     data: TrainingData, dynamics: Dynamics, count: int, rng: np.random.Generator
 ) -> tuple[Array, Array, Array]:
-    """Vertices to be read, guesses at them, and how those moved there, (count, BEADS, 3) each.
+    """Draw true vertices, guesses and the guesses' moves, float64 (count, BEADS, 3) each.
 
-    A guess is what is foreseen of an action, from a state that was itself read a little wrong.
-    Where an episode begins, it is the state, read a little wrong, and nothing moved.
+    A guess is the rope model's prediction of an action's effect from a perturbed state, as during
+    an episode. For the first state of an episode it is the perturbed state, and its moves are 0.
     """
     rows = rng.integers(len(data.frames), size=count)
     beads, forces = data.beads[rows], data.forces[rows] / MAX_FORCE
     begins = beads < 0
     true = data.frames[rows].astype(np.float64)
+    # rows - 1 is the state before, except where an episode begins
     before = data.frames[rows - ~begins].astype(np.float64)
-    speeds = _speeds(data, dynamics, rows - ~begins)
-    before += rng.uniform(0, 1, (count, 1, 1)) * _GUESSES * waves(count, _WAVES, rng)
-    after, _ = dynamics.step(before, speeds, np.maximum(beads, 0), forces)
+    velocities = _velocities(data, dynamics, rows - ~begins)
+    before += rng.uniform(0, 1, (count, 1, 1)) * _GUESS_NOISE * waves(count, _WAVES, rng)
+    after, _ = dynamics.step(before, velocities, np.maximum(beads, 0), forces)
     after[begins] = before[begins]
     moves = after - before
+    # positions relative to the rope's middle, as a camera that follows it shows them
     for own in (true, after):
         own -= own.mean(axis=1, keepdims=True)
-    both = [_varied(np.stack(own, axis=1), rng) for own in zip(true, after, moves, strict=True)]
+    # augment the three of one example alike: stacked as (BEADS, 3 kinds, 3)
+    both = [_augmented(np.stack(own, axis=1), rng) for own in zip(true, after, moves, strict=True)]
     true, after, moves = np.stack(both).transpose(2, 0, 1, 3)
     return true, np.ascontiguousarray(after), np.ascontiguousarray(moves)
 
 
-def _speeds(data: TrainingData, dynamics: Dynamics, rows: NDArray[np.int64]) -> Array:
-    """How fast vertices moved in states, by what was done before, (n, BEADS, 3), m/s."""
+def _velocities(data: TrainingData, dynamics: Dynamics, rows: NDArray[np.int64]) -> Array:
+    """Estimate the velocities of states, float64 (n, BEADS, 3), m/s.
+
+    Datasets hold no velocities: the rope model repeats the action before, from rest.
+    """
     beads, forces = data.beads[rows], data.forces[rows] / MAX_FORCE
     begins = beads < 0
     before = data.frames[rows - ~begins].astype(np.float64)
-    _, speeds = dynamics.step(before, np.zeros_like(before), np.maximum(beads, 0), forces)
-    speeds[begins] = 0.0
-    return speeds
+    _, velocities = dynamics.step(before, np.zeros_like(before), np.maximum(beads, 0), forces)
+    velocities[begins] = 0.0
+    return velocities
 
 
-def _varied(vectors: Array, rng: np.random.Generator) -> Array:
-    """Vectors (BEADS, k, 3) of one rope, turned, mirrored and walked otherwise, all alike."""
+def _augmented(vectors: Array, rng: np.random.Generator) -> Array:
+    """Rotate vectors (BEADS, k, 3) of one rope about z, mirror them, and renumber the beads."""
+    # mirroring y is the same as mirroring x and turning by pi, so only x and z are mirrored
     angle = rng.uniform(0, 2 * np.pi)
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     own = vectors.copy()
     own[..., :2] = own[..., :2] @ turn
     own *= (rng.choice((-1.0, 1.0)), 1.0, rng.choice((-1.0, 1.0)))
+    # walk the rope backwards, and start at another bead
     if rng.random() < 0.5:
         own = own[::-1]
     return np.roll(own, int(rng.integers(BEADS)), axis=0)
 
 
-def _loss_of_best(readings: Tensor, likely: Tensor, true: Tensor) -> tuple[Tensor, Tensor]:
-    """The loss of the reading that is best, and how likely it was said to be; and that reading.
+def _best_reading_loss(
+    readings: Tensor, log_probabilities: Tensor, true: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return the winner-takes-all loss of several readings, and the best reading.
 
-    The others share a little of it, lest one that is never best stays bad.
+    All readings share a little of the loss, so that one that never wins still improves. The
+    probabilities are trained to name the winner.
     """
     each = _loss(readings, true[:, None])
     best = each.detach().argmin(dim=1)
     rows = torch.arange(len(best))
     least = (1 - _SHARED) * each[rows, best] + _SHARED * each.mean(dim=1)
-    return (least - _NAMING * likely[rows, best]).mean(), readings[rows, best]
+    return (least - _CHOICE * log_probabilities[rows, best]).mean(), readings[rows, best]
 
 
 def _loss(read: Tensor, true: Tensor) -> Tensor:
-    """Of vertices (..., BEADS, 3), (...)."""
+    """Return the loss of vertices (..., BEADS, 3), averaged over beads: shape (...)."""
+    # Huber losses: of x and y in pixels, quadratic up to 0.5, and of heights in units of _HEIGHT,
+    # quadratic up to 1 and weighted by 0.3
     off = read - true
     across, height = off[..., :2] / PIXEL, off[..., 2] / _HEIGHT
     return functional.smooth_l1_loss(

@@ -1,4 +1,4 @@
-"""Training a learner: the rope's model, then the reader; resumable, the same bytes every time."""
+"""Train a learner: the rope model, then the reader; resumable and reproducible to the bit."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from torch import Tensor
 import knotgym
 from knotgym.common.atomic_files import atomic_write, move_into_place, remove, require_output
 from knotgym.common.configuration import as_json, check_numbers, differences, read_json
-from knotgym.common.errors import KnotgymError, one_line
+from knotgym.common.errors import one_line
 from knotgym.common.hdf5_files import require_regular
 from knotgym.common.streams import Stream, generator
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.learn.checkpoint import CARD, Learned, load_policy, read_card, save_policy
-from knotgym.learn.fitting import STAGES, Stretches, fitted
+from knotgym.learn.fitting import STAGES, Stretches, fit
 from knotgym.learn.reader_training import ReaderTraining
 from knotgym.learn.rope_model import FIRST_GUESS, Dynamics
-from knotgym.learn.training_data import TrainingData, read_training_data
+from knotgym.learn.training_data import InvalidTraining, TrainingData, read_training_data
 from knotgym.runs.progress import Progress, Status
 from knotgym.runs.run_options import REFUSE_EXISTING, Existing
 from knotgym.runs.staging import (
@@ -44,26 +44,22 @@ from knotgym.runs.staging import (
 )
 
 UNDER_WAY, REQUEST = "training.safetensors", "training.json"
-_SEAL = "seal"  # among the arrays kept: the digest of the others
-_AT_ONCE = 50  # steps that a row of the curve is the mean of
-
-
-class InvalidTraining(KnotgymError, ValueError):
-    """A training that can't be done as asked."""
+_SEAL = "seal"  # name of the array that holds the digest of the others
+_CURVE_WINDOW = 50  # steps averaged in each row of the learning curve
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainConfig:
-    """How a learner is trained.
+    """Settings of a training.
 
     Attributes:
-        steps: of the reader.
-        batch: pictures of a step.
-        stretches: beginnings of episodes that the rope's model is fitted to, at most.
-        tries: of its numbers, twice.
-        places: starts of episodes that are kept, at most.
-        save_every: steps between two checkpoints.
-        seed: of everything.
+        steps: optimizer steps of the reader.
+        batch: pictures per step.
+        stretches: episode beginnings to which the rope model is fitted, at most.
+        tries: candidates for the rope model's shared parameters, in each of two searches.
+        places: start positions of episodes that are kept, at most.
+        save_every: steps between checkpoints.
+        seed: seed of all random draws.
     """
 
     steps: int = 3000
@@ -92,13 +88,22 @@ def train(
     quiet: bool = False,
     progress: Progress | None = None,
 ) -> Learned:
-    """Train a learner on datasets and write its folder.
+    """Train a learner on datasets and write its checkpoint folder.
+
+    Args:
+        datasets: ids or folders.
+        out: folder to create.
+        config: settings.
+        existing: what to do with an earlier training in `out`.
+        quiet: show no progress; ignored if `progress` is given.
+        progress: where to show it.
 
     Raises:
-        InvalidTraining: what is to be resumed is another training, or damaged.
-        Occupied: `out` exists, an interrupted training left work, or another process is at it.
-        Unwritable: nothing can be written there.
-        InvalidTrainingData, InvalidEpisodeFile, MissingFile: the data won't do.
+        InvalidTraining: the datasets are unsuitable, or the training to resume has other settings
+            or is corrupted.
+        Occupied: `out` exists, holds an interrupted training, or is used by another process.
+        Unwritable: `out` can't be written.
+        InvalidEpisodeFile, MissingFile: a dataset is missing or invalid.
     """
     if progress is None:
         with Progress(quiet) as progress:
@@ -120,8 +125,8 @@ def train(
             return load_policy(str(out))
         if not existing.overwrite:
             raise InvalidTraining(
-                f"{out} is of another training: {'; '.join(differing[:3])}; choose another --out,"
-                " or replace it by --overwrite"
+                f"{out} holds a training with other settings: {'; '.join(differing[:3])}; choose"
+                " another --out, or replace it by --overwrite"
             )
     with staging(out, existing) as folder:
         learned = _trained(datasets, data, config, request, folder, progress)
@@ -131,7 +136,7 @@ def train(
 
 
 def _request_of(out: Path) -> dict[str, Any]:
-    """What the training of a finished learner was asked for."""
+    """Return the settings and data digest of a finished training."""
     card = read_card(out)
     return {name: card.get(name) for name in ("config", "data_sha256")}
 
@@ -144,9 +149,7 @@ def _trained(
     folder: Path,
     progress: Progress,
 ) -> Learned:
-    """Train in a staging folder, from what it keeps of an interrupted training; the learner's own
-    folder is written to `made` in it.
-    """
+    """Train in a staging folder, resuming what it holds; write the checkpoint to `made` in it."""
     began = time.perf_counter()
     kept = _begin(folder, request)
     if "rope" not in kept:
@@ -161,14 +164,14 @@ def _trained(
         facts = {"loss": f"{training.losses[-1][1]:.3f}"} if training.losses else {}
         return Status(training.step, config.steps, "steps of the reader", facts, even=True)
 
-    progress.stage("learning to read")
+    progress.stage("training the reader")
     while training.step < config.steps:
         progress.show(status)
         training.advance()
         if training.step % config.save_every == 0 or training.step == config.steps:
             _keep(folder, kept | training.state())
     progress.show(status, last=True)
-    learned = Learned(training.reader.eval(), rope, _places(data, config))
+    learned = Learned(training.reader.eval(), rope, _starts(data, config))
     made_in = folder / "made"
     remove(made_in)
     made_in.mkdir()
@@ -188,10 +191,10 @@ def _trained(
 
 
 def _begin(folder: Path, request: dict[str, Any]) -> dict[str, Tensor]:
-    """Begin a training in a staging folder; or return what the one in it has kept, to go on from.
+    """Begin a training in a staging folder, or load the checkpoint of the one to resume.
 
     Raises:
-        InvalidTraining: it is another one, or damaged.
+        InvalidTraining: that training has other settings or is corrupted.
     """
     if not has_work(folder):
         with atomic_write(folder / REQUEST) as part:
@@ -205,12 +208,12 @@ def _begin(folder: Path, request: dict[str, Any]) -> dict[str, Tensor]:
             " begins anew"
         ) from error
     if not isinstance(before, dict):
-        raise InvalidTraining(f"{folder / REQUEST} isn't what a training was asked for")
+        raise InvalidTraining(f"{folder / REQUEST} doesn't hold a training's settings")
     found = list(differences(before, request))
     if found:
         raise InvalidTraining(
-            f"the training to resume was asked for differently: {'; '.join(found)}; give the"
-            " same again, or --restart to throw it away"
+            f"the training to resume has other settings: {'; '.join(found)}; give the same ones,"
+            " or --restart to discard it"
         )
     if not (folder / UNDER_WAY).exists():
         return {}
@@ -219,13 +222,13 @@ def _begin(folder: Path, request: dict[str, Any]) -> dict[str, Tensor]:
         kept: dict[str, Tensor] = load((folder / UNDER_WAY).read_bytes())
         seal = bytes(kept.pop(_SEAL, torch.zeros(0)).to(torch.uint8).tolist())
         if seal != _digest(kept):
-            raise InvalidTraining(f"{folder / UNDER_WAY} isn't what was kept: its checksum differs")
+            raise InvalidTraining(f"{folder / UNDER_WAY} is corrupted: its checksum differs")
     except (SafetensorError, RuntimeError, TypeError, ValueError) as error:
         if isinstance(error, InvalidTraining):
             raise
         raise InvalidTraining(f"{folder / UNDER_WAY} can't be read: {one_line(error)}") from error
     if kept.get("rope", torch.zeros(0)).shape != FIRST_GUESS.shape or "fit" not in kept:
-        raise InvalidTraining(f"{folder / UNDER_WAY} can't be read: it holds no rope's model")
+        raise InvalidTraining(f"{folder / UNDER_WAY} can't be read: it has no rope model")
     return kept
 
 
@@ -244,7 +247,7 @@ def _keep(folder: Path, kept: dict[str, Tensor]) -> None:
 
 
 def _digest(kept: dict[str, Tensor]) -> bytes:
-    """SHA-256 of all arrays with their names, types and shapes."""
+    """Return the SHA-256 of all tensors with their names, dtypes and shapes."""
     whole = hashlib.sha256()
     for name, own in sorted(kept.items()):
         whole.update(json.dumps([name, str(own.dtype), [*own.shape]]).encode())
@@ -253,28 +256,28 @@ def _digest(kept: dict[str, Tensor]) -> bytes:
 
 
 def _fit_rope(data: TrainingData, config: TrainConfig, progress: Progress) -> dict[str, Tensor]:
-    """The numbers of the rope's model, "rope", and the errors that its stages left, "fit"."""
-    progress.stage("fitting the rope's model")
+    """Fit the rope model: "rope", its parameters, and "fit", the stages' errors in metres."""
+    progress.stage("fitting the rope model")
     rng = generator(Stream.LEARN_ROPE, config.seed)
     errors: list[float] = []
 
-    def told(stage: str, error: float) -> None:
+    def on_stage(stage: str, error: float) -> None:
         errors.append(error)
-        progress.say(f"rope's model, {stage}: {1000 * error:.2f} mm")
+        progress.say(f"rope model, {stage}: {1000 * error:.2f} mm")
 
-    rope = fitted(_some(data.stretches, config.stretches, rng), rng, config.tries, told)
+    rope = fit(_subset(data.stretches, config.stretches, rng), rng, config.tries, on_stage)
     return {"rope": torch.from_numpy(rope), "fit": torch.tensor(errors, dtype=torch.float64)}
 
 
-def _some(stretches: Stretches, most: int, rng: np.random.Generator) -> Stretches:
-    """`most` of the stretches."""
+def _subset(stretches: Stretches, most: int, rng: np.random.Generator) -> Stretches:
+    """Draw at most `most` of the stretches."""
     count = stretches.points.shape[1]
     rows = np.sort(rng.permutation(count)[:most])
     return Stretches(stretches.points[:, rows], stretches.beads[:, rows], stretches.forces[:, rows])
 
 
-def _places(data: TrainingData, config: TrainConfig) -> NDArray[np.float32]:
-    """Where ropes began, float32 (n, 3)."""
+def _starts(data: TrainingData, config: TrainConfig) -> NDArray[np.float32]:
+    """Draw start positions of ropes' middles, float32 (n, 3), metres."""
     rng = generator(Stream.LEARN_PLACES, config.seed)
     rows = data.starts[np.sort(rng.permutation(len(data.starts))[: config.places])]
     middles: NDArray[np.float32] = data.frames[rows].mean(axis=1).astype(np.float32)
@@ -282,10 +285,13 @@ def _places(data: TrainingData, config: TrainConfig) -> NDArray[np.float32]:
 
 
 def _draw_curve(out: Path, losses: Sequence[tuple[float, float]]) -> None:
-    """`curve.csv` and `curve.png`: the losses of the reader's two networks, blue and orange."""
+    """Write `curve.csv` and `curve.png`, the losses of `join` (blue) and `correct` (orange)."""
     rows = [
-        (start + _AT_ONCE, *np.mean(losses[start : start + _AT_ONCE], axis=0).round(5).tolist())
-        for start in range(0, len(losses), _AT_ONCE)
+        (
+            start + _CURVE_WINDOW,
+            *np.mean(losses[start : start + _CURVE_WINDOW], axis=0).round(5).tolist(),
+        )
+        for start in range(0, len(losses), _CURVE_WINDOW)
     ]
     with atomic_write(out / "curve.csv") as part, part.open("w", newline="") as file:
         writer = csv.writer(file)

@@ -1,4 +1,4 @@
-"""What is learned from: the states and actions of episode datasets of the train split."""
+"""Training data: the states and actions of episode datasets of the train split."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from knotgym.learn.fitting import Stretches
 from knotgym.learn.rope_model import BEADS
 from knotgym.rope.model import RopeConfig
 
-STRETCH = 4  # actions from the beginning of an episode that the rope's model is fitted to
+STRETCH = 4  # actions at the start of each episode to which the rope model is fitted
 
 
-class InvalidTrainingData(KnotgymError, ValueError):
-    """Datasets that a learner can't be trained on."""
+class InvalidTraining(KnotgymError, ValueError):
+    """A training that can't run: its settings, its datasets or what it resumes are invalid."""
 
 
 class TrainingData(NamedTuple):
-    """All that is learned from.
+    """States and actions of all episodes, one after the other.
 
     Attributes:
-        frames: float32 (n, BEADS, 3), metres: every state of every episode.
-        beads: int64 (n,), pulled on the way to each; -1 where an episode begins.
-        forces: float64 (n, 3), newtons, that they were pulled with.
-        starts: int64 (episodes,), the frame that each episode begins with.
-        stretches: the first actions of every episode that has so many.
-        digest: of the frames and actions, in order.
+        frames: float32 (n, BEADS, 3), every state of every episode, metres.
+        beads: int64 (n,), bead pulled by the action that led to each state; -1 for a first state.
+        forces: float64 (n, 3), force of that action, newtons.
+        starts: int64 (episodes,), index of each episode's first state.
+        stretches: the first STRETCH actions of every episode that has as many.
+        digest: SHA-256 of all states and actions in order, hexadecimal.
     """
 
     frames: NDArray[np.float32]
@@ -43,14 +43,15 @@ class TrainingData(NamedTuple):
 
 
 def read_training_data(datasets: Sequence[Any]) -> TrainingData:
-    """Read datasets, ids or folders.
+    """Read datasets, given as ids or folders.
 
     Raises:
-        InvalidTrainingData: none, of the test split, without episodes, or of another rope.
-        InvalidEpisodeFile, MissingFile: no dataset of this version.
+        InvalidTraining: no dataset, or one that is not of the train split, has no episodes or
+            was made with another rope.
+        InvalidEpisodeFile, MissingFile: a dataset is missing or not of this version.
     """
     if not datasets:
-        raise InvalidTrainingData("name at least one dataset to train on, as in --data FOLDER")
+        raise InvalidTraining("name at least one dataset to train on, as in --data FOLDER")
     frames: list[NDArray[np.float32]] = []
     beads: list[NDArray[np.int64]] = []
     forces: list[NDArray[np.float64]] = []
@@ -76,9 +77,9 @@ def read_training_data(datasets: Sequence[Any]) -> TrainingData:
                 )
         reader.close()
     if not first:
-        raise InvalidTrainingData(
+        raise InvalidTraining(
             f"no episode of {', '.join(map(str, datasets))} has {STRETCH} actions; collect longer"
-            " ones, as with knotgym collect --policy scripted"
+            " episodes, such as by knotgym collect --policy scripted"
         )
     return TrainingData(
         np.concatenate(frames),
@@ -92,17 +93,17 @@ def read_training_data(datasets: Sequence[Any]) -> TrainingData:
 
 def _check(reader: EpisodeReader, dataset: Any) -> None:
     if not reader.task.split.startswith("train"):
-        raise InvalidTrainingData(
-            f"{dataset} is of the {reader.task.split} split, which is kept for evaluation; train on"
-            " datasets of the train split"
+        raise InvalidTraining(
+            f"{dataset} is of the {reader.task.split} split, which is held out for evaluation;"
+            " train on datasets of the train split"
         )
     if not len(reader):
-        raise InvalidTrainingData(f"{dataset} has no episodes; collect some with knotgym collect")
+        raise InvalidTraining(f"{dataset} has no episodes; collect some with knotgym collect")
     if reader.rope != RopeConfig().fingerprint or reader.task.integrator_steps != 24:
-        raise InvalidTrainingData(
+        raise InvalidTraining(
             f"{dataset} was made with rope {reader.rope} and {reader.task.integrator_steps}"
-            f" integrator steps; the learner knows {RopeConfig().fingerprint} and 24"
+            f" integrator steps; the learner supports only {RopeConfig().fingerprint} and 24"
         )
     shape = reader.column(0, "points").shape
     if shape[1:] != (BEADS, 3):
-        raise InvalidTrainingData(f"{dataset} has ropes of {shape[1]} beads; {BEADS} are needed")
+        raise InvalidTraining(f"{dataset} has ropes of {shape[1]} beads; {BEADS} are needed")

@@ -1,1 +1,1 @@
-"""Vision-language models behind a chat-completions server: prompts, answers, transcripts."""
+"""Evaluate vision-language models: prompts, a chat-completions client, answers, transcripts."""

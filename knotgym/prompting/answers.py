@@ -1,5 +1,7 @@
-"""What a model's answer says, read strictly: one block, bracketed lists of six numbers in [-1, 1],
-or one Gauss code. What isn't so has one of FAULTS, which are counted apart from failures at a task.
+"""Parse a model's answer strictly.
+
+An answer must have one <answer> block that holds bracketed lists of six numbers in [-1, 1], or one
+Gauss code. Anything else gets one of FAULTS, which are counted apart from failures at the task.
 """
 
 from __future__ import annotations
@@ -11,14 +13,14 @@ from typing import NamedTuple
 from knotgym.topology.gauss import GaussCode, InvalidGaussCode
 
 FAULTS = (
-    "refusal",  # the model would not, even when asked again
+    "refusal",  # the model refused in every attempt
     "no block",
     "several blocks",
-    "malformed",  # not lists of numbers, or no Gauss code
+    "malformed",  # neither lists of numbers nor a Gauss code
     "not six numbers",
     "not finite",
     "out of range",
-    "number of actions",  # none, several where one was asked for, or more than may be
+    "number of actions",  # none, or more than allowed
 )
 _LIST = re.compile(r"\[([^\[\]]*)\]")
 _NUMBER = re.compile(r"[+-]?([0-9]+(\.[0-9]*)?|\.[0-9]+)([eE][+-]?[0-9]+)?")
@@ -27,21 +29,21 @@ _LONGEST_CODE = 1000  # characters
 
 
 class ActionsRead(NamedTuple):
-    """Actions that an answer names, six numbers each; or none, and one of FAULTS."""
+    """The actions of an answer, six numbers each; empty with one of FAULTS."""
 
     actions: list[list[float]]
     fault: str = ""
 
 
 class CodeRead(NamedTuple):
-    """The code that an answer names; or None, and one of FAULTS."""
+    """The Gauss code of an answer; None with one of FAULTS."""
 
     code: GaussCode | None
     fault: str = ""
 
 
 def read_actions(text: str, most: int) -> ActionsRead:
-    """The actions in an answer, `most` of them at most.
+    """Parse an answer's actions, of which there may be up to `most`.
 
     >>> read_actions("So: <answer>[0.1, 0, 0, 1, 0, 0]</answer>", 1)
     ActionsRead(actions=[[0.1, 0.0, 0.0, 1.0, 0.0, 0.0]], fault='')
@@ -66,7 +68,7 @@ def read_actions(text: str, most: int) -> ActionsRead:
 
 
 def read_code(text: str) -> CodeRead:
-    """The Gauss code in an answer, with brackets around it or without; of a flat loop nothing.
+    """Parse an answer's Gauss code, in brackets or not; an empty block is a flat loop.
 
     >>> str(read_code("<answer>[1+, 1-]</answer>").code)
     '1+,1-'
@@ -85,7 +87,7 @@ def read_code(text: str) -> CodeRead:
 
 
 def _block(text: str) -> tuple[str, str]:
-    """What stands in the one block, and what is wrong."""
+    """Return the content of the only block, and a fault or \"\"."""
     opened, closed = text.count("<answer>"), text.count("</answer>")
     start, end = text.find("<answer>"), text.find("</answer>")
     if opened > 1 or closed > 1:
@@ -96,7 +98,7 @@ def _block(text: str) -> tuple[str, str]:
 
 
 def _fault_of(words: list[str]) -> str:
-    """What is wrong with the numbers of one action, "" if nothing."""
+    """Return the fault in the numbers of one action, or \"\"."""
     if not all(_NUMBER.fullmatch(word) or _NOT_FINITE.fullmatch(word) for word in words):
         return "malformed"
     if len(words) != 6:

@@ -1,8 +1,8 @@
-"""Ask a chat-completions server a question until it is answered.
+"""A client for chat-completions servers that retries failed requests.
 
-The API key is read from OPENAI_API_KEY. It is sent with requests and is replaced by [key] in
-everything that a server returns, however the server encodes it. An exchange is bounded: a reply of
-more than MOST_BYTES is refused, and each attempt ends after `timeout` seconds in all.
+The API key is read from OPENAI_API_KEY. It is sent with requests, and replaced by [key] in
+everything that a server returns, however the server encodes it. Replies are bounded: at most
+MOST_BYTES each, and at most `timeout` seconds per attempt in total.
 """
 
 from __future__ import annotations
@@ -33,37 +33,37 @@ from knotgym.runs.run_options import NotEnough
 
 KEY = "OPENAI_API_KEY"
 PUBLIC = "https://api.openai.com/v1"
-_LONGEST_WAIT = 600.0  # seconds, whatever a server asks for
-_RETRIED = (408, 409, 425, 429)  # and all from 500 on
-_TOLD = 200  # characters of what a server says
-_SECRET = 8  # characters of a key, at least
-MOST_BYTES = 4_000_000  # of a reply, as sent; compressed replies are not asked for
+_LONGEST_WAIT = 600.0  # longest pause before a retry, even if a server asks for more, seconds
+_RETRIED = (408, 409, 425, 429)  # HTTP statuses that are retried, as are all from 500 on
+_SHOWN = 200  # characters of a server's error message that are shown
+_SECRET = 8  # length from which a key is treated as a secret, characters
+MOST_BYTES = 4_000_000  # size limit of a reply; compressed replies are not requested
 _BLOCK = 65536  # bytes read at a time; the time limit is checked after each block
 
 
-class InvalidChat(KnotgymError, ValueError):
-    """A server or model that cannot be asked so."""
+class InvalidPrompting(KnotgymError, ValueError):
+    """Invalid settings, a request that the server rejects, or corrupted replies of a run."""
 
 
 class Unanswered(NotEnough):
-    """A question was asked as often as allowed, and not answered."""
+    """No attempt at a request was answered."""
 
 
 class Stopped(KnotgymError, RuntimeError):
-    """The run was stopped while a question was open."""
+    """The run was stopped while a request was pending."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ChatConfig:
-    """Whom to ask, and how.
+    """Settings of the client.
 
     Attributes:
-        model: its name at the server.
-        base_url: of the server, such as http://127.0.0.1:8000/v1.
-        temperature: of sampling; None leaves it to the server.
-        timeout: seconds that an attempt may take in all, until the last byte of the answer.
-        attempts: of each question.
-        backoff: seconds before the second attempt, doubled before each one after it.
+        model: name of the model at the server.
+        base_url: URL of the server, such as http://127.0.0.1:8000/v1.
+        temperature: sampling temperature; None for the server's default.
+        timeout: seconds per attempt in total, up to the last byte of the reply.
+        attempts: attempts per request, at least 1.
+        backoff: seconds before the first retry, doubled for each further one.
     """
 
     model: str
@@ -79,10 +79,10 @@ class ChatConfig:
             counts=("attempts",),
             positive=("timeout",),
             non_negative=("backoff", *(["temperature"] if self.temperature is not None else [])),
-            error=InvalidChat,
+            error=InvalidPrompting,
         )
         if not self.model.strip():
-            raise InvalidChat("name the model to ask: --model NAME")
+            raise InvalidPrompting("name the model to ask: --model NAME")
         try:
             parts = urlsplit(self.base_url)
             fits = parts.scheme in ("http", "https") and bool(parts.hostname) and parts.port != 0
@@ -90,21 +90,21 @@ class ChatConfig:
             bare = "@" not in parts.netloc and not parts.query and not parts.fragment
         except ValueError:
             fits = bare = False
-        if not (fits and bare):  # not told again: a key may be in it
-            raise InvalidChat(
+        if not (fits and bare):  # the message doesn't repeat the URL, which may contain a key
+            raise InvalidPrompting(
                 "the base URL must be http://HOST/PATH or https://HOST/PATH, without user, password"
-                f" or query; a key goes into the environment, as {KEY}"
+                f" or query; set the key in the environment, as {KEY}"
             )
 
 
 class Reply(NamedTuple):
-    """What came of one question.
+    """The reply to one request.
 
     Attributes:
-        text: the model's words.
-        refused: it would not answer, at the last attempt too.
-        prompt_tokens, completion_tokens: of all attempts that were answered.
-        retries: why attempts were made again -> how often.
+        text: the model's answer.
+        refused: the model refused, also in the last attempt.
+        prompt_tokens, completion_tokens: totals over all answered attempts.
+        retries: reason for a retry -> how many there were.
     """
 
     text: str
@@ -115,14 +115,20 @@ class Reply(NamedTuple):
 
 
 class _Attempt(NamedTuple):
-    """What came of one attempt: a text; or a reason to try again, how long to wait, what was
-    said.
+    """The outcome of one attempt.
+
+    Attributes:
+        text: the model's answer.
+        reason: why the attempt failed and is worth a retry; "" if it succeeded.
+        wait: seconds that the server asks to wait before a retry; 0 if it doesn't say.
+        detail: error message of the server or of the connection.
+        tokens: of prompt and completion.
     """
 
     text: str = ""
     reason: str = ""
     wait: float = 0.0
-    said: str = ""
+    detail: str = ""
     tokens: tuple[int, int] = (0, 0)
 
 
@@ -134,30 +140,30 @@ class _NoRedirects(urllib.request.HTTPRedirectHandler):
 
 
 class Chat:
-    """A server, to be asked by several threads at once.
+    """A client of one server; several threads may use it at once.
 
     Args:
-        config: whom and how.
-        stop: when it is set, questions end with Stopped.
+        config: settings.
+        stop: once it is set, requests raise Stopped.
 
     Raises:
-        InvalidChat: there is no key for the public server, or the key is in the wrong place.
+        InvalidPrompting: the key is missing, invalid, or part of the URL or the model's name.
     """
 
     def __init__(self, config: ChatConfig, stop: threading.Event | None = None) -> None:
         self._config, self._stop = config, stop or threading.Event()
         key = os.environ.get(KEY, "").strip()
         if not key and config.base_url == PUBLIC:
-            raise InvalidChat(
-                f"{PUBLIC} wants a key: set {KEY} in the environment, or give --base-url of a"
-                " server that needs none"
+            raise InvalidPrompting(
+                f"{PUBLIC} requires a key: set {KEY} in the environment, or give the --base-url of"
+                " a server that needs none"
             )
         if not (key.isascii() and key.isprintable()):
-            raise InvalidChat(f"{KEY} holds letters that no key has")
-        # "EMPTY" and the like, for servers that want no key, are words as others are
+            raise InvalidPrompting(f"{KEY} must be printable ASCII")
+        # a short placeholder such as "EMPTY", for servers without keys, isn't censored
         self._secret = _spellings(key) if len(key) >= _SECRET else None
         if self._secret and any(map(self._secret.search, (config.base_url, config.model))):
-            raise InvalidChat(f"the key belongs into {KEY} alone, not into --base-url or --model")
+            raise InvalidPrompting(f"set the key only in {KEY}, not in --base-url or --model")
         self._headers = {
             "Content-Type": "application/json",
             "User-Agent": f"knotgym/{knotgym.__version__}",
@@ -166,15 +172,15 @@ class Chat:
         self._opener = urllib.request.build_opener(_NoRedirects)
 
     def ask(self, messages: list[dict[str, Any]]) -> Reply:
-        """Put a question, and again with growing pauses where it isn't answered.
+        """Send a request; retry with exponential backoff until it is answered.
 
         Args:
-            messages: as the protocol has them.
+            messages: messages of the chat-completions protocol.
 
         Raises:
-            InvalidChat: the server says that the question, the model or the key is wrong.
+            InvalidPrompting: the server rejects the request, the model or the key.
             Unanswered: no attempt was answered.
-            Stopped: the run was.
+            Stopped: the run was stopped.
         """
         retries: Counter[str] = Counter()
         tokens = [0, 0]
@@ -188,8 +194,9 @@ class Chat:
                 return Reply(tried.text, bool(tried.reason), tokens[0], tokens[1], dict(retries))
             if last:
                 raise Unanswered(
-                    f"{self._config.base_url} didn't answer in {attempt} attempts, the last ended"
-                    f" with: {tried.reason}{tried.said and ': '}{tried.said}; --resume goes on"
+                    f"{self._config.base_url} didn't answer in {attempt} attempts; the last one"
+                    f" failed with: {tried.reason}{tried.detail and ': '}{tried.detail};"
+                    " --resume continues the run"
                 )
             retries[tried.reason] += 1
             pause = tried.wait or self._config.backoff * 2 ** (attempt - 1)
@@ -197,8 +204,10 @@ class Chat:
         raise AssertionError("at least one attempt is made")
 
     def _try(self, messages: list[dict[str, Any]]) -> _Attempt:
-        """Make one attempt, in a thread of its own: a server that sends its headers one byte at a
-        time can keep a connection from ever timing out, but not this function.
+        """Make one attempt in a thread of its own, with a time limit.
+
+        A server that sends its headers one byte at a time keeps the socket's own timeout from
+        expiring.
         """
         outcome: Future[_Attempt] = Future()
 
@@ -215,18 +224,18 @@ class Chat:
             return _Attempt(reason="timeout")
 
     def _exchange(self, messages: list[dict[str, Any]]) -> _Attempt:
-        """Send the question and read the answer.
+        """Send the request and read the reply.
 
         Raises:
-            InvalidChat: the server says that the question is wrong.
+            InvalidPrompting: the server rejects the request.
         """
         config = self._config
-        question: dict[str, Any] = {"model": config.model, "messages": messages}
+        content: dict[str, Any] = {"model": config.model, "messages": messages}
         if config.temperature is not None:
-            question["temperature"] = config.temperature
+            content["temperature"] = config.temperature
         request = urllib.request.Request(
             f"{config.base_url.rstrip('/')}/chat/completions",
-            json.dumps(question).encode(),
+            json.dumps(content).encode(),
             self._headers,
         )
         until = time.monotonic() + config.timeout
@@ -236,28 +245,30 @@ class Chat:
                     return self._read(_bounded(response, until))
             except urllib.error.HTTPError as error:
                 with error:
-                    return self._refused(error.code, error.headers, _bounded(error, until))
+                    return self._failed(error.code, error.headers, _bounded(error, until))
         except _TooLong:
-            return _Attempt(reason="too long", said=f"a reply of more than {MOST_BYTES} bytes")
+            return _Attempt(reason="too long", detail=f"a reply of more than {MOST_BYTES} bytes")
         except TimeoutError:
             return _Attempt(reason="timeout")
         except (OSError, HTTPException) as error:
             cause = getattr(error, "reason", error)
             if isinstance(cause, TimeoutError):
                 return _Attempt(reason="timeout")
-            return _Attempt(reason="connection", said=self._short(one_line(error)))
+            return _Attempt(reason="connection", detail=self._short(one_line(error)))
 
-    def _refused(self, status: int, headers: Message, body: str) -> _Attempt:
-        said = self._short(_complaint(body))
+    def _failed(self, status: int, headers: Message, body: str) -> _Attempt:
+        """Turn an HTTP error into an attempt to be retried, or raise it."""
+        detail = self._short(_error_message(body))
         if status in _RETRIED or status >= 500:
             wait = retry_after(headers.get("retry-after"))
-            return _Attempt(reason=str(status), wait=wait, said=said)
-        raise InvalidChat(
-            f"{self._config.base_url} refuses the question to model {self._config.model!r}:"
-            f" {status} {said}"
+            return _Attempt(reason=str(status), wait=wait, detail=detail)
+        raise InvalidPrompting(
+            f"{self._config.base_url} rejects the request to model {self._config.model!r}:"
+            f" {status} {detail}"
         )
 
     def _read(self, body: str) -> _Attempt:
+        """Parse the JSON body of a reply."""
         try:
             whole = json.loads(body)
             choice = whole["choices"][0]
@@ -272,29 +283,29 @@ class Chat:
             return _Attempt(reason="malformed")
         words = self._clean(text if isinstance(text, str) else "")
         if refusal or choice.get("finish_reason") == "content_filter":
-            told = self._clean(refusal) if isinstance(refusal, str) else words
-            return _Attempt(told, "refusal", tokens=tokens)
+            reason = self._clean(refusal) if isinstance(refusal, str) else words
+            return _Attempt(reason, "refusal", tokens=tokens)
         return _Attempt(words, tokens=tokens)
 
     def _clean(self, text: str) -> str:
-        """Replace the key, and half surrogate pairs, which no file or request can hold."""
+        """Censor the key, and replace lone surrogates, which can't be encoded as UTF-8."""
         whole = text.encode("utf-16", "surrogatepass").decode("utf-16", "replace")
         return self._secret.sub("[key]", whole) if self._secret else whole
 
     def _short(self, text: str) -> str:
-        return " ".join(self._clean(text).split())[:_TOLD]
+        return " ".join(self._clean(text).split())[:_SHOWN]
 
 
 class _TooLong(Exception):
-    """A reply has more than MOST_BYTES."""
+    """A reply is longer than MOST_BYTES."""
 
 
 def _bounded(response: Any, until: float) -> str:
-    """Read the body of a response, at most MOST_BYTES of it and no longer than `until`.
+    """Read the body of a response, up to MOST_BYTES and until the monotonic time `until`.
 
     Raises:
-        _TooLong: it has more bytes.
-        TimeoutError: it takes more time.
+        _TooLong: the body is longer.
+        TimeoutError: it takes longer.
     """
     body = bytearray()
     while block := response.read1(_BLOCK):
@@ -307,20 +318,22 @@ def _bounded(response: Any, until: float) -> str:
 
 
 def _spellings(key: str) -> re.Pattern[str]:
-    r"""Match a key as it is and as servers may encode it: escaped for JSON, URLs or HTML, also more
-    than once, or in base64.
+    r"""Compile a pattern that matches a key however a server may encode it.
+
+    That is as it stands, escaped for JSON, URLs or HTML (also repeatedly), or in base64.
 
     >>> [_spellings("a/b+c").sub("[key]", text) for text in (r"a\/b\u002bc", "a%2Fb%2bc")]
     ['[key]', '[key]']
     """
-    # repeats are bounded, so that the time to search a text is linear in its length
+    # repetitions are bounded, so that searching takes time linear in the length of the text
     letters = [
         rf"(?:\\{{0,9}}{re.escape(letter)}|\\{{1,9}}(?:u00|x){ord(letter):02x}"
         rf"|%(?:25){{0,3}}{ord(letter):02x}|{re.escape(html.escape(letter))}"
         rf"|&(?:amp;){{0,3}}#(?:0{{0,5}}{ord(letter)}|x0{{0,5}}{ord(letter):x});)"
         for letter in key
     ]
-    # base64 has three alignments; the characters that depend on what surrounds the key are left out
+    # Base64 encodes 3 bytes as 4 characters, so the key may have three alignments. Only characters
+    # that don't depend on the bytes around the key are matched; both alphabets are.
     data, encoded = key.encode(), []
     for shift in range(3):
         lead = (0, 2, 3)[shift]
@@ -331,7 +344,7 @@ def _spellings(key: str) -> re.Pattern[str]:
 
 
 def retry_after(header: str | None) -> float:
-    """Seconds that a server asks to be left alone, 0 if it doesn't say.
+    """Parse a Retry-After header, in seconds or as a date; return seconds, 0 without a valid one.
 
     >>> retry_after("2.5"), retry_after("nan"), retry_after(None)
     (2.5, 0.0, 0.0)
@@ -348,8 +361,8 @@ def retry_after(header: str | None) -> float:
     return seconds if 0 < seconds < math.inf else 0.0
 
 
-def _complaint(body: str) -> str:
-    """What a server says is wrong: as OpenAI's says it, or as it comes."""
+def _error_message(body: str) -> str:
+    """Extract the message of an OpenAI-style error; else return the whole body."""
     try:
         return str(json.loads(body)["error"]["message"])
     except (ValueError, LookupError, TypeError, RecursionError):
@@ -357,5 +370,6 @@ def _complaint(body: str) -> str:
 
 
 def _count(value: Any) -> int:
+    """Return a number of tokens, 0 if the server sent none or nonsense."""
     fits = isinstance(value, int) and not isinstance(value, bool) and 0 < value < 2**53
     return value if fits else 0

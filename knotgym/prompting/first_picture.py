@@ -1,7 +1,7 @@
-"""The picture that opens every prompt: what a unit pull along each axis does to a plain loop,
-before and after, and a rope with its Gauss code.
+"""Draw the picture with which every prompt begins.
 
-Nothing in it comes from a state file, so that it shows none of the goals.
+It shows a plain loop before and after a unit pull along each axis, and a rope with its Gauss code.
+Nothing in it comes from a state file, so it can't show a goal.
 """
 
 from __future__ import annotations
@@ -21,25 +21,23 @@ Canvas = NDArray[np.uint8]
 Pixel = tuple[float, float]
 
 _PANEL, _TEXT, _GAP = 232, 28, 6  # pixels
-_LARGE = 2 * _PANEL  # so that all columns are equally high
-_CLOSER = 1.75  # than the environment's camera, the rope with its code
+_LARGE = 2 * _PANEL  # so that all columns have equal height
+_CLOSER = 1.75  # zoom of the rope with its code
 _FONT, _WHITE, _GREY = cv2.FONT_HERSHEY_SIMPLEX, (255, 255, 255), (150, 150, 150)
-_ARROW = 36.0  # pixels that stand for a unit pull
-# heading, bead that is pulled, axis of the pull, view
+_ARROW = 36.0  # length of the arrow of a unit pull, pixels
+# heading, bead pulled, axis of the pull, view
 _PULLS = (
     ("pull +x", 0, 0, "top"),
     ("pull +y", 25, 1, "top"),
     ("pull +z, seen from the front", 75, 2, "front"),
 )
-# a view's image right and image up, as world axes
+# the world axes that point right and up in the image of a view
 _RIGHT_UP = {"top": (0, 1), "front": (0, 2)}
 
 
 @lru_cache(maxsize=1)
 def first_picture() -> Canvas:
-    """The picture, uint8 (height, width, 3), RGB; the same bytes at every call, not to be
-    changed.
-    """
+    """Draw the picture, uint8 (height, width, 3), RGB, read-only; the same bytes at every call."""
     columns = [_pull(*pull) for pull in _PULLS]
     rope = _rope_with_code()
     gap = np.full((len(rope), _GAP, 3), 60, dtype=np.uint8)
@@ -50,14 +48,15 @@ def first_picture() -> Canvas:
 
 
 def example_rope() -> Array:
-    """The rope whose code the picture shows: float64 (beads, 3), metres."""
+    """Return the rope whose code the picture shows, float64 (beads, 3), metres."""
+    # a curve with two kinks, at whose crossings the strands differ in height
     at = -0.5 + np.linspace(0, 2 * np.pi, 600, endpoint=False)
     flat = np.exp(1j * at) + 0.7 * np.exp(3j * at)
     return Rope().from_curve(np.stack([flat.real, flat.imag, 0.25 * np.cos(at)], axis=1))
 
 
 def _pull(heading: str, bead: int, axis: int, view: str) -> Canvas:
-    """A pair, one above the other, and the action between them."""
+    """Draw a rope before and after a pull, one above the other, and the action between them."""
     simulation = Simulation(1)
     before = simulation.points[0].copy()
     force = np.eye(3)[axis] * simulation.rope.config.max_force
@@ -79,8 +78,8 @@ def _pull(heading: str, bead: int, axis: int, view: str) -> Canvas:
 
 
 def _over(after: Array, before: Array, config: PictureConfig, right_up: tuple[int, int]) -> Canvas:
-    """The rope after a pull, with a grey shade of how it lay before."""
-    # the camera follows the rope's centre, so the shade is moved the other way
+    """Draw the rope after a pull, over a grey shade of the rope before it."""
+    # the camera follows the rope's middle, so the shade moves the opposite way
     moved = (after.mean(axis=0) - before.mean(axis=0)) * config.zoom * config.size / config.view
     right, up = (round(float(moved[axis])) for axis in right_up)
     shade = draw(before, config).max(axis=2, keepdims=True) // 4
@@ -89,13 +88,14 @@ def _over(after: Array, before: Array, config: PictureConfig, right_up: tuple[in
 
 
 def _rope_with_code() -> Canvas:
-    """The example, its white bead and crossings named, its code below."""
+    """Draw the example rope with its first bead and crossings marked, and its code below."""
     points = example_rope()
     config = PictureConfig(size=_LARGE, zoom=_CLOSER)
     picture = draw(points, config)
     found = find_crossings(points)
     middle = np.array([_LARGE / 2, _LARGE / 2])
-    labels = _labels(points)
+    # the code numbers crossings by their first visit: take the rank of each crossing's first place
+    labels = 1 + np.minimum(found.over_place, found.under_place).argsort().argsort()
     for pixel, label in zip(crossing_pixels(found, points, config), labels, strict=True):
         outward = (pixel - middle) / np.linalg.norm(pixel - middle)
         place = pixel + 34 * outward
@@ -110,18 +110,8 @@ def _rope_with_code() -> Canvas:
     return np.concatenate([head, picture, _lines([f"Gauss code: {found.code}"], _LARGE)])
 
 
-def _labels(points: Array) -> list[int]:
-    """The number that the code gives to each crossing, in the order of `find_crossings`."""
-    found = find_crossings(points)
-    first = np.minimum(found.over_place, found.under_place)
-    order = np.argsort(first)
-    out = np.empty(len(order), dtype=np.int64)
-    out[order] = np.arange(1, len(order) + 1)
-    return [int(label) for label in out]
-
-
 def _pixel(point: Array, points: Array, config: PictureConfig, right_up: tuple[int, int]) -> Pixel:
-    """Where a point appears in a view whose image right and image up are these world axes."""
+    """Project a point to a view whose image axes, right and up, are the given world axes."""
     scale = config.zoom * config.size / config.view
     offset = point - points.mean(axis=0)
     return (
@@ -136,7 +126,7 @@ def _arrow(picture: Canvas, start: Pixel, end: Pixel) -> None:
 
 
 def _axes(picture: Canvas, right: str, up: str) -> None:
-    """Two axes in the lower left corner, named."""
+    """Draw two named axes in the lower left corner."""
     x, y = 16, len(picture) - 16
     for end, name, at in (
         ((x + 30, y), right, (x + 34, y + 5)),
@@ -147,7 +137,7 @@ def _axes(picture: Canvas, right: str, up: str) -> None:
 
 
 def _lines(lines: list[str], wide: int) -> Canvas:
-    """Lines of text on black, each cut to fit."""
+    """Draw lines of text on black, each shrunk to fit."""
     strip = np.zeros((_TEXT * len(lines), wide, 3), dtype=np.uint8)
     for number, line in enumerate(lines):
         at_full = cv2.getTextSize(line, _FONT, 0.55, 1)[0][0]

@@ -1,8 +1,8 @@
-"""Replies kept as they come, so that no question of an interrupted run is asked twice.
+"""A log of replies, so that a resumed run doesn't repeat requests that were answered.
 
-A line each: which episode or picture, its how-manieth question, the digest of what was asked, the
-reply, and the digest of all that, by which a changed line is known. A run gone on with plays its
-episodes again and takes from here what it asked before.
+Each line is a JSON list: the number of the episode or picture, the index of the request in it, the
+digest of the request, the reply, and a digest of all these, which detects corruption. A resumed run
+plays its episodes again from the start and takes known replies from here.
 """
 
 from __future__ import annotations
@@ -17,44 +17,39 @@ from pathlib import Path
 from typing import Any
 
 from knotgym.common.atomic_files import atomic_write
-from knotgym.common.errors import KnotgymError
 from knotgym.common.hdf5_files import require_regular
-from knotgym.prompting.chat import Chat, Reply
+from knotgym.prompting.chat import Chat, InvalidPrompting, Reply
 
 Asking = Callable[[list[dict[str, Any]]], Reply]
 
 
-class InvalidReplies(KnotgymError, ValueError):
-    """What a run has kept isn't replies."""
-
-
 class KeptReplies:
-    """The replies of a run, in a file of its staging folder; for several threads at once."""
+    """The replies of a run, in a file of its staging folder; several threads may use it at once."""
 
     def __init__(self, path: Path) -> None:
-        """Take up what is there; a line that a kill cut goes.
+        """Load the file if it exists, without a last line that was cut off, and open it to append.
 
         Raises:
-            InvalidReplies: it isn't what a run has kept.
+            InvalidPrompting: the file is corrupted or not a regular file.
         """
         self._lock, self._kept = threading.Lock(), {}
         if path.is_symlink():
-            raise InvalidReplies(f"{path} is a link to another place, should be a file")
+            raise InvalidPrompting(f"{path} is a symbolic link; it must be a regular file")
         if path.exists():
-            require_regular(path, "file of replies", InvalidReplies)
+            require_regular(path, "file of replies", InvalidPrompting)
         try:
             text = path.read_text(encoding="utf-8") if path.exists() else ""
             whole = text[: text.rfind("\n") + 1]
             for line in whole.splitlines():
-                *said, seal = json.loads(line)
-                number, turn, digest, reply = said
-                if seal != _digest(said):
-                    raise InvalidReplies(f"{path} has a line that was changed")
+                *entry, seal = json.loads(line)
+                number, turn, digest, reply = entry
+                if seal != _digest(entry):
+                    raise InvalidPrompting(f"{path} has a line that is corrupted")
                 self._kept[number, turn] = (digest, Reply(*reply))
-        except InvalidReplies:
+        except InvalidPrompting:
             raise
         except (ValueError, TypeError, RecursionError) as error:
-            raise InvalidReplies(f"{path} has a line that keeps no reply") from error
+            raise InvalidPrompting(f"{path} has a line that isn't a reply") from error
         if whole != text:
             with atomic_write(path) as temporary:
                 temporary.write_text(whole, encoding="utf-8")
@@ -64,7 +59,7 @@ class KeptReplies:
         return len(self._kept)
 
     def asking(self, number: int, chat: Chat) -> Asking:
-        """How episode or picture `number` asks its questions, one after the other."""
+        """Return the function with which episode or picture `number` makes its requests."""
         turns = itertools.count()
 
         def ask(messages: list[dict[str, Any]]) -> Reply:
@@ -81,7 +76,7 @@ class KeptReplies:
         return ask
 
     def close(self) -> None:
-        """Keep nothing more."""
+        """Close the file; later replies are dropped."""
         with self._lock:
             self._file.close()
 
@@ -89,12 +84,12 @@ class KeptReplies:
         with self._lock:
             if self._file.closed:  # the run was stopped
                 return
-            said = [number, turn, digest, [*reply]]
-            self._file.write(json.dumps([*said, _digest(said)]) + "\n")
+            entry = [number, turn, digest, [*reply]]
+            self._file.write(json.dumps([*entry, _digest(entry)]) + "\n")
             self._file.flush()
             os.fsync(self._file.fileno())
             self._kept[number, turn] = (digest, reply)
 
 
-def _digest(said: list[Any]) -> str:
-    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
+def _digest(value: list[Any]) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()

@@ -1,7 +1,7 @@
-"""A run of prompts: several at a time, every reply kept as it comes.
+"""Run prompts: several requests at a time; an interrupted run can be resumed.
 
-Until all are there the replies stand in the staging folder; `--resume` takes them from there and
-asks what is left.
+Replies are logged in the staging folder as they arrive; `--resume` reuses them and requests only
+the rest.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from knotgym.prompting.chat import Chat, Stopped
 from knotgym.prompting.kept_replies import Asking, KeptReplies
 from knotgym.prompting.prompted_episodes import PromptConfig, flat
 from knotgym.prompting.reading_scores import ReadingScores
-from knotgym.prompting.tally import tally
+from knotgym.prompting.summary import summarize
 from knotgym.prompting.transcripts import FILE, line
 from knotgym.runs.progress import Progress, Status, compile_first
 from knotgym.runs.run_options import Existing, InvalidRun
 from knotgym.runs.staging import may_be_finished, require_no_interrupted_run, staging
 from knotgym.states.state_file import read_states, ships, states_file
 
-# may differ when a run is gone on with: they change no question
+# settings that may differ when a run is resumed, because they don't change any request
 _FLEXIBLE = ("timeout", "attempts", "backoff")
 _REPLIES, _REQUEST = "replies.jsonl", "request.json"
 _RESULT = "result.json"
 
 Transcript = dict[str, Any]
-Ask = Callable[[int, Asking], Transcript]  # a number, and how it asks
+Ask = Callable[[int, Asking], Transcript]  # from a number and the function that sends requests
 
 
 def run(
@@ -47,15 +47,24 @@ def run(
     existing: Existing,
     progress: Progress,
 ) -> dict[str, Any]:
-    """Ask for transcripts 0 to count - 1 and write them to the new folder `out`; the result.
+    """Make transcripts 0 to count - 1, write them to the new folder `out`, and return the result.
+
+    Args:
+        config: settings, which are written to `out`.
+        ask: makes one transcript, in one of several threads.
+        count: number of transcripts.
+        out: folder to create.
+        side_by_side: transcripts made at a time, at least 1.
+        existing: what to do with an earlier run in `out`.
+        progress: where to show progress.
 
     Raises:
-        Occupied: `out` exists, an interrupted run left replies, or another run is at it.
-        InvalidRun: what is resumed was asked for differently, or nothing is to be done at a time.
-        InvalidChat, Unanswered: as `Chat`; the replies stay for `resume`.
+        Occupied: `out` exists, holds an interrupted run, or is used by another process.
+        InvalidRun: the run to resume has other settings, or `side_by_side` is less than 1.
+        InvalidPrompting, Unanswered: as raised by `Chat`; replies are kept for `--resume`.
     """
     if side_by_side < 1:
-        raise InvalidRun(f"at least 1 must be asked for at a time, got {side_by_side}")
+        raise InvalidRun(f"side_by_side must be at least 1, got {side_by_side}")
     settings = json.loads(json.dumps(flat(config)))
     done_already = _finished(out, settings, existing, progress)
     if done_already is not None:
@@ -66,17 +75,18 @@ def run(
         read_states(states_file(config.task.states), images=False)
     compile_first(progress)
     with staging(out, existing) as folder:
-        _require_same(folder, settings)
+        if (folder / _REQUEST).is_file():
+            _refuse_other(read_json(folder / _REQUEST), settings)
         stop = threading.Event()
         chat = Chat(config.chat, stop)
         with atomic_write(folder / _REQUEST) as temporary:
             temporary.write_text(json.dumps(settings), encoding="utf-8")
         kept, done = KeptReplies(folder / _REPLIES), {}
         if existing.resume:
-            progress.say(f"{out}: {len(kept)} replies are there")
+            progress.say(f"{out}: {len(kept)} replies are already there")
         progress.stage("asking the model")
         try:
-            for one in _asked(ask, count, chat, kept, side_by_side, stop):
+            for one in _transcripts(ask, count, chat, kept, side_by_side, stop):
                 done[one["number"]] = one
                 progress.show(lambda: _status(done, count), last=len(done) == count)
         finally:
@@ -91,10 +101,10 @@ def run(
 def _finished(
     out: Path, settings: dict[str, Any], existing: Existing, progress: Progress
 ) -> dict[str, Any] | None:
-    """The result of a finished run that is resumed; None if the model is to be asked.
+    """Return the result of a run that is finished already, or None.
 
     Raises:
-        InvalidRun: it was asked for differently, and is not to be overwritten.
+        InvalidRun: it has other settings, and `existing` doesn't allow overwriting it.
     """
     if not may_be_finished(out, existing) or not (out / _RESULT).is_file():
         return None
@@ -109,29 +119,20 @@ def _finished(
     return dict(made)
 
 
-def _require_same(folder: Path, settings: dict[str, Any]) -> None:
-    """Refuse to go on with what was asked for differently."""
-    if not (folder / _REQUEST).is_file():
-        return
-    left = read_json(folder / _REQUEST)
-    _refuse_other(left, settings)
-
-
 def _refuse_other(there: Any, here: dict[str, Any]) -> None:
+    """Raise InvalidRun if two runs' settings differ in more than _FLEXIBLE."""
     if not isinstance(there, dict) or not isinstance(there.get("chat"), dict):
-        raise InvalidRun(
-            "what is there doesn't say what was asked for, so it can't be gone on with"
-        )
+        raise InvalidRun("the run can't be resumed: its settings are missing or corrupted")
     fixed = [
         {**one, "chat": {name: one["chat"][name] for name in one["chat"] if name not in _FLEXIBLE}}
         for one in (there, here)
     ]
     apart = list(differences(fixed[0], fixed[1]))
     if apart:
-        raise InvalidRun(f"the run to resume was asked for differently: {'; '.join(apart)}")
+        raise InvalidRun(f"the run to resume has other settings: {'; '.join(apart)}")
 
 
-def _asked(
+def _transcripts(
     ask: Ask,
     count: int,
     chat: Chat,
@@ -139,50 +140,51 @@ def _asked(
     side_by_side: int,
     stop: threading.Event,
 ) -> Iterable[Transcript]:
-    """Transcripts as they come. Threads: all they do is wait for the server."""
-    work: queue.SimpleQueue[int] = queue.SimpleQueue()
-    came: queue.SimpleQueue[Transcript | Exception] = queue.SimpleQueue()
+    """Yield transcripts as they are finished, made by threads that mostly wait for the server."""
+    pending: queue.SimpleQueue[int] = queue.SimpleQueue()
+    finished: queue.SimpleQueue[Transcript | Exception] = queue.SimpleQueue()
     waiting = count
     for number in range(count):
-        work.put(number)
+        pending.put(number)
 
-    def labour() -> None:
+    def work() -> None:
         while not stop.is_set():
             try:
-                number = work.get_nowait()
+                number = pending.get_nowait()
             except queue.Empty:
                 return
             try:
-                came.put(ask(number, kept.asking(number, chat)))
+                finished.put(ask(number, kept.asking(number, chat)))
             except Stopped:
                 return
             except Exception as error:
-                came.put(error)
+                finished.put(error)
                 return
 
     for _ in range(min(side_by_side, count)):
-        # one that waits for a server keeps no interrupted run from ending
-        threading.Thread(target=labour, daemon=True).start()
-    trouble: Exception | None = None
-    while waiting and not (trouble and came.empty()):  # what came beside a trouble isn't lost
-        found = came.get()
+        # daemons, so that one that waits for a server doesn't keep an interrupted run alive
+        threading.Thread(target=work, daemon=True).start()
+    failure: Exception | None = None
+    # after a failure, transcripts that are finished already are still yielded
+    while waiting and not (failure and finished.empty()):
+        found = finished.get()
         waiting -= 1
         if isinstance(found, Exception):
-            trouble = trouble or found
+            failure = failure or found
             stop.set()
         else:
             yield found
-    if trouble is not None:
-        raise trouble
+    if failure is not None:
+        raise failure
 
 
 def _finish(
     out: Path, settings: dict[str, Any], transcripts: list[Transcript], overwrite: bool
 ) -> dict[str, Any]:
-    """Write the folder: transcripts in the order of their numbers, and the result."""
+    """Write the folder, with transcripts in order and the result; return the result."""
     result: dict[str, Any] = {
         "version": knotgym.__version__,
-        **tally(transcripts),
+        **summarize(transcripts),
         "settings": settings,
     }
     if "read" in transcripts[0]:
@@ -196,7 +198,7 @@ def _finish(
 
 
 def _status(done: dict[int, Transcript], count: int) -> Status:
-    facts = tally(list(done.values()))
+    facts = summarize(list(done.values()))
     successes = {"successes": str(facts["successes"])} if "successes" in facts else {}
     retried = sum(facts["retries"].values())
     return Status(

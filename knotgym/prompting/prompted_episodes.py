@@ -1,27 +1,26 @@
-"""Episodes and pictures put to a model, each with its transcript.
+"""Play episodes with a model, or have it read pictures; record each as a transcript.
 
-An episode is the environment's own, `horizon` actions long. Every action asks the model once, but
-in mode open, where it is asked once in all. Where an answer can't be taken, and after the last
-action of mode open, the rope is left alone: an action without force. So a transcript is an episode
-of actions, which `knotgym evaluate --policy prompt:FILE` plays again to the same codes.
+The model is asked once per action, or in mode open once per episode. Where an answer is invalid, or
+the actions of mode open are used up, the step is a no-op: an action without force. So a transcript
+always has a full sequence of actions, which `knotgym evaluate --policy prompt:FILE` replays to the
+same codes.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from knotgym.common.configuration import as_json, check_numbers
-from knotgym.common.errors import KnotgymError
 from knotgym.common.streams import Stream, derived_seed
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.prompting.answers import read_actions, read_code
-from knotgym.prompting.chat import ChatConfig, Reply
+from knotgym.prompting.chat import ChatConfig, InvalidPrompting, Reply
 from knotgym.prompting.kept_replies import Asking
 from knotgym.prompting.prompts import (
     GOAL,
@@ -29,38 +28,35 @@ from knotgym.prompting.prompts import (
     OPEN,
     READ,
     STATEFUL,
-    Shown,
+    Picture,
     Turn,
     caption,
+    encode_picture,
     message,
     messages,
     opening,
     reading,
-    shown,
 )
+from knotgym.prompting.transcripts import PRICES
 
-ALONE = (0.0,) * 6  # an action without force
-
-
-class InvalidPrompting(KnotgymError, ValueError):
-    """A model that cannot be put to the test as asked."""
+_NO_OP = (0.0,) * 6  # an action without force
 
 
 @dataclass(frozen=True, kw_only=True)
 class PromptConfig:
-    """What a model is put to.
+    """Settings of a run.
 
     Attributes:
-        mode: "open", "stateless" or "stateful"; or "read", a picture's code.
-        chat: whom to ask, and how.
-        task: the environment; its horizon is the limit on actions, its image_size that of each
-            picture. Not used in mode read.
-        episodes: how many, or of mode read how many pictures at most.
-        seed: of the episodes; episode i is the same in every mode, and in `evaluate`.
-        window: past pictures and answers that mode stateful shows.
-        tell_centre: say with the current picture where its middle is, which can't be seen.
-        prompt_price, completion_price: of a million tokens; None for no cost.
-        pictures: of mode read, the split that they are of, and their SHA-256 in a row.
+        mode: "open", "stateless" or "stateful" to play episodes; "read" for codes of pictures.
+        chat: settings of the client.
+        task: the environment; its horizon limits the actions, and its image_size is that of each
+            picture. Unused in mode read.
+        episodes: number of episodes; in mode read, of pictures at most.
+        seed: seed of the episodes; episode i is the same in every mode and in `evaluate`.
+        window: past pictures and answers that mode stateful repeats.
+        tell_centre: state the position of the current picture's middle, which is not visible.
+        prompt_price, completion_price: price of a million tokens; None if unknown.
+        pictures: in mode read, the split of the pictures, then the SHA-256 of each.
     """
 
     mode: str
@@ -77,70 +73,64 @@ class PromptConfig:
     def __post_init__(self) -> None:
         if self.mode not in MODES:
             raise InvalidPrompting(f"no mode {self.mode!r}; there is {', '.join(MODES)}")
-        told = [
-            name for name in ("prompt_price", "completion_price") if getattr(self, name) is not None
-        ]
+        prices = [name for name in PRICES if getattr(self, name) is not None]
         check_numbers(
             self,
             counts=("episodes", "window"),
             whole=("seed",),
-            non_negative=told,
+            non_negative=prices,
             error=InvalidPrompting,
         )
-        if len(told) == 1:
-            raise InvalidPrompting("give both prices, of prompt and completion tokens, or neither")
+        if len(prices) == 1:
+            raise InvalidPrompting(
+                "give the prices of both prompt and completion tokens, or neither"
+            )
         if self.task.views != ("top",) or self.task.depth:
-            raise InvalidPrompting("prompts show the view from the top, without depth")
+            raise InvalidPrompting("prompts support only the view from the top, without depth")
 
 
-class Counts:
-    """What an episode's replies count up to."""
-
-    def __init__(self) -> None:
-        self.retries: Counter[str] = Counter()
-        self.prompt_tokens = self.completion_tokens = 0
-
-    def add(self, reply: Reply) -> None:
-        """Count one more."""
-        self.retries.update(reply.retries)
-        self.prompt_tokens += reply.prompt_tokens
-        self.completion_tokens += reply.completion_tokens
-
-    def as_fields(self) -> dict[str, Any]:
-        """As a transcript has them."""
-        return {
-            "retries": dict(self.retries),
-            "prompt_tokens": self.prompt_tokens,
-            "completion_tokens": self.completion_tokens,
-        }
+def _totals(replies: Sequence[Reply]) -> dict[str, Any]:
+    """Add up the retries and tokens of an episode's replies, as fields of a transcript."""
+    return {
+        "retries": dict(sum((Counter(reply.retries) for reply in replies), Counter())),
+        "prompt_tokens": sum(reply.prompt_tokens for reply in replies),
+        "completion_tokens": sum(reply.completion_tokens for reply in replies),
+    }
 
 
-def begun(config: PromptConfig, number: int) -> EpisodeBatch:
-    """Episode `number` of a run at its beginning, alone in its batch."""
+def begin_episode(config: PromptConfig, number: int) -> EpisodeBatch:
+    """Reset to episode `number` of a run, in a batch of one."""
     episodes = EpisodeBatch(config.task)
     seed = derived_seed(Stream.EVALUATION_EPISODE, config.seed, number)
     episodes.begin(0, np.random.default_rng(seed))
     return episodes
 
 
-def goal_shown(episodes: EpisodeBatch) -> Shown:
-    """The goal's picture."""
+def goal_picture(episodes: EpisodeBatch) -> Picture:
+    """Encode the goal's picture."""
     size = episodes.config.image_size
-    return shown(episodes.picture(0)[:, size:], "goal", GOAL)
+    return encode_picture(episodes.picture(0)[:, size:], "goal", GOAL)
 
 
-def now_shown(episodes: EpisodeBatch, config: PromptConfig) -> Shown:
-    """The current picture."""
+def current_picture(episodes: EpisodeBatch, config: PromptConfig) -> Picture:
+    """Encode the current picture, with its caption."""
     size = episodes.config.image_size
     middle = episodes.simulation.points[0].mean(axis=0) / episodes.simulation.rope.config.reach
-    above = caption(middle[:2].tolist() if config.tell_centre else None)
-    return shown(episodes.picture(0)[:, :size], f"now-{int(episodes.steps[0])}", above)
+    heading = caption(middle[:2].tolist() if config.tell_centre else None)
+    return encode_picture(episodes.picture(0)[:, :size], f"now-{int(episodes.steps[0])}", heading)
 
 
 def play(config: PromptConfig, number: int, ask: Asking) -> dict[str, Any]:
-    """Play episode `number` of a run, every question put by `ask`; its transcript."""
-    episodes, counts, most = begun(config, number), Counts(), config.task.horizon
-    goal = goal_shown(episodes)
+    """Play episode `number` of a run; return its transcript.
+
+    Args:
+        config: settings of the run.
+        number: index of the episode.
+        ask: sends a request to the model.
+    """
+    episodes, most = begin_episode(config, number), config.task.horizon
+    replies: list[Reply] = []
+    goal = goal_picture(episodes)
     before = opening(goal)
     start, done = episodes.info(0), False
     codes = [str(start["gauss_code"])]
@@ -150,13 +140,13 @@ def play(config: PromptConfig, number: int, ask: Asking) -> dict[str, Any]:
     planned: list[list[float]] = []
     while not done:
         if config.mode != OPEN or not actions:
-            now = now_shown(episodes, config)
+            now = current_picture(episodes, config)
             reply = ask(messages(before, window, config.mode, most, now))
-            counts.add(reply)
-            told, fault = read_actions(reply.text, most if config.mode == OPEN else 1)
+            replies.append(reply)
+            answered, fault = read_actions(reply.text, most if config.mode == OPEN else 1)
             if reply.refused:
-                told, fault = [], "refusal"
-            planned = list(told)
+                answered, fault = [], "refusal"
+            planned = list(answered)
             turns.append(
                 {
                     "step": len(actions),
@@ -164,7 +154,7 @@ def play(config: PromptConfig, number: int, ask: Asking) -> dict[str, Any]:
                     "window": len(window),
                     "answer": reply.text,
                     "fault": fault,
-                    "actions": told,
+                    "actions": answered,
                     "retries": reply.retries,
                     "prompt_tokens": reply.prompt_tokens,
                     "completion_tokens": reply.completion_tokens,
@@ -172,8 +162,8 @@ def play(config: PromptConfig, number: int, ask: Asking) -> dict[str, Any]:
             )
             if config.mode == STATEFUL:
                 window = [*window, Turn(now, reply.text)][-config.window :]
-        # as float32, in which policies act, so that a replay is the same to the bit
-        action = np.array(planned.pop(0) if planned else ALONE, dtype=np.float32)
+        # float32, as in policies, so that a replay is the same to the bit
+        action = np.array(planned.pop(0) if planned else _NO_OP, dtype=np.float32)
         _, terminated, truncated = episodes.step(action[None], np.array([0]))
         actions.append(action.tolist())
         codes.append(str(episodes.codes[0]))
@@ -189,23 +179,22 @@ def play(config: PromptConfig, number: int, ask: Asking) -> dict[str, Any]:
         "actions": actions,
         "prompt": [part if isinstance(part, str) else {"picture": part.sha256} for part in before],
         "turns": turns,
-        **counts.as_fields(),
+        **_totals(replies),
     }
 
 
 def read(config: PromptConfig, number: int, row: Mapping[str, Any], ask: Asking) -> dict[str, Any]:
-    """Ask for the code of one picture; its transcript.
+    """Ask for the Gauss code of one picture; return the transcript.
 
     Args:
-        config: of the run.
-        number: of the picture in its split.
-        row: of a perception table.
-        ask: puts the question.
+        config: settings of the run.
+        number: index of the picture in its split.
+        row: the picture's row of a perception table.
+        ask: sends a request to the model.
     """
-    counts, picture = Counts(), Shown(row["image"], "picture")
+    picture = Picture(row["image"], "picture")
     parts = reading(picture)
     reply = ask([message(parts)])
-    counts.add(reply)
     code, fault = read_code(reply.text)
     if reply.refused:
         code, fault = None, "refusal"
@@ -220,13 +209,13 @@ def read(config: PromptConfig, number: int, row: Mapping[str, Any], ask: Asking)
         "answer": reply.text,
         "read": None if code is None else str(code),
         "fault": fault,
-        **counts.as_fields(),
+        **_totals([reply]),
     }
 
 
 def flat(config: PromptConfig) -> dict[str, Any]:
-    """A configuration as a transcript has it; of mode read without the task."""
-    whole = as_json(config)
+    """Convert settings to the JSON of a transcript; in mode read, without the task."""
+    fields = as_json(config)
     if config.mode == READ:
-        del whole["task"]
-    return whole
+        del fields["task"]
+    return fields

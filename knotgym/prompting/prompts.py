@@ -1,15 +1,15 @@
-"""What a model is asked: texts and pictures in the published order, in our own words.
+"""Prompts: texts and pictures in the published order, in our own words.
 
-    the task in a line
+    the task in one line
     the first picture
     what success means
     what an action is
     the goal's picture
     the current picture
-    the question, and the form of the answer
+    the question and the format of the answer
 
-In mode stateful the last two come again for each turn of the window, the model's own answer between
-them, and last for the turn that is asked about. Source of the order: arXiv 2505.18028.
+In mode stateful, the last two are repeated for each turn of the window, followed by the model's
+answer, and then for the current turn. Source of the order: arXiv 2505.18028.
 """
 
 from __future__ import annotations
@@ -75,13 +75,13 @@ _READ_QUESTION = (
 
 
 @dataclass(frozen=True)
-class Shown:
+class Picture:
     """A picture in a prompt.
 
     Attributes:
         png: its bytes, as they are sent.
-        name: what it shows, for people.
-        caption: what stands above it.
+        name: short name for people, such as "goal".
+        caption: text before the picture.
     """
 
     png: bytes
@@ -90,28 +90,28 @@ class Shown:
 
     @property
     def sha256(self) -> str:
-        """Hexadecimal, of the PNG."""
+        """SHA-256 of the PNG, hexadecimal."""
         return hashlib.sha256(self.png).hexdigest()
 
 
-Part = str | Shown
+Part = str | Picture
 
 
 @dataclass(frozen=True)
 class Turn:
-    """A turn of an episode that is over: what was shown, and what the model answered."""
+    """A past turn of an episode: the picture and the model's answer."""
 
-    shown: Shown
+    picture: Picture
     answer: str
 
 
-def shown(picture: NDArray[np.uint8], name: str, caption: str = "") -> Shown:
-    """A picture, uint8 (height, width, 3), RGB, as a prompt has it."""
-    return Shown(encode(picture), name, caption)
+def encode_picture(picture: NDArray[np.uint8], name: str, caption: str = "") -> Picture:
+    """Encode a picture, uint8 (height, width, 3), RGB, for a prompt."""
+    return Picture(encode(picture), name, caption)
 
 
 def caption(centre: Sequence[float] | None) -> str:
-    """What stands above the current picture; its middle, x and y in units of an action, if told.
+    """Return the current picture's caption; `centre` is its middle's x and y in action units.
 
     >>> caption((0.0123, -0.1))
     'The rope now; the middle of this picture is at x = 0.012, y = -0.100:'
@@ -123,13 +123,13 @@ def caption(centre: Sequence[float] | None) -> str:
 
 
 @lru_cache(maxsize=1)
-def first() -> Shown:
-    """The first picture of every prompt."""
-    return shown(first_picture(), "first")
+def first() -> Picture:
+    """Return the explanatory picture with which every prompt begins."""
+    return encode_picture(first_picture(), "first")
 
 
 def question(mode: str, most: int) -> str:
-    """The question of a mode; in mode open an answer holds `most` actions at most."""
+    """Return a mode's question; `most` is the maximum number of actions."""
     if mode == OPEN:
         return (
             "Which actions, one after the other, bring the rope to the goal? You see no picture in"
@@ -145,43 +145,43 @@ def question(mode: str, most: int) -> str:
     )
 
 
-def opening(goal: Shown) -> list[Part]:
-    """The parts that all questions of an episode begin with."""
+def opening(goal: Picture) -> list[Part]:
+    """Return the parts with which all requests of an episode begin."""
     return [_TASK, _FIRST, first(), _SUCCESS, _ACTION, goal.caption, goal]
 
 
-def asked(mode: str, most: int, now: Shown) -> list[Part]:
-    """The parts of one turn."""
+def turn_parts(mode: str, most: int, now: Picture) -> list[Part]:
+    """Return the parts of one turn."""
     return [now.caption, now, question(mode, most)]
 
 
-def reading(picture: Shown) -> list[Part]:
-    """The parts of the question for a picture's code."""
+def reading(picture: Picture) -> list[Part]:
+    """Return the parts of the request for a picture's code."""
     return [_READ_TASK, _FIRST, first(), _CODE, _READ_FORM, "The rope:", picture, _READ_QUESTION]
 
 
 def messages(
-    before: Sequence[Part], turns: Sequence[Turn], mode: str, most: int, now: Shown
+    before: Sequence[Part], turns: Sequence[Turn], mode: str, most: int, now: Picture
 ) -> list[dict[str, Any]]:
-    """A question as the protocol has it, user and assistant in turn.
+    """Build the messages of a request, user and assistant in turn.
 
     Args:
-        before: as of `opening`.
-        turns: those of the window, the oldest first.
-        mode, most, now: as of `asked`.
+        before: parts that `opening` returned.
+        turns: past turns in the window, oldest first.
+        mode, most, now: as for `turn_parts`.
     """
     out: list[dict[str, Any]] = []
     parts = list(before)
     for turn in turns:
-        out.append(message([*parts, *asked(mode, most, turn.shown)]))
-        # a server may refuse a message without words
+        out.append(message([*parts, *turn_parts(mode, most, turn.picture)]))
+        # servers may reject an empty message
         out.append({"role": "assistant", "content": turn.answer or "(no answer)"})
         parts = []
-    return [*out, message([*parts, *asked(mode, most, now)])]
+    return [*out, message([*parts, *turn_parts(mode, most, now)])]
 
 
 def message(parts: Sequence[Part]) -> dict[str, Any]:
-    """What the user says, as the protocol has it."""
+    """Build a user message of the chat-completions protocol."""
     content = [
         {"type": "text", "text": part}
         if isinstance(part, str)
@@ -196,10 +196,10 @@ def message(parts: Sequence[Part]) -> dict[str, Any]:
     return {"role": "user", "content": content}
 
 
-def as_text(said: Sequence[dict[str, Any]], names: dict[str, str]) -> str:
-    """Messages for people: pictures by their names, SHA-256 of a PNG -> name."""
+def as_text(conversation: Sequence[dict[str, Any]], names: dict[str, str]) -> str:
+    """Format messages for people; `names` maps the SHA-256 of each PNG to its picture's name."""
     lines = []
-    for one in said:
+    for one in conversation:
         lines.append(f"--- {one['role']}")
         content = one["content"]
         if isinstance(content, str):

@@ -1,9 +1,8 @@
-"""How well codes were read off pictures: by crossings and by grade, whoever read them.
+"""Scores of Gauss codes read from pictures, by number of crossings and by grade.
 
-exact      the code is the picture's
-crossings  it has as many crossings
-edits      visits to be put in, taken out or changed until it is the picture's, mean; of no code
-           at all as many as the picture's has
+exact      share of pictures whose code was read correctly
+crossings  share of pictures whose number of crossings was read correctly
+edits      mean edit distance to the true code, in visits; a missing code counts as empty
 """
 
 from __future__ import annotations
@@ -23,11 +22,13 @@ class _Counted(NamedTuple):
 
 
 def edit_distance(one: GaussCode, other: GaussCode) -> int:
-    """Visits to be put in, taken out or changed (Levenshtein).
+    """Return the Levenshtein distance between two codes, in visits.
 
     >>> edit_distance(GaussCode.parse("1+,1-"), GaussCode.parse("1+,1-,2-,2+"))
     2
     """
+    # row[j] is the distance of the first i visits of `one` from the first j of `other`; `above` is
+    # the value that row[j - 1] had for i - 1
     row = list(range(len(other.visits) + 1))
     for i, visit in enumerate(one.visits, 1):
         above, row[0] = row[0], i
@@ -38,14 +39,14 @@ def edit_distance(one: GaussCode, other: GaussCode) -> int:
 
 
 class ReadingScores:
-    """What was read, counted under "all", "nx 2", "easy", "accepted" and "accepted, nx 2"."""
+    """Scores grouped under "all", "nx 2", "easy", "accepted", "accepted, nx 2" and the like."""
 
     def __init__(self) -> None:
         self._counted: dict[str, list[_Counted]] = defaultdict(list)
 
     @classmethod
     def of(cls, transcripts: Iterable[Mapping[str, Any]]) -> ReadingScores:
-        """Of transcripts of mode read."""
+        """Score transcripts of mode read."""
         scores = cls()
         for one in transcripts:
             found = one.get("read")
@@ -58,8 +59,10 @@ class ReadingScores:
         return scores
 
     def add(self, code: GaussCode, read: GaussCode | None, grade: str, accepted: bool) -> bool:
-        """Count a picture: its code, what was read, or None; whether that is exact."""
-        # without chirality on either side
+        """Add a picture: its code and the code read, or None; return whether they agree.
+
+        Chirality is ignored.
+        """
         one = _Counted(
             read is not None and read.visits == code.visits,
             read is not None and read.nx == code.nx,
@@ -71,7 +74,7 @@ class ReadingScores:
         return one.exact
 
     def as_json(self) -> dict[str, dict[str, float]]:
-        """Key -> pictures, and the share or mean of each score."""
+        """Return group -> number of pictures and mean of each score."""
         return {
             key: {
                 "pictures": len(counted),
@@ -84,7 +87,7 @@ class ReadingScores:
         }
 
     def rows(self) -> list[tuple[str, str, str, str, str]]:
-        """The table: what, pictures, exact, crossings, edits."""
+        """Return the rows of a table with the columns HEAD."""
         return [
             (
                 key,
@@ -97,10 +100,10 @@ class ReadingScores:
         ]
 
     def lines(self) -> list[str]:
-        """The table for a script to print."""
+        """Return the lines of a plain-text table."""
         return [
-            f"{what:16} {pictures:>6} {exact:>8} {crossings:>9} {edits:>6}"
-            for what, pictures, exact, crossings, edits in (HEAD, *self.rows())
+            f"{group:16} {pictures:>6} {exact:>8} {crossings:>9} {edits:>6}"
+            for group, pictures, exact, crossings, edits in (HEAD, *self.rows())
         ]
 
 
@@ -108,7 +111,7 @@ HEAD = ("", "pictures", "exact", "crossings", "edits")
 
 
 def _by_kind(item: tuple[str, Any]) -> tuple[int, int, str]:
-    """All, then nx, grades as they get harder, accepted."""
+    """Sort key: all, then by nx, by grade from easy to hard, and accepted ones."""
     key = item[0]
     kind = 0 if key == "all" else 1 if key.startswith("nx") else 2 if key in GRADES else 3
     return kind, GRADES.index(key) if key in GRADES else 0, key

@@ -1,4 +1,4 @@
-"""A whole prompt to look at, without asking anybody."""
+"""Build a sample prompt for inspection, without sending it."""
 
 from __future__ import annotations
 
@@ -7,11 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from knotgym.prompting.prompted_episodes import PromptConfig, begun, goal_shown, now_shown
+from knotgym.prompting.prompted_episodes import (
+    PromptConfig,
+    begin_episode,
+    current_picture,
+    goal_picture,
+)
 from knotgym.prompting.prompts import (
     READ,
     STATEFUL,
-    Shown,
+    Picture,
     Turn,
     first,
     message,
@@ -26,24 +31,24 @@ _ACTION = (0.1, 0.0, 0.0, 1.0, 0.0, 0.0)
 
 def sample_prompt(
     config: PromptConfig, rows: Sequence[Mapping[str, Any]] = ()
-) -> tuple[list[dict[str, Any]], list[Shown]]:
-    """The messages that a run begins with, and the pictures in them.
+) -> tuple[list[dict[str, Any]], list[Picture]]:
+    """Return the messages of a run's first request, and the pictures in them.
 
-    In mode stateful those of the second turn, after a first answer of ours.
+    In mode stateful it is the second request, after a made-up first answer.
 
     Args:
-        config: of the run.
-        rows: of a perception table, for mode read.
+        config: settings of the run.
+        rows: rows of a perception table, for mode read.
     """
     if config.mode == READ:
-        picture = Shown(rows[0]["image"], "picture")
+        picture = Picture(rows[0]["image"], "picture")
         return [message(reading(picture))], [first(), picture]
-    episodes = begun(config, 0)
-    goal, now, turns = goal_shown(episodes), now_shown(episodes, config), []
+    episodes = begin_episode(config, 0)
+    goal, now, turns = goal_picture(episodes), current_picture(episodes, config), []
     pictures = [first(), goal, now]
     if config.mode == STATEFUL:
         turns = [Turn(now, _ANSWER)]
         episodes.step(np.array([_ACTION]), np.array([0]))
-        now = now_shown(episodes, config)
+        now = current_picture(episodes, config)
         pictures.append(now)
     return messages(opening(goal), turns, config.mode, config.task.horizon, now), pictures

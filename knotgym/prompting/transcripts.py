@@ -1,7 +1,7 @@
-"""Transcripts: what was asked and answered in an episode, or of a picture, one JSON line each.
+"""Transcripts: the requests and answers of an episode or a picture, one JSON object per line.
 
-A line stands for itself: it says its format, who was asked, of what, and what came of it; pictures
-by the SHA-256 of their PNG. docs/prompting.md names the fields.
+Each line is self-contained: it has the format, the settings, the answers and the outcome; pictures
+are given by the SHA-256 of their PNG. docs/prompting.md lists the fields.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from knotgym.common.errors import KnotgymError, MissingFile, one_line
 
 FORMAT = "knotgym-transcript"
 FORMAT_VERSION = 1
-PRICES = ("prompt_price", "completion_price")  # of a configuration; of a million tokens
-FILE = "transcripts.jsonl"  # in a run's folder
+PRICES = ("prompt_price", "completion_price")  # fields of the settings, per million tokens
+FILE = "transcripts.jsonl"  # name of the file in a run's folder
 _PLAYED: dict[str, type] = {
     "number": int,
     "config": dict,
@@ -47,49 +47,49 @@ _READ: dict[str, type] = {
 
 
 class InvalidTranscript(KnotgymError, ValueError):
-    """A file whose lines are no transcripts that this version reads."""
+    """A file has lines that are not transcripts of this version."""
 
 
 def line(transcript: Mapping[str, Any]) -> str:
-    """A transcript as its line, with its format and the line break."""
+    """Serialize a transcript as a line, with its format and a line break."""
     whole = {"format": FORMAT, "format_version": FORMAT_VERSION, **transcript}
     return json.dumps(whole, ensure_ascii=True, allow_nan=False) + "\n"
 
 
 def transcripts_at(named: str | Path) -> Path | None:
-    """The file of transcripts that a path means, or None."""
+    """Return the transcript file at a path, or in a run's folder; None if there is none."""
     given = Path(named)
     inside = given / FILE if given.is_dir() else given
     return inside if inside.is_file() and inside.suffix == ".jsonl" else None
 
 
 def read_transcripts(path: Path) -> list[dict[str, Any]]:
-    """The transcripts of a file.
+    """Read the transcripts of a file.
 
     Raises:
         MissingFile: there is no such file.
-        InvalidTranscript: a line is no transcript.
+        InvalidTranscript: a line is not a valid transcript.
     """
     if not path.is_file():
         raise MissingFile(f"no transcripts at {path}")
     if path.stat().st_size > MOST_JSON:
-        raise InvalidTranscript(f"{path} has more than {MOST_JSON} bytes; name a part of it")
+        raise InvalidTranscript(f"{path} is larger than {MOST_JSON} bytes; split it")
     try:
         text = path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
-        raise InvalidTranscript(f"{path} is no text: {one_line(error)}") from error
+        raise InvalidTranscript(f"{path} isn't UTF-8 text: {one_line(error)}") from error
     lines = text.removesuffix("\n").split("\n")
     return [_checked(one, f"{path}, line {number}") for number, one in enumerate(lines, 1)]
 
 
 def _checked(text: str, where: str) -> dict[str, Any]:
-    """A line's transcript, refused unless it has what is read from it."""
+    """Parse a line and check every field that is read later."""
     try:
         found = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise InvalidTranscript(f"{where} is no JSON: {one_line(error)}") from error
+        raise InvalidTranscript(f"{where} isn't JSON: {one_line(error)}") from error
     if not isinstance(found, dict):
-        raise InvalidTranscript(f"{where} is no transcript, but {str(found)[:40]}")
+        raise InvalidTranscript(f"{where} isn't a transcript but {str(found)[:40]}")
     name, version = found.get("format"), found.get("format_version")
     if (name, version) != (FORMAT, FORMAT_VERSION):
         raise InvalidTranscript(
@@ -100,18 +100,17 @@ def _checked(text: str, where: str) -> dict[str, Any]:
         if type(found.get(field)) is not kind:
             raise InvalidTranscript(f"{where}: {field} must be {kind.__name__}")
     turns = found.get("turns", [])
-    sound = (
+    valid = (
         all(isinstance(one, dict) and isinstance(one.get("fault"), str) for one in turns)
         and all(map(_is_action, found.get("actions", [])))
         and all(isinstance(code, str) for code in found["gauss_code"])
         and all(_is_count(count) for count in found["retries"].values())
         and all(_is_price(found["config"].get(name)) for name in PRICES)
-        and _is_told(found["config"])
+        and _is_config(found["config"])
     )
-    if not sound:
+    if not valid:
         raise InvalidTranscript(
-            f"{where}: config, turns, actions (six numbers in [-1, 1]), codes or counts are not"
-            " sound"
+            f"{where}: config, turns, actions (six numbers in [-1, 1]), codes or counts are invalid"
         )
     return found
 
@@ -127,8 +126,8 @@ def _is_action(value: Any) -> bool:
     )
 
 
-def _is_told(config: Mapping[str, Any]) -> bool:
-    """Whether a configuration says in what is asked, of which model, and if in episodes of what."""
+def _is_config(config: Mapping[str, Any]) -> bool:
+    """Return whether settings name the model and the mode, and for episodes the task."""
     chat, task = config.get("chat"), config.get("task")
     if not isinstance(chat, dict) or not isinstance(task, dict | None):
         return False

@@ -1,5 +1,6 @@
-"""The adapter to the official DreamerV3; the code itself is tried with -m clients, where
-KNOTGYM_DREAMERV3 names a checkout.
+"""The adapter to the official DreamerV3.
+
+With -m clients, and KNOTGYM_DREAMERV3 naming a checkout, the official code itself is run.
 """
 
 from __future__ import annotations
@@ -27,13 +28,13 @@ CHECKOUT = os.environ.get("KNOTGYM_DREAMERV3", "")
 
 
 def space(*words: object) -> tuple[object, ...]:
-    """In place of `elements.Space`."""
+    """A stand-in for `elements.Space`."""
     return words
 
 
 @pytest.fixture
 def adapter() -> Iterator[Any]:
-    """The module with the rope and the policy."""
+    """Import the module as the script does."""
     with mock.patch.object(sys, "path", [str(FOLDER), *sys.path]):
         import dreamer_rope
 
@@ -41,7 +42,7 @@ def adapter() -> Iterator[Any]:
 
 
 def refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
-    """The one line that it says."""
+    """Run the script with bad options; return the line that it prints."""
     with pytest.raises(SystemExit) as ended:
         run_script(SCRIPT, *words)
     told = capsys.readouterr()
@@ -57,7 +58,7 @@ def refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
         (("--task", "braid"), "no task 'braid'"),
         (("--image-size", 60), "image_size must be 48, 64, 80, 96, 112 or 128"),
         (("--steps", 0), "steps must be a whole number of at least 1, got 0"),
-        (("--settings", "huge"), "no settings 'huge'; there is paper, small"),
+        (("--settings", "huge"), "no settings 'huge'; choose from paper, small"),
         (("--set", "run.envs"), "--set takes NAME=VALUE with one of configs, "),
         (("--set", "run.env=8"), "got 'run.env=8'"),
         (("--set", "run.envs=many"), "run.envs must be like 32, got 'many'"),
@@ -99,7 +100,7 @@ def test_an_episode_cut_off_is_no_terminal_one_and_the_next_begins(adapter: Any)
 
 @pytest.mark.clients
 @pytest.mark.skipif(not CHECKOUT, reason="KNOTGYM_DREAMERV3 names no checkout")
-def test_the_official_code_trains_goes_on_and_is_tried(tmp_path: Path) -> None:
+def test_the_official_code_trains_resumes_and_is_evaluated(tmp_path: Path) -> None:
     out = tmp_path / "out"
     small = ("--settings", "small", "--set", "run.log_every=1", "--image-size", 48)
     words = ("--checkout", CHECKOUT, *small, "--out", out)

@@ -1,4 +1,4 @@
-"""What adapters to official code share: settings as the paper has them, checkouts, progress."""
+"""Shared by the adapters to official code: the paper's settings, checkouts and progress."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TDMPC = FOLDER / "tdmpc2" / "settings.toml"
 
 @pytest.fixture
 def shared() -> Iterator[Any]:
-    """The module, which scripts find beside them."""
+    """Import the module as the scripts do."""
     with mock.patch.object(sys, "path", [str(FOLDER), *sys.path]):
         import official_code
 
@@ -54,13 +54,13 @@ def test_another_commit_is_warned_of_in_a_line(
 ) -> None:
     told = {"name": "A", "repository": "example.org/a", "commit": 40 * "a", "files": ("a.py",)}
     code = shared.OfficialCode(**told)
-    with pytest.raises(KnotgymError, match="is no checkout of example.org/a at aaaaaaaaaaaa"):
+    with pytest.raises(KnotgymError, match="isn't a checkout of example.org/a at aaaaaaaaaaaa"):
         shared.require_checkout(code, tmp_path)
     (tmp_path / "a.py").touch()
     with mock.patch.object(shared, "_commit", lambda _: 40 * "b"):
         assert shared.require_checkout(code, tmp_path) == 40 * "b"
     [line] = capsys.readouterr().err.splitlines()
-    assert line.endswith("is at commit bbbbbbbbbbbb; this was made for aaaaaaaaaaaa")
+    assert line.endswith("is at commit bbbbbbbbbbbb; this adapter was tested with aaaaaaaaaaaa")
     without = shared.OfficialCode(**told, libraries=("no_such_library",))
     with pytest.raises(MissingExtra, match="needs no_such_library"):
         shared.require_checkout(without, tmp_path)
@@ -69,15 +69,15 @@ def test_another_commit_is_warned_of_in_a_line(
 def test_progress_goes_on_where_it_was_written(shared: Any, tmp_path: Path) -> None:
     progress = sys.modules["baseline_script"].Progress
     first = progress(tmp_path, False)
-    first.gone_on(10)
+    first.resume(10)
     first.write(10)
     told = json.loads((tmp_path / "progress.json").read_text(encoding="utf-8"))
     assert (told["steps"], told["resumed_at"]) == (10, [])
     again = progress(tmp_path, True)
-    again.gone_on(10)  # has nothing to do
+    again.resume(10)  # has nothing to do
     assert (again.steps, again.resumed_at) == (10, [])
-    again.gone_on(20)
-    assert again.resumed_at == [10] and again.told()["seconds"] >= told["seconds"]
+    again.resume(20)
+    assert again.resumed_at == [10] and again.as_json()["seconds"] >= told["seconds"]
     (tmp_path / "progress.json").write_text("[", encoding="utf-8")
-    with pytest.raises(KnotgymError, match="can't be gone on from"):
+    with pytest.raises(KnotgymError, match="is corrupted"):
         progress(tmp_path, True)

@@ -1,5 +1,6 @@
-"""PPO with the paper's settings trains, goes on and is measured; run with -m clients where
-Stable-Baselines3 is.
+"""PPO with the paper's settings trains, resumes and is evaluated.
+
+Needs -m clients and Stable-Baselines3.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ no_sb3 = pytest.mark.skipif(
 
 
 def refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
-    """The one line that it says."""
+    """Run the script with bad options; return the line that it prints."""
     with pytest.raises(SystemExit) as ended:
         run_script(SCRIPT, *words)
     told = capsys.readouterr()
@@ -55,7 +56,7 @@ def test_it_says_how_to_use_it(capsys: pytest.CaptureFixture[str]) -> None:
         (("--split", "dev"), "no split 'dev'"),
         (("--learning-rate", "nan"), "learning_rate must be above 0 and finite, got nan"),
         (("--batch", 48), "batch must be at least 2 and divide the 65536 steps of a rollout"),
-        (("--resume",), "leave --resume out to begin one"),
+        (("--resume",), "leave out --resume to begin one"),
     ],
 )
 def test_what_cannot_be_had_is_refused_in_a_line(
@@ -103,7 +104,7 @@ def test_a_training_on_states_goes_on_for_as_many_steps_as_an_unbroken_one(
     out = tmp_path / "out"
     words = (*SMALL, "--observation", "state", "--every", 128, "--episodes", 0, "--out", out)
     run_script(SCRIPT, *words, "--steps", 128)
-    held = "holds something already; name a new folder, or --resume a training in it"
+    held = "isn't empty; name a new folder, or --resume the training in it"
     assert held in refused(capsys, *words)
     assert "seed is 0 there and 1 here" in refused(capsys, *words, "--resume", "--seed", 1)
     run_script(SCRIPT, *words, "--steps", 320, "--resume")
@@ -117,4 +118,4 @@ def test_a_training_on_states_goes_on_for_as_many_steps_as_an_unbroken_one(
     assert spent == sorted(spent) and sum(row["episodes"] for row in curve["rows"]) >= 4
     assert (out / "curve.png").read_bytes()[:4] == b"\x89PNG"
     (out / "checkpoints" / names[-1]).write_bytes(b"PK")
-    assert "can't be gone on from" in refused(capsys, *words, "--steps", 999, "--resume")
+    assert "can't resume from" in refused(capsys, *words, "--steps", 999, "--resume")

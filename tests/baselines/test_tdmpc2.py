@@ -1,5 +1,6 @@
-"""The adapter to the official TD-MPC2; the code itself is tried with -m clients, where
-KNOTGYM_TDMPC2 names a checkout.
+"""The adapter to the official TD-MPC2.
+
+With -m clients, and KNOTGYM_TDMPC2 naming a checkout, the official code itself is run.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ CHECKOUT = os.environ.get("KNOTGYM_TDMPC2", "")
 
 @pytest.fixture
 def adapter() -> Iterator[Any]:
-    """The module with the ropes and the policy."""
+    """Import the module as the script does."""
     with mock.patch.object(sys, "path", [str(FOLDER), *sys.path]):
         import rope_rounds
 
@@ -37,7 +38,7 @@ def adapter() -> Iterator[Any]:
 
 
 def refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
-    """The one line that it says."""
+    """Run the script with bad options; return the line that it prints."""
     with pytest.raises(SystemExit) as ended:
         run_script(SCRIPT, *words)
     told = capsys.readouterr()
@@ -53,7 +54,7 @@ def refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
         (("--nx", 0), "nx must be a whole number from 1 to 11, got 0"),
         (("--image-size", 78), "image_size must be at least 79 for the encoder, got 78"),
         (("--threads", -1), "threads must be a whole number of at least 0, got -1"),
-        (("--settings", "huge"), "no settings 'huge'; there is paper, small"),
+        (("--settings", "huge"), "no settings 'huge'; choose from paper, small"),
         (("--set", "lr=fast"), "lr must be like 0.0003, got 'fast'"),
         (("--set", "device=tpu"), "device must be cuda:0 or cpu, got 'tpu'"),
         (("--set", "num_envs=0"), "num_envs must be at least 1, got 0"),
@@ -123,7 +124,7 @@ def test_the_encoder_has_the_layers_of_the_paper() -> None:
 
 @pytest.mark.clients
 @pytest.mark.skipif(not CHECKOUT, reason="KNOTGYM_TDMPC2 names no checkout")
-def test_the_official_code_trains_goes_on_and_is_tried(tmp_path: Path) -> None:
+def test_the_official_code_trains_resumes_and_is_evaluated(tmp_path: Path) -> None:
     out = tmp_path / "out"
     few = ("--set", "seed_steps=200", "--set", "eval_freq=400", "--threads", 1)
     words = ("--checkout", CHECKOUT, "--settings", "small", *few, "--image-size", 79, "--out", out)

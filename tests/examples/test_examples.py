@@ -1,4 +1,4 @@
-"""Every example runs, in the smallest size that it can have; none is asked how well it learned."""
+"""Every example runs at its smallest size; how well it learns is not tested."""
 
 import importlib.util
 import json
@@ -96,7 +96,7 @@ def test_a_code_is_read_off_a_picture_by_tracing_its_colours(
     [total] = [line for line in told if line.startswith("all")]
     assert total.split() == ["all", "4", "100.0", "%", "100.0", "%", "0.00"]
     assert not page.exists()
-    assert told[-1].startswith("nothing accepted was misread")
+    assert told[-1].startswith("no accepted picture was misread")
 
 
 @with_arrow

@@ -1,4 +1,4 @@
-"""The learners by libraries train, save and are measured; run with -m clients where they are."""
+"""Learners of other libraries train, save and are evaluated; needs -m clients and the libraries."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def check_scores(folder: Path, name: str) -> None:
-    """What `benchmarks/results.py` reads tells of the learner and its training."""
+    """Check the evaluation file, which `benchmarks/results.py` reads."""
     (row,) = read_scores([folder / "evaluation.json"])
     assert (row["policy"], row["task"], row["nx"], row["episodes"]) == (name, "unknot", 2, 1)
     assert row["training"]["steps"] == 2 and row["training"]["episodes"] == 6

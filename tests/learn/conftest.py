@@ -1,4 +1,4 @@
-"""A small set of episodes and a learner barely trained on it. Run with -m clients, with torch."""
+"""A small dataset and a learner barely trained on it. Run with -m clients; needs torch."""
 
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ def episodes(tmp_path_factory: pytest.TempPathFactory, states_path: str) -> Path
 
 @pytest.fixture(scope="session")
 def learner(tmp_path_factory: pytest.TempPathFactory, episodes: Path) -> Path:
-    """A learner's folder."""
+    """A checkpoint folder."""
     out = tmp_path_factory.mktemp("learner") / "made"
     train_tiny(episodes, out)
     return out

@@ -1,4 +1,4 @@
-"""Learners' folders: read whole or refused in a line, and nothing in them is run."""
+"""Checkpoints are read whole or refused in one line, and nothing in them is run."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ pytest.importorskip("safetensors")
 
 
 def changed(learner: Path, tmp_path: Path, **card: object) -> Path:
-    """A copy of a learner's folder whose card says otherwise."""
+    """Copy a checkpoint folder and change fields of its card."""
     copy = tmp_path / "copy"
     shutil.copytree(learner, copy)
-    told = json.loads((copy / "policy.json").read_text())
-    (copy / "policy.json").write_text(json.dumps({**told, **card}))
+    written = json.loads((copy / "policy.json").read_text())
+    (copy / "policy.json").write_text(json.dumps({**written, **card}))
     return copy
 
 
@@ -41,7 +41,7 @@ def test_a_learner_comes_back_as_it_was_kept(learner: Path) -> None:
 
     one, other = load_policy(str(learner)), load_policy(str(learner))
     assert np.array_equal(one.rope, other.rope) and one.rope.dtype == np.float64
-    assert one.places.shape == (3, 3)
+    assert one.starts.shape == (3, 3)
 
 
 def test_another_format_version_is_refused(learner: Path, tmp_path: Path) -> None:
@@ -51,14 +51,14 @@ def test_another_format_version_is_refused(learner: Path, tmp_path: Path) -> Non
 
 
 def test_another_format_is_refused(learner: Path, tmp_path: Path) -> None:
-    assert "is no knotgym-policy" in refusal(changed(learner, tmp_path, format="other"))
+    assert "isn't of format knotgym-policy" in refusal(changed(learner, tmp_path, format="other"))
 
 
 def test_weights_cut_short_are_refused(learner: Path, tmp_path: Path) -> None:
     copy = changed(learner, tmp_path)
     path = copy / "weights.safetensors"
     path.write_bytes(path.read_bytes()[:-100])
-    assert "changed or cut short" in refusal(copy)
+    assert "changed or truncated" in refusal(copy)
 
 
 def test_an_empty_folder_is_refused(tmp_path: Path) -> None:
@@ -66,15 +66,15 @@ def test_an_empty_folder_is_refused(tmp_path: Path) -> None:
 
 
 def forged(learner: Path, tmp_path: Path, name: str, change: Callable[[Any], Any]) -> Path:
-    """A copy with other weights, whose card tells their checksum."""
+    """Copy a checkpoint, change a tensor, and put the new checksum on its card."""
     from safetensors.torch import load_file, save_file
 
     copy = changed(learner, tmp_path)
     path = copy / "weights.safetensors"
     tensors = load_file(path)
     save_file({**tensors, name: change(tensors[name])}, path)
-    told = json.loads((copy / "policy.json").read_text())
-    card = {**told, "weights_sha256": sha256(path)}
+    card = json.loads((copy / "policy.json").read_text())
+    card = {**card, "weights_sha256": sha256(path)}
     (copy / "policy.json").write_text(json.dumps(card))
     return copy
 

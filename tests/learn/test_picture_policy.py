@@ -1,4 +1,4 @@
-"""The learner as a policy: pictures are all that it is handed."""
+"""The learner as a policy: it observes nothing but pictures."""
 
 from __future__ import annotations
 
@@ -24,8 +24,9 @@ pytest.importorskip("safetensors")
 
 
 class PicturesAlone:
-    """What a batch of episodes shows to whoever asks for its settings and pictures; asked for
-    anything else, it fails.
+    """A stand-in for a batch of episodes that has only settings and pictures.
+
+    Access to anything else fails.
     """
 
     def __init__(self, config: TaskConfig, pictures: list[NDArray[np.uint8]]) -> None:
@@ -35,7 +36,7 @@ class PicturesAlone:
         return self._pictures[index]
 
     def __getattr__(self, name: str) -> Any:
-        raise AssertionError(f"the learner asked for {name}")
+        raise AssertionError(f"the learner accessed {name}")
 
 
 @pytest.fixture(scope="module")
@@ -73,9 +74,9 @@ def test_its_networks_run_on_one_thread(
 
     threads, forward = [], BeadNetwork.forward
 
-    def counted(network: BeadNetwork, told: torch.Tensor) -> torch.Tensor:
+    def counted(network: BeadNetwork, inputs: torch.Tensor) -> torch.Tensor:
         threads.append(torch.get_num_threads())
-        return forward(network, told)
+        return forward(network, inputs)
 
     monkeypatch.setattr(BeadNetwork, "forward", counted)
     before = torch.get_num_threads()
@@ -88,7 +89,7 @@ def test_its_networks_run_on_one_thread(
 
 
 @pytest.mark.parametrize(
-    ("setting", "told"),
+    ("setting", "message"),
     [
         ({"camera": "perspective"}, "camera perspective instead of orthographic"),
         ({"views": ("left",)}, "views left instead of top"),
@@ -99,14 +100,14 @@ def test_its_networks_run_on_one_thread(
     ],
 )
 def test_a_task_whose_pictures_are_others_is_refused_before_any_work(
-    learner: Path, states_path: str, tmp_path: Path, setting: dict[str, Any], told: str
+    learner: Path, states_path: str, tmp_path: Path, setting: dict[str, Any], message: str
 ) -> None:
     policy = PolicyConfig(policy=str(learner))
     task = TaskConfig(task="unknot", nx=1, states=states_path, **setting)
-    with pytest.raises(InvalidPolicy, match=told):
+    with pytest.raises(InvalidPolicy, match=message):
         rollout(task, make_policy(policy), [0], 0)
-    with pytest.raises(InvalidPolicy, match=told):
+    with pytest.raises(InvalidPolicy, match=message):
         EpisodeRecipe(CollectConfig(task=task, policy=policy), RunOptions())
     config = EvaluateConfig(policies=(policy,), tasks=("unknot",), nx=(1,), task=task)
-    with pytest.raises(InvalidPolicy, match=told):
+    with pytest.raises(InvalidPolicy, match=message):
         run(config, workers=1, out=None, video=None, quiet=True, console=Console())

@@ -1,4 +1,4 @@
-"""A chat-completions server on 127.0.0.1 that says and does what a test tells it to."""
+"""A scripted chat-completions server on 127.0.0.1."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
-Misdeed = tuple[str, Any]  # what is done instead of answering, and its detail
+Misdeed = tuple[str, Any]  # kind of misbehaviour, and its detail
 Answer = str | Misdeed
 
 
 class ChatServer:
-    """Remembers every request; `answer` says what each gets, by its number and its body.
+    """Record all requests; `answer` maps a request's number and body to the response.
 
     Misdeeds: ("status", (503, {header: value}, body)), ("cut", None), ("slow", seconds),
     ("body", "{not json"), ("refusal", "I can't"), ("raw", function that yields bytes to send).
@@ -27,7 +27,7 @@ class ChatServer:
     def __init__(self, answer: Callable[[int, Any], Answer]) -> None:
         self.requests: list[dict[str, Any]] = []
         self.keys: list[str] = []
-        self.hung_up = threading.Event()  # a client closed its connection before it had all
+        self.hung_up = threading.Event()  # a client closed its connection before the end
         self._answer, self._lock = answer, threading.Lock()
         server = self
 
@@ -73,11 +73,11 @@ class ChatServer:
             try:
                 for piece in detail():
                     handler.connection.sendall(piece)
-            except OSError:  # the other side has had enough
+            except OSError:  # the client hung up
                 self.hung_up.set()
             return
         if kind == "cut":
-            linger = struct.pack("ii", 1, 0)  # a reset, in the middle of what was promised
+            linger = struct.pack("ii", 1, 0)  # reset the connection in the middle of the body
             handler.connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
             handler.connection.sendall(b"HTTP/1.1 200 OK\r\ncontent-length: 999\r\n\r\n{")
             handler.connection.close()
@@ -107,17 +107,17 @@ class ChatServer:
             handler.end_headers()
             handler.wfile.write(data)
         except OSError:
-            handler.close_connection = True  # the other side has had enough
+            handler.close_connection = True  # the client hung up
 
 
 def kinds(message: Any) -> str:
-    """A message's parts in order: t for text, p for a picture; an assistant's a."""
+    """Summarize a message: t per text and p per picture, or a for an assistant's."""
     if isinstance(message["content"], str):
         return "a"
     return "".join("t" if part["type"] == "text" else "p" for part in message["content"])
 
 
 def hashes(message: Any) -> list[str]:
-    """SHA-256 of the pictures of a message, in order."""
+    """Return the SHA-256 of each picture of a message."""
     urls = [one["image_url"]["url"] for one in message["content"] if one["type"] == "image_url"]
     return [hashlib.sha256(base64.b64decode(url.partition(",")[2])).hexdigest() for url in urls]

@@ -1,4 +1,4 @@
-"""Answers are read strictly, and what is wrong with one has a name."""
+"""Answers are parsed strictly, and every fault has a name."""
 
 import pytest
 
@@ -46,5 +46,5 @@ def test_a_code_is_read_with_brackets_or_without(text: str, code: str) -> None:
 
 
 @pytest.mark.parametrize("text", ["1+,1+", "2+,2-", "none", "1+;1-", "9" * 5000 + "+"])
-def test_what_is_no_code_is_malformed(text: str) -> None:
+def test_an_invalid_code_is_malformed(text: str) -> None:
     assert read_code(f"<answer>{text}</answer>") == (None, "malformed")

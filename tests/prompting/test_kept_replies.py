@@ -1,12 +1,12 @@
-"""Replies that a run has kept are taken for what was answered, or refused."""
+"""The log of replies is reused as it was written, or refused."""
 
 import os
 from pathlib import Path
 
 import pytest
 
-from knotgym.prompting.chat import Reply
-from knotgym.prompting.kept_replies import InvalidReplies, KeptReplies
+from knotgym.prompting.chat import InvalidPrompting, Reply
+from knotgym.prompting.kept_replies import KeptReplies
 
 
 @pytest.fixture
@@ -24,7 +24,7 @@ def test_replies_come_back(path: Path) -> None:
     assert len(kept) == 2
 
 
-def test_a_line_that_a_kill_cut_goes(path: Path) -> None:
+def test_a_truncated_last_line_is_dropped(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-5])
     kept = KeptReplies(path)
     kept.close()
@@ -34,11 +34,11 @@ def test_a_line_that_a_kill_cut_goes(path: Path) -> None:
 @pytest.mark.parametrize("old, new", [(b"pull 1", b"pull 2"), (b"pull", b"\xff\xfe"), (b"[", b"{")])
 def test_a_changed_line_is_refused_in_one(old: bytes, new: bytes, path: Path) -> None:
     path.write_bytes(path.read_bytes().replace(old, new, 1))
-    with pytest.raises(InvalidReplies, match="has a line that"):
+    with pytest.raises(InvalidPrompting, match="has a line that"):
         KeptReplies(path)
 
 
 def test_a_pipe_is_not_opened(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "replies.jsonl")
-    with pytest.raises(InvalidReplies, match="isn't a regular file"):
+    with pytest.raises(InvalidPrompting, match="isn't a regular file"):
         KeptReplies(tmp_path / "replies.jsonl")

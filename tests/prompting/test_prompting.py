@@ -1,4 +1,4 @@
-"""A model put to episodes and pictures: what it is asked, what it answers, and what goes wrong."""
+"""Episodes and pictures with a scripted model: requests, answers and errors."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from knotgym.envs.tasks import TaskConfig
 from knotgym.prompting.chat import (
     Chat,
     ChatConfig,
-    InvalidChat,
+    InvalidPrompting,
     Unanswered,
     _spellings,
     retry_after,
@@ -73,7 +73,7 @@ def played(server: ChatServer, states_path: str, mode: str, **more: Any) -> dict
 
 
 def asked(answer: Callable[[int, Any], Answer]) -> tuple[Any, ChatServer]:
-    """One question, put to a server; the reply or what was raised."""
+    """Send one request to a server; return the reply or the error raised."""
     server = ChatServer(answer)
     with server.serving():
         chat = Chat(config(server.url, "").chat)
@@ -189,12 +189,12 @@ def test_a_server_that_never_answers_ends_the_run() -> None:
 def test_a_question_the_server_calls_wrong_is_not_put_again(status: int) -> None:
     body = json.dumps({"error": {"message": f"bad key {KEY}"}})
     error, server = asked(always(("status", (status, {}, body))))
-    assert isinstance(error, InvalidChat) and len(server.requests) == 1
+    assert isinstance(error, InvalidPrompting) and len(server.requests) == 1
     assert str(status) in str(error) and KEY not in str(error) and "[key]" in str(error)
 
 
 def drip(first: bytes) -> Callable[[], Iterator[bytes]]:
-    """Some bytes, then one every 50 ms, for two seconds."""
+    """Yield some bytes, then one every 50 ms for two seconds."""
 
     def pieces() -> Iterator[bytes]:
         yield first
@@ -249,7 +249,7 @@ def test_the_key_is_not_sent_to_where_a_server_redirects() -> None:
     with other.serving():
         moved = ("status", (302, {"location": f"{other.url}/chat/completions"}, ""))
         error, _ = asked(always(moved))
-    assert isinstance(error, InvalidChat) and "302" in str(error) and not other.requests
+    assert isinstance(error, InvalidPrompting) and "302" in str(error) and not other.requests
 
 
 SPELLINGS = {
@@ -272,7 +272,7 @@ SPELLINGS = {
 )
 def test_the_key_is_blotted_however_it_is_spelled(body: str, spelled: str) -> None:
     error, _ = asked(always(("status", (401, {}, body.replace("%s", spelled)))))
-    assert isinstance(error, InvalidChat) and "[key]" in str(error)
+    assert isinstance(error, InvalidPrompting) and "[key]" in str(error)
     assert "51ec2e7" not in str(error) and spelled[8:-8] not in str(error)
 
 
@@ -331,14 +331,14 @@ def test_wrong_answers_are_counted_apart_and_leave_the_rope_alone(states_path: s
     "url", ["http://me:secret@host/v1", "ftp://host", "http://host/v1?key=secret", "host", ""]
 )
 def test_a_url_that_might_hold_a_key_is_refused_and_not_told(url: str) -> None:
-    with pytest.raises(InvalidChat, match="base URL") as refused:
+    with pytest.raises(InvalidPrompting, match="base URL") as refused:
         ChatConfig(model="m", base_url=url)
     assert "secret" not in str(refused.value)
 
 
 def test_without_a_key_the_public_server_is_not_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("OPENAI_API_KEY")
-    with pytest.raises(InvalidChat, match="OPENAI_API_KEY"):
+    with pytest.raises(InvalidPrompting, match="OPENAI_API_KEY"):
         Chat(ChatConfig(model="m"))
     Chat(ChatConfig(model="m", base_url="http://127.0.0.1:1/v1"))
 
@@ -349,7 +349,7 @@ def test_a_word_that_stands_for_no_key_is_a_word(monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_key_in_the_base_url_is_refused() -> None:
-    with pytest.raises(InvalidChat, match="--base-url") as refused:
+    with pytest.raises(InvalidPrompting, match="--base-url") as refused:
         Chat(ChatConfig(model="m", base_url=f"http://127.0.0.1:1/{KEY}/v1"))
     assert KEY not in str(refused.value)
 
@@ -464,7 +464,15 @@ def test_side_by_side_gives_the_same_transcripts(states_path: str, tmp_path: Pat
             )
             texts.append((out / "transcripts.jsonl").read_text())
         with pytest.raises(InvalidRun, match="at least 1"):
-            run(own, play, 1, out, side_by_side=0, existing=Existing(), progress=Progress(True))  # type: ignore[arg-type]
+            run(
+                own,
+                lambda number, ask: play(own, number, ask),
+                1,
+                out,
+                side_by_side=0,
+                existing=Existing(),
+                progress=Progress(True),
+            )
     assert texts[0] == texts[1]
 
 
@@ -501,8 +509,8 @@ def test_chirality_is_no_matter_when_a_code_is_scored() -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("{", "line 1 is no JSON"),
-        ("[]", "no transcript"),
+        ("{", "line 1 isn't JSON"),
+        ("[]", "isn't a transcript"),
         ("{}", "format None"),
         ('{"format": "knotgym-transcript", "format_version": 9}', "version 9"),
         ('{"format": "knotgym-transcript", "format_version": 1, "actions": 3}', "number must be"),

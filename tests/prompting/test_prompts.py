@@ -1,4 +1,4 @@
-"""The page of prompts says what a model is told."""
+"""The page on prompting shows the prompts that are sent."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""What the transcripts of a run count up to."""
+"""Summarize the transcripts of a run."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from knotgym.prompting.transcripts import PRICES
 from knotgym.runs.intervals import cluster_interval
 
 
-def tally(transcripts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """What transcripts of one run count up to, at least one; JSON-able.
+def summarize(transcripts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Summarize the transcripts of one run, at least one, as JSON-compatible values.
 
-    Answers, retries, tokens; the cost where prices were told; of episodes successes with their 95 %
-    interval, and those in which no answer could be taken.
+    Counts answers by fault, retries and tokens; gives the cost if prices are known. For episodes it
+    adds the success rate with its 95 % interval, and the episodes without any valid answer.
     """
     config = transcripts[0]["config"]
     total = {
@@ -35,8 +35,9 @@ def tally(transcripts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     }
     if "actions" not in transcripts[0]:
         return {"pictures": len(transcripts), **facts}
-    columns = ([int(one[name]) for one in transcripts] for name in ("success", "start", "goal"))
-    success, starts, goals = columns
+    success, starts, goals = (
+        [int(one[name]) for one in transcripts] for name in ("success", "start", "goal")
+    )
     return {
         "episodes": len(transcripts),
         "successes": sum(success),
@@ -51,7 +52,7 @@ def tally(transcripts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 def _answers(transcripts: Iterable[Mapping[str, Any]]) -> Iterable[str]:
-    """What each answer was: "valid", or its fault."""
+    """Yield "valid" or the fault of each answer."""
     for one in transcripts:
         for turn in one.get("turns", [one]):
             yield turn["fault"] or "valid"

@@ -1,4 +1,4 @@
-"""The learner keeps several ropes that may be the one seen, and how a rope moves tells which."""
+"""The learner keeps several hypotheses of the rope's shape; motion tells them apart."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from knotgym.control.transition_graph import (  # noqa: E402
     TransitionGraphConfig,
 )
 from knotgym.learn.agent import Agent  # noqa: E402
-from knotgym.learn.belief import BeliefConfig, RopeBelief  # noqa: E402
 from knotgym.learn.rope_model import BEADS, FIRST_GUESS, Dynamics  # noqa: E402
+from knotgym.learn.shape_hypotheses import HypothesesConfig, ShapeHypotheses  # noqa: E402
 from knotgym.topology.gauss import GaussCode  # noqa: E402
 
 Array = NDArray[np.float64]
@@ -26,7 +26,7 @@ DYNAMICS = Dynamics(FIRST_GUESS)
 
 
 class TwoReadings:
-    """Reads every picture as the rope that is there and as its mirror image, as likely."""
+    """Read every picture as the true rope and as its mirror image, equally likely."""
 
     def __init__(self, rope: Array) -> None:
         self.rope = rope
@@ -35,17 +35,17 @@ class TwoReadings:
         mirrored = self.rope * (1.0, 1.0, -1.0)
         return np.stack([mirrored, self.rope]), np.array([0.5, 0.5])
 
-    def varied(self, picture: Any, ropes: Array, count: int, rng: Any) -> Array:
+    def perturb(self, picture: Any, ropes: Array, count: int, rng: Any) -> Array:
         return np.repeat(ropes, count, axis=0)
 
-    def follow(self, picture: Any, foreseen: Array, moves: Array) -> Array:
-        followed = foreseen.copy()
+    def follow(self, picture: Any, predicted: Array, moves: Array) -> Array:
+        followed = predicted.copy()
         followed[..., :2] = self.rope[:, :2]
         return followed
 
 
 def tilted_loop() -> Array:
-    """A circle tilted out of the plane, so that its mirror image lies otherwise."""
+    """Return a circle tilted out of the plane, so that its mirror image differs."""
     angle = 2 * np.pi * np.arange(BEADS) / BEADS
     radius = 1.33 / (2 * np.pi)
     flat = np.stack([np.cos(angle), np.sin(angle), 0.5 * np.cos(angle)], axis=1)
@@ -60,42 +60,42 @@ def tilted_loop() -> Array:
 
 
 @pytest.fixture
-def believed() -> tuple[RopeBelief, TwoReadings]:
-    """A belief, and what it reads with."""
+def tracked() -> tuple[ShapeHypotheses, TwoReadings]:
+    """Return hypotheses and the reader that they use."""
     reader: Any = TwoReadings(tilted_loop())
     rng = np.random.default_rng(0)
-    return RopeBelief(reader, DYNAMICS, np.zeros((1, 3)), BeliefConfig(), rng), reader
+    return ShapeHypotheses(reader, DYNAMICS, np.zeros((1, 3)), HypothesesConfig(), rng), reader
 
 
-def test_how_a_rope_moves_tells_it_from_its_mirror_image(
-    believed: tuple[RopeBelief, TwoReadings],
+def test_motion_tells_a_rope_from_its_mirror_image(
+    tracked: tuple[ShapeHypotheses, TwoReadings],
 ) -> None:
-    belief, reader = believed
+    hypotheses, reader = tracked
     picture = np.zeros((128, 128, 3), dtype=np.uint8)
-    belief.see(picture)
+    hypotheses.start(picture)
     rope, speeds, force = tilted_loop()[None], np.zeros((1, BEADS, 3)), np.array([0.3, 0.2, 0.8])
     for _ in range(3):
-        named = belief.ropes[0][25] + belief.whereabouts.places.mean(axis=0)
+        named = hypotheses.ropes[0][25] + hypotheses.position.positions.mean(axis=0)
         bead = np.linalg.norm(rope[0] - named, axis=1).argmin()
         rope, speeds = DYNAMICS.step(rope, speeds, np.array([bead]), force[None])
         reader.rope = rope[0] - rope[0].mean(axis=0)
-        belief.see_pulled(picture, named, force)
-    likeliest, true = belief.ropes[0], tilted_loop()
+        hypotheses.update(picture, named, force)
+    likeliest, true = hypotheses.ropes[0], tilted_loop()
     off, mirrored = (np.abs(likeliest[:, 2] - sign * true[:, 2]).mean() for sign in (1, -1))
-    assert off < mirrored and belief.likely[0] > 0.5
-    assert np.isclose(belief.likely.sum(), 1.0)
+    assert off < mirrored and hypotheses.weights[0] > 0.5
+    assert np.isclose(hypotheses.weights.sum(), 1.0)
 
 
-def test_ropes_that_are_alike_are_kept_as_one(believed: tuple[RopeBelief, TwoReadings]) -> None:
-    belief, rope = believed[0], tilted_loop()
+def test_similar_hypotheses_are_merged(tracked: tuple[ShapeHypotheses, TwoReadings]) -> None:
+    hypotheses, rope = tracked[0], tilted_loop()
     ropes = np.stack([rope, rope + (0.0, 0.0, 0.001), rope * (1.0, 1.0, -1.0)])
-    belief._keep(ropes, np.zeros_like(ropes), np.array([0.25, 0.3, 0.45]))
-    assert len(belief.ropes) == 2
-    assert np.allclose(belief.likely, (0.55, 0.45))
-    assert np.array_equal(belief.ropes[0], ropes[1])
+    hypotheses._keep(ropes, np.zeros_like(ropes), np.array([0.25, 0.3, 0.45]))
+    assert len(hypotheses.ropes) == 2
+    assert np.allclose(hypotheses.weights, (0.55, 0.45))
+    assert np.array_equal(hypotheses.ropes[0], ropes[1])
 
 
-def test_what_the_rope_shows_is_not_the_goal_of_an_episode_that_goes_on() -> None:
+def test_the_code_shown_is_not_the_goal_while_the_episode_continues() -> None:
     graph = TransitionGraph(TransitionCounts(), TransitionGraphConfig())
     reader: Any = TwoReadings(tilted_loop())
     agent = Agent(reader, DYNAMICS, graph, np.zeros((1, 3)))
@@ -103,6 +103,6 @@ def test_what_the_rope_shows_is_not_the_goal_of_an_episode_that_goes_on() -> Non
     episode, plain, kink = agent._episodes[0], GaussCode.parse(""), GaussCode.parse("1+,1-")
     episode.goals = {plain: 0.6, kink: 0.4}
     picture = np.zeros((128, 128, 3), dtype=np.uint8)
-    episode.belief.see(picture)
-    agent._aim(episode, picture)
+    episode.hypotheses.start(picture)
+    agent._update_goal(episode, picture)
     assert episode.goal == kink

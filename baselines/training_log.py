@@ -1,7 +1,6 @@
-"""The course of a training: rows of what its episodes came to, as JSON and as a picture, and the
-callback of Stable-Baselines3 that writes them and saves the learner.
+"""A callback for Stable-Baselines3 that records the learning curve and saves checkpoints.
 
-Imported only by who has that library.
+Requires stable-baselines3, so import this module only once that is known to be installed.
 """
 
 from __future__ import annotations
@@ -22,21 +21,21 @@ from knotgym.common.atomic_files import atomic_write
 from knotgym.runs.intervals import wilson
 
 CURVE, PICTURE, CHECKPOINTS = "curve.json", "curve.png", "checkpoints"
-ROW = 8192  # steps that a row tells of, at most
+ROW = 8192  # steps from which a row of the curve is closed
 WIDTH, HEIGHT, EDGE = 720, 400, 56
 BLUE, PALE, BLACK, GREY = (31, 119, 180), (205, 224, 238), (0, 0, 0), (210, 210, 210)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """What the episodes came to that ended in some steps of the training, explored as it does.
+    """Statistics of the training episodes that ended within one interval of steps.
 
     Attributes:
-        steps: of the environment, from the beginning to the row's end.
-        episodes, successes: counted.
-        mean_return, mean_length: None if none ended.
-        seconds, cpu_seconds: spent by then, those of the runs before a --resume included, of
-            what came after their last checkpoint not.
+        steps: environment steps from the start of the training to the end of the interval.
+        episodes, successes: numbers of episodes.
+        mean_return, mean_length: None if no episode ended.
+        seconds, cpu_seconds: time spent since the start, including runs before a --resume up to
+            their last checkpoint.
     """
 
     steps: int
@@ -49,53 +48,54 @@ class Row:
 
 
 def read_rows(folder: Path, steps: int) -> tuple[list[Row], list[int]]:
-    """The rows of a training up to so many steps, and at which steps it was gone on with before.
+    """Read the rows of a training up to `steps`, and the steps at which it was resumed.
 
     Raises:
-        OSError, ValueError, KeyError, TypeError: there is no curve, or none that leads there.
+        OSError, ValueError, KeyError, TypeError: the file is missing or corrupted, or has no row
+            that ends at `steps`.
     """
-    told = json.loads((folder / CURVE).read_text(encoding="utf-8"))
-    rows = [row for row in (Row(**one) for one in told["rows"]) if row.steps <= steps]
+    fields = json.loads((folder / CURVE).read_text(encoding="utf-8"))
+    rows = [row for row in (Row(**one) for one in fields["rows"]) if row.steps <= steps]
     if not rows or rows[-1].steps != steps:
         raise ValueError(f"{CURVE} has no row that ends at {steps} steps")
-    return rows, [int(one) for one in told["resumed_at"]]
+    return rows, [int(one) for one in fields["resumed_at"]]
 
 
 def write_rows(folder: Path, rows: list[Row], resumed_at: list[int]) -> None:
     """Write `curve.json` and `curve.png`."""
-    told = {"resumed_at": resumed_at, "rows": [asdict(row) for row in rows]}
+    fields = {"resumed_at": resumed_at, "rows": [asdict(row) for row in rows]}
     with atomic_write(folder / CURVE) as part:
-        part.write_text(json.dumps(told, indent=1) + "\n", encoding="utf-8")
+        part.write_text(json.dumps(fields, indent=1) + "\n", encoding="utf-8")
     if rows:
-        _, encoded = cv2.imencode(".png", drawn(rows)[..., ::-1])
+        _, encoded = cv2.imencode(".png", plot(rows)[..., ::-1])
         with atomic_write(folder / PICTURE) as part:
             part.write_bytes(encoded.tobytes())
 
 
-def drawn(rows: list[Row]) -> NDArray[np.uint8]:
-    """Success in per cent over steps, with Wilson's 95 % interval: uint8 (HEIGHT, WIDTH, 3)."""
+def plot(rows: list[Row]) -> NDArray[np.uint8]:
+    """Plot the success rate over steps with Wilson's 95 % interval: uint8 (HEIGHT, WIDTH, 3)."""
     image = np.full((HEIGHT, WIDTH, 3), 255, dtype=np.uint8)
-    told = [row for row in rows if row.episodes]
-    rates = [row.successes / row.episodes for row in told]
-    ends = [wilson(row.successes, row.episodes) for row in told]
+    filled = [row for row in rows if row.episodes]
+    rates = [row.successes / row.episodes for row in filled]
+    ends = [wilson(row.successes, row.episodes) for row in filled]
     most = max((high for _, high in ends), default=1.0)
     top = next(one for one in (0.1, 0.2, 0.5, 1.0) if one >= most)
-    across = [EDGE + row.steps / rows[-1].steps * (WIDTH - 2 * EDGE) for row in told]
+    across = [EDGE + row.steps / rows[-1].steps * (WIDTH - 2 * EDGE) for row in filled]
 
     def line(values: list[float]) -> NDArray[np.int32]:
         down = [HEIGHT - EDGE - value / top * (HEIGHT - 2 * EDGE) for value in values]
         return np.rint(np.array([across, down]).T).reshape(-1, 2).astype(np.int32)
 
     low, high = line([low for low, _ in ends]), line([high for _, high in ends])
-    if told:
+    if filled:
         cv2.fillPoly(image, [np.concatenate([low, high[::-1]])], PALE, cv2.LINE_AA)
     for part in range(6):
         y = HEIGHT - EDGE - round(part / 5 * (HEIGHT - 2 * EDGE))
         cv2.line(image, (EDGE, y), (WIDTH - EDGE, y), GREY)
         _write(image, f"{100 * top * part / 5:.0f}", (EDGE - 34, y + 5))
-    if told:
+    if filled:
         cv2.polylines(image, [line(rates)], False, BLUE, 2, cv2.LINE_AA)
-    title = f"success, %, of the episodes of up to {ROW:,} steps, with 95 % interval"
+    title = f"success rate per {ROW:,} steps, %, with 95 % interval"
     _write(image, title, (EDGE, 30))
     _write(image, "0", (EDGE, HEIGHT - EDGE + 24))
     _write(image, f"{rows[-1].steps:,} steps", (WIDTH - EDGE - 120, HEIGHT - EDGE + 24))
@@ -106,12 +106,12 @@ def _write(image: NDArray[np.uint8], text: str, place: tuple[int, int]) -> None:
     cv2.putText(image, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, BLACK, 1, cv2.LINE_AA)
 
 
-class Course(BaseCallback):
-    """Notes what episodes come to; saves the learner between two rollouts, every so many steps.
+class TrainingLog(BaseCallback):
+    """Record the learning curve; save a checkpoint between rollouts every `every` steps.
 
     Attributes:
-        rows: so far.
-        resumed_at: steps at which an earlier run was gone on with.
+        rows: rows of the curve so far.
+        resumed_at: steps at which the training was resumed.
     """
 
     def __init__(
@@ -127,7 +127,7 @@ class Course(BaseCallback):
         self._row_began = self._saved = last.steps if last else 0
 
     def save(self) -> None:
-        """Write what the training can go on from, and the curve up to there."""
+        """Write a checkpoint and the curve up to it."""
         self._saved = self.num_timesteps
         write_rows(self.folder, self.rows, self.resumed_at)
         with atomic_write(checkpoint(self.folder, self.num_timesteps)) as part:
@@ -152,7 +152,7 @@ class Course(BaseCallback):
         row = self.rows[-1]
         self._console.print(
             f"{row.steps:,} steps: {row.successes} of the last {row.episodes} episodes succeeded,"
-            f" {row.steps / row.seconds:.0f} steps a second",
+            f" {row.steps / row.seconds:.0f} steps per second",
             highlight=False,
         )
 
@@ -173,11 +173,11 @@ class Course(BaseCallback):
 
 
 def checkpoint(folder: Path, steps: int) -> Path:
-    """Where the learner is saved after so many steps."""
+    """Return the path of the checkpoint after `steps` steps."""
     return folder / CHECKPOINTS / f"{steps:09d}.zip"
 
 
 def checkpoints(folder: Path) -> list[Path]:
-    """Those there are, the newest last."""
+    """List the checkpoints of a folder, oldest first."""
     found = [path for path in (folder / CHECKPOINTS).glob("*.zip") if path.stem.isdecimal()]
     return sorted(found, key=lambda path: int(path.stem))

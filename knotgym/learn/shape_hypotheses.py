@@ -1,0 +1,234 @@
+"""A set of weighted hypotheses about the rope's shape, updated from pictures and a rope model.
+
+A picture hardly shows heights: a plain loop, for one, looks like its own mirror image. So the agent
+keeps several candidate ropes that the picture may show. After a pull, the rope model moves all of
+them; how well the beads of each then match the next picture reweights them, as in a particle
+filter. Which bead was pulled is not visible either: it is inferred along with the rope's position
+(`position_belief`). Lengths are in metres, z up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from knotgym.learn.position_belief import PositionBelief
+from knotgym.learn.reader import Reader
+from knotgym.learn.rope_model import BEADS, Dynamics
+from knotgym.rendering.picture import draw
+from knotgym.topology.crossings import label_many
+from knotgym.topology.gauss import GaussCode
+
+Array = NDArray[np.float64]
+
+# Errors of neighbouring beads are correlated, so BEADS residuals count as BEADS / 25 independent
+# ones: the log-likelihood is divided by this.
+_CORRELATION = 25.0
+# A prediction is given up for a new reading when redrawing it differs from the picture by this much
+# more than redrawing the reading does: mean absolute difference, grey levels.
+_DIVERGED = 0.5
+# Hypotheses whose heights differ by less than this count as the same one: root mean square, metres.
+_MERGED = 0.008
+# Only this many of the most likely hypotheses decide which bead was pulled and which code is shown.
+_CONSULTED = 2
+# Prior probability of a pulled bead that no position particle predicts.
+_SURPRISE = 0.0005
+
+
+@dataclass(frozen=True, kw_only=True)
+class HypothesesConfig:
+    """Sizes and noise levels of the set of hypotheses.
+
+    Attributes:
+        ropes: hypotheses kept, at most.
+        varied: extra hypotheses per pull, each a kept one with perturbed heights.
+        wave: standard deviation of that perturbation, metres.
+        fresh: prior probability that all hypotheses are wrong and a new reading is better.
+        blur: standard deviation between predicted and read bead positions, metres.
+        codes: perturbed copies of a reading from which the codes that it may stand for are counted.
+    """
+
+    ropes: int = 24
+    varied: int = 24
+    wave: float = 0.008
+    fresh: float = 0.05
+    blur: float = 0.003
+    codes: int = 30
+
+
+class ShapeHypotheses:
+    """Weighted candidate ropes of one episode.
+
+    Attributes:
+        ropes: float64 (n, BEADS, 3), metres, most likely first, each centred on its middle.
+        velocities: float64 (n, BEADS, 3), m/s.
+        weights: float64 (n,), probabilities that sum to 1.
+        position: belief about the position of the rope's middle.
+        bead: the one most likely pulled by the last action.
+    """
+
+    def __init__(
+        self,
+        reader: Reader,
+        dynamics: Dynamics,
+        starts: Array,
+        config: HypothesesConfig,
+        rng: np.random.Generator,
+    ) -> None:
+        """Begin an episode; `starts` are the start positions met in training, float64 (n, 3)."""
+        self._reader, self._dynamics, self._config, self._rng = reader, dynamics, config, rng
+        self.position = PositionBelief(starts, rng)
+        self.ropes = self.velocities = np.zeros((1, BEADS, 3))
+        self.weights = np.ones(1)
+        self.bead = 0
+
+    def start(self, picture: NDArray[np.uint8]) -> None:
+        """Take the readings of an episode's first picture, uint8 (SIZE, SIZE, 3), as hypotheses."""
+        read, weights = self._reader.read(picture)
+        self._keep(read, np.zeros_like(read), weights)
+
+    def update(self, picture: NDArray[np.uint8], named: Array, force: Array) -> None:
+        """Predict the effect of an action and reweight the hypotheses by the next picture.
+
+        Args:
+            picture: uint8 (SIZE, SIZE, 3), after the action.
+            named: float64 (3,), the point of the world that the action named, metres.
+            force: float64 (3,), relative to the largest.
+        """
+        read, read_weights = self._reader.read(picture)
+        self._infer_pulled_bead(read[0], named, force)
+
+        # Predict: every hypothesis, and copies with perturbed heights so that the set doesn't
+        # collapse, are moved by the rope model as the real rope was pulled.
+        rows = self._rng.choice(len(self.ropes), size=self._config.varied, p=self.weights)
+        varied = perturb_heights(self.ropes[rows], self._config.wave, self._rng)
+        before = np.concatenate([self.ropes, varied])
+        after, velocities = self._dynamics.step(
+            before,
+            np.concatenate([self.velocities, self.velocities[rows]]),
+            np.full(len(before), self.bead),
+            np.tile(force, (len(before), 1)),
+        )
+
+        # Reweight by Bayes' rule: prior times likelihood of the picture's reading. Kept hypotheses
+        # and their perturbed copies get half of the prior each.
+        middles = after.mean(axis=1)
+        fit = self._log_likelihood(after - middles[:, None], read[0])
+        prior = np.concatenate([self.weights, np.full(len(rows), 1 / max(1, len(rows)))])
+        carried = prior * np.exp(fit - fit.max())
+        best = int(np.argmax(carried))
+        self.position.shift(middles[best])
+
+        # Correct each prediction by the picture. The new readings compete with them at the prior
+        # `fresh`, or 1 - fresh if the best prediction plainly doesn't look like the picture.
+        followed = self._reader.follow(picture, after - middles[:, None], after - before)
+        fresh = self._config.fresh
+        if _difference(read[0], picture) + _DIVERGED < _difference(followed[best], picture):
+            fresh = 1 - fresh
+        self._keep(
+            np.concatenate([followed, read]),
+            # a reading has no velocity of its own: it takes the best prediction's
+            np.concatenate([velocities, np.tile(velocities[best], (len(read), 1, 1))]),
+            np.concatenate([(1 - fresh) * carried / carried.sum(), fresh * read_weights]),
+        )
+
+    def code_probabilities(self, picture: NDArray[np.uint8]) -> dict[GaussCode, float]:
+        """Return the codes, without chirality, that the current picture may show."""
+        return self._codes(picture, self.ropes[:_CONSULTED], self.weights[:_CONSULTED])
+
+    def read_codes(self, picture: NDArray[np.uint8]) -> dict[GaussCode, float]:
+        """Return the same for a picture of another rope, such as the goal's."""
+        return self._codes(picture, *self._reader.read(picture))
+
+    def sample(self, count: int) -> tuple[Array, Array]:
+        """Sample hypotheses with their velocities; the first is always the most likely one."""
+        rows = self._rng.choice(len(self.ropes), size=count, p=self.weights)
+        rows[0] = 0
+        return self.ropes[rows], self.velocities[rows]
+
+    def _codes(
+        self, picture: NDArray[np.uint8], ropes: Array, weights: Array
+    ) -> dict[GaussCode, float]:
+        # A reading is about a millimetre off, enough to miss or invent a small kink. So the codes
+        # of many perturbed copies are counted instead of trusting that of the reading itself.
+        count = self._config.codes
+        varied = self._reader.perturb(picture, ropes, count, self._rng)
+        codes: dict[GaussCode, float] = {}
+        for code, weight in zip(label_many(varied), np.repeat(weights, count), strict=True):
+            codes[code.plain] = codes.get(code.plain, 0.0) + float(weight)
+        total = sum(codes.values())
+        return {code: weight / total for code, weight in codes.items()}
+
+    def _infer_pulled_bead(self, read: Array, named: Array, force: Array) -> None:
+        """Infer which bead the last action pulled; update the position belief by it."""
+        # Pull each bead in turn in the model. log p(reading | bead) sums over the consulted
+        # hypotheses, weighted: a log-sum-exp accumulated one hypothesis at a time.
+        fit = np.full(BEADS, -np.inf)
+        for rope, velocity, weight in zip(
+            self.ropes[:_CONSULTED], self.velocities, self.weights, strict=False
+        ):
+            after, _ = self._dynamics.step(
+                np.tile(rope, (BEADS, 1, 1)),
+                np.tile(velocity, (BEADS, 1, 1)),
+                np.arange(BEADS),
+                np.tile(force, (BEADS, 1)),
+            )
+            own = self._log_likelihood(after - after.mean(axis=1, keepdims=True), read)
+            fit = np.logaddexp(fit, own + np.log(weight))
+        likelihood = np.exp(fit - fit.max())
+        prior = self.position.bead_probabilities(self.ropes[0], named)
+        self.bead = int(np.argmax(likelihood * (prior + _SURPRISE)))
+        self.position.update(self.ropes[0], named, likelihood)
+
+    def _log_likelihood(self, predicted: Array, read: Array) -> Array:
+        """Return log p(read | predicted) up to a constant, float64 (n,).
+
+        Args:
+            predicted: float64 (n, BEADS, 3).
+            read: float64 (BEADS, 3); its heights are ignored, for a picture hardly shows them.
+        """
+        off = ((predicted[..., :2] - read[None, :, :2]) ** 2).sum(axis=2)
+        blur = self._config.blur
+        # Gaussian, truncated at four standard deviations: a bead that was misread, being hidden
+        # under another strand, must not outvote all others.
+        return -np.minimum(off, (4 * blur) ** 2).sum(axis=1) / (2 * blur**2 * _CORRELATION)
+
+    def _keep(self, ropes: Array, velocities: Array, weights: Array) -> None:
+        """Keep the most likely hypotheses; merge those that differ little in height."""
+        kept: list[int] = []
+        total = weights.copy()
+        for row in np.argsort(-weights, kind="stable").tolist():
+            apart = ropes[kept, :, 2] - ropes[row, :, 2]
+            same = np.flatnonzero((apart**2).mean(axis=1) < _MERGED**2)
+            if len(same):
+                # a duplicate adds its weight to the more likely one, even once the set is full
+                total[kept[same[0]]] += weights[row]
+            elif len(kept) < self._config.ropes:
+                kept.append(row)
+        kept.sort(key=lambda row: -total[row])
+        self.ropes, self.velocities = ropes[kept], velocities[kept]
+        self.weights = total[kept] / total[kept].sum()
+
+
+def perturb_heights(ropes: Array, size: float, rng: np.random.Generator) -> Array:
+    """Add one random sinusoid to the heights of each rope.
+
+    Args:
+        ropes: float64 (n, BEADS, 3), left as they were.
+        size: standard deviation of the change, metres.
+        rng: draws 1 to 8 waves round the loop, a phase and an amplitude per rope.
+    """
+    number = rng.integers(1, 9, (len(ropes), 1))
+    angle = number * 2 * np.pi * np.arange(BEADS) / BEADS + rng.uniform(0, 2 * np.pi, number.shape)
+    changed = ropes.copy()
+    # sqrt(2) cos has unit variance over a period
+    changed[..., 2] += size * rng.normal(size=number.shape) * np.sqrt(2) * np.cos(angle)
+    return changed
+
+
+def _difference(points: Array, picture: NDArray[np.uint8]) -> float:
+    """Return the mean absolute difference of a rope's drawing and a picture, grey levels."""
+    drawn = draw(points).astype(np.int16)
+    return float(np.abs(drawn - picture).mean())
