@@ -180,7 +180,7 @@ def test_shards_of_different_runs_are_not_merged(
     )
     assert "are not shards of one run" in said(capfd)[0]
     assert knotgym("dataset", "merge", *played, tmp_path, "--out", tmp_path / "merged") == 2
-    assert "merged with each other alone" in said(capfd)[0]
+    assert "only merged with each other" in said(capfd)[0]
 
 
 # States.
