@@ -535,7 +535,10 @@ def mistaken(tmp_path: Path) -> Path:
         ("--nx -1", "--nx takes numbers of crossings such as 3, 2,3 or 0-4, got '-1'"),
         ("--nx=-1", "--nx takes numbers of crossings such as 3, 2,3 or 0-4, got '-1'"),
         ("--nx 12", "from 0 to 11, got 12"),
-        ("--nx 7", "up to 6 crossings, got nx 7; --no-demonstrations makes states without them"),
+        (
+            "--nx 7",
+            "limited to 6 crossings, got nx 7; --no-demonstrations makes states without them",
+        ),
         ("--nx 4-2", "got '4-2'"),
         ("--nx 0-99999999999", "got '0-99999999999'"),
         ("--nx three", "got 'three'"),
@@ -563,7 +566,7 @@ def mistaken(tmp_path: Path) -> Path:
             "--archive {}/foreign.h5",
             "foreign.h5 has format 'none' version none; this version reads 'knotgym-archive'",
         ),
-        ("--archive {}/knotted.h5", "begin at another curve"),
+        ("--archive {}/knotted.h5", "start from another curve"),
     ],
 )
 def test_a_mistake_is_one_line_and_writes_nothing(
@@ -598,7 +601,9 @@ def test_too_few_attempts_are_a_failure_that_can_be_resumed(
     out = tmp_path / "runs" / "a"
     assert knotgym("generate", *words, "--workers", 1, "--quiet", "--out", out) == 1
     (line,) = said(capfd)
-    assert line.startswith("knotgym: states lack: 1 with nx = 0; use --resume and more --attempts")
+    assert line.startswith(
+        "knotgym: missing states: 1 with nx = 0; give --resume with more --attempts"
+    )
     assert [path.name for path in out.parent.iterdir()] == [".a.partial"]
 
 

@@ -258,7 +258,7 @@ def test_a_spoilt_checkpoint_is_one_line(
     saved.write_bytes(saved.read_bytes()[:-100])
     assert knotgym("generate", *WANTED, "--workers", 1, "--out", tmp_path / "a", "--resume") == 2
     (line,) = said(capfd)
-    assert line.startswith(f"knotgym: {partial} can't be resumed, it is damaged")
+    assert line.startswith(f"knotgym: {partial} can't be resumed, it is corrupted")
     assert line.endswith("start with --restart")
 
 

@@ -78,7 +78,7 @@ def test_a_shard_with_nothing_to_do_is_refused(
     words: tuple[object, ...], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     assert knotgym(*words, "--out", tmp_path / "a", "--shard", "3/3", "--workers", 1) == 2
-    assert "cut the run into fewer shards" in said(capfd)[0]
+    assert "split the run into fewer shards" in said(capfd)[0]
 
 
 # Episodes.

@@ -271,7 +271,7 @@ class EpisodeRecipe:
         self.files: list[_EpisodeFile] = []
         if not self.numbers:
             raise InvalidCollection(
-                f"shard {options.shard} of {config.episodes} episodes has none: cut the run into"
+                f"shard {options.shard} of {config.episodes} episodes has none: split the run into"
                 " fewer shards"
             )
 

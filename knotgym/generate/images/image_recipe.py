@@ -95,7 +95,7 @@ class ImageRecipe:
         self.wanted = {key: len(share) for key, share in shares.items() if share}
         if not self.wanted:
             raise InvalidImagesConfig(
-                f"shard {self.shard} has no picture to make: cut the run into fewer shards"
+                f"shard {self.shard} has no picture to make: split the run into fewer shards"
             )
         self.split = splits_of(config, start, set(quota))
         self.chooser = Chooser(
