@@ -294,7 +294,7 @@ def test_what_was_played_is_not_gone_on_from_once_it_is_spoilt(
 ) -> None:
     for spoilt in ("{}", '{"0": [[1]]}', "no JSON"):
         (staging_folder(interrupted) / "played.json").write_text(spoilt)
-        with pytest.raises(InvalidRun, match="is damaged; --restart begins anew"):
+        with pytest.raises(InvalidRun, match="is corrupted; --restart starts again"):
             to_file(config(states_path, episodes=17), interrupted, resume=True)
 
 
