@@ -382,11 +382,11 @@ def _done_already(
     source: dict[str, Any],
     existing: Existing,
 ) -> list[Result] | None:
-    """The results at `out` if a resumed evaluation takes them as its own; None if it is to play.
+    """Return the results at `out` if the evaluation to resume is finished, otherwise None.
 
     Raises:
-        InvalidRun: the file is of another evaluation, and is not to be overwritten.
-        Occupied: it is finished, but its film isn't there.
+        InvalidRun: the file belongs to another evaluation, and `existing` doesn't overwrite it.
+        Occupied: the evaluation is finished, but its film is missing.
     """
     if not may_be_finished(out, existing) or not out.is_file():
         return None
@@ -398,14 +398,14 @@ def _done_already(
         raise
     if video is not None and not video.exists():
         raise Occupied(
-            f"{out} is finished already, but the film {video} isn't there; --overwrite alone makes"
-            " both anew"
+            f"{out} is finished already, but the film {video} isn't there; --overwrite without"
+            " --resume makes both again"
         )
     return results
 
 
 def _require_playable(config: EvaluateConfig) -> None:
-    """Refuse a policy or task that isn't there, or a policy that can't act in a task."""
+    """Raise if a policy or task doesn't exist, or if a policy can't act in a task."""
     acting = {one.policy: make_policy(one) for one in config.policies}
     for policy, task in config.setups():
         acting[policy.policy].suited(task)
@@ -413,15 +413,15 @@ def _require_playable(config: EvaluateConfig) -> None:
 
 
 def _finished(out: Path, config: EvaluateConfig, source: dict[str, Any]) -> list[Result]:
-    """What an evaluation of the same settings, policies, states and code wrote.
+    """Read the results of an evaluation with the same settings, policies, states and code.
 
     Raises:
-        InvalidRun: the file is of another one.
+        InvalidRun: the file belongs to another evaluation.
     """
     try:
-        said = read_json(out)
-        there = {name: said[name] for name in ("version", "settings", "digests")}
-        results = [Result(**row) for row in said["results"]]
+        content = read_json(out)
+        there = {name: content[name] for name in ("version", "settings", "digests")}
+        results = [Result(**row) for row in content["results"]]
     except (KeyError, TypeError, ValueError) as error:
         raise InvalidRun(
             f"{out} isn't an evaluation of this version; choose another --out"
@@ -436,7 +436,7 @@ def _finished(out: Path, config: EvaluateConfig, source: dict[str, Any]) -> list
 
 
 def film(episode: Episode, task: TaskConfig) -> list[NDArray[np.uint8]]:
-    """Draw an episode in all its views, with each pull and why it was chosen: frames of a film."""
+    """Return the frames of a film of an episode: all its views, each pull, and its reason."""
     from knotgym.rendering.video import film_frames
 
     moves = [""] * len(episode.points) if episode.move is None else episode.move
