@@ -146,16 +146,9 @@ class Archive:
         chiral = [GaussCode(code.visits, letters) for letters in chiralities(code)]
         return [code for code in chiral if mirror_images(code)[0] in self.niches]
 
-    def sure(self, code: GaussCode, longest: float = float("inf")) -> bool:
-        """Whether `code` or a mirror image of it has an exact elite.
-
-        Args:
-            code: a code with chirality.
-            longest: maximum length of the elite's sequence.
-        """
-        return any(
-            elite.exact and len(elite.sequence) <= longest for elite in self.leading_to(code)
-        )
+    def sure(self, code: GaussCode) -> bool:
+        """Whether `code`, which has chirality, or a mirror image of it has an exact elite."""
+        return any(elite.exact for elite in self.leading_to(code))
 
     def leading_to(self, code: GaussCode) -> list[Elite]:
         """Return the elites of the class of `code`, which has chirality."""
