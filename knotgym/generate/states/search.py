@@ -294,6 +294,7 @@ def play(unit: SearchUnit) -> Played:
         TransitionRecorder(shifts, config.rope.beads, config.most_templates) for _ in unit.indices
     ]
     for step in range(config.steps):
+        # A macro-action may end by itself when its bead has arrived; only then is a new one drawn.
         controller.advance(simulation.points)
         for row in np.flatnonzero(controller.idle).tolist():
             macro_action = propose(simulation.points[row], rngs[row], config.macro_actions)
@@ -303,12 +304,13 @@ def play(unit: SearchUnit) -> Played:
         beads[:, step] = controller.beads
         forces[:, step] = controller.forces(simulation.points)
         _, held = step_ropes(simulation, beads[:, step], forces[:, step])
-        taken[alive & ~held] = step
+        taken[alive & ~held] = step  # the failed action itself doesn't count
         alive &= held
         controller.advance(simulation.points)
         ended = controller.idle | (step == config.steps - 1)
         codes = label_many(simulation.points)
         for row in np.flatnonzero(alive).tolist():
+            # States are offered when the code changes and at the end of every macro-action.
             is_new = codes[row] != last[row]
             if is_new:
                 recorders[row].show(find_crossings(simulation.points[row]))
@@ -319,7 +321,7 @@ def play(unit: SearchUnit) -> Played:
                     for reading in readings(simulation.points[row], Limits(), config.rope)
                 ]
         last = codes
-    discoveries.sort(key=_place)
+    discoveries.sort(key=_place)  # the archive depends on the order of the offers
     transitions = TransitionCounts()
     for recorder in recorders:
         transitions.add(recorder.transitions, config.most_templates)
@@ -346,7 +348,7 @@ def readings(points: Array, limits: Limits, rope: RopeConfig) -> list[Reading]:
         objective = limits.objective(seen, code.nx)
         for reverse in (False, True):
             reading = Reading(code.reversed() if reverse else code, base_shift, reverse, objective)
-            known = best.setdefault(reading.code, reading)
+            known = best.setdefault(reading.code, reading)  # the exact reading comes first
             if objective < known.objective and (known.base_shift or known.reverse):
                 best[reading.code] = reading
     return list(best.values())
@@ -414,6 +416,7 @@ def _parents(archive: Archive, config: SearchConfig, number: int) -> list[Elite]
         for niche, elites in near.items()
     }
     niches = [niche for niche, elites in able.items() if elites]
+    # Weights fall with visits, but slowly, so that well-known classes are still explored further.
     weights = np.array([1 / np.sqrt(1 + archive.visits.get(niche, 0)) for niche in niches])
     picks = rng.choice(len(niches), config.batch_size, p=weights / weights.sum())
     chosen = [niches[pick] for pick in picks]
