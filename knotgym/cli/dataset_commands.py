@@ -1,4 +1,4 @@
-"""`knotgym dataset ...`: look at, check and convert what the other commands made."""
+"""The commands `knotgym dataset ...`, which inspect, check and convert datasets."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import typer
 from knotgym.cli.options import OverwriteOption, QuietOption
 from knotgym.runs.progress import Progress
 
-dataset_app = typer.Typer(no_args_is_help=True, help="Look at, check and convert datasets.")
+dataset_app = typer.Typer(no_args_is_help=True, help="Inspect, check and convert datasets.")
 
 PathOrId = Annotated[
     str,
     typer.Argument(
         metavar="PATH-OR-ID",
         help=(
-            "A run's folder or the `minari` in it, a states.h5, an episode file, a folder of"
-            " pictures, or a Minari dataset id; show takes transcripts, too."
+            "A run's folder or its `minari` folder, a states.h5, an episode file, a folder of"
+            " pictures, or a Minari dataset id; `show` also takes transcripts."
         ),
     ),
 ]
@@ -26,10 +26,10 @@ PathOrId = Annotated[
 
 @dataset_app.command()
 def show(path: PathOrId) -> None:
-    """Count what a dataset holds.
+    """Summarize a dataset.
 
-    Crossings, codes, chirality, splits, quality, rejections; of transcripts (a .jsonl of `knotgym
-    prompt`, or its folder) successes, answers, retries, tokens.
+    Prints crossings, codes, chirality, splits, quality and rejections. For transcripts of `knotgym
+    prompt` (a .jsonl file or its folder): success rate, answers, retries and tokens.
     """
     with Progress(lines=False) as progress:
         from knotgym.cli.inspection import show as look
@@ -43,18 +43,18 @@ def gallery(
     out: Annotated[
         Path | None, typer.Option(help="PNG to write; gallery.png in the folder by default.")
     ] = None,
-    columns: Annotated[int, typer.Option(min=1, help="Pictures in a row.")] = 8,
+    columns: Annotated[int, typer.Option(min=1, help="Pictures per row.")] = 8,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Draw a contact sheet: knot diagrams, each with its code.
+    """Draw a contact sheet of knot diagrams with their codes.
 
-    It shows all states, or the ends of the first 64 episodes, each framed green if it reached its
-    goal and red if it failed. Of a perception table it shows the first 64 pictures as they are.
+    It shows all states, or the final states of the first 64 episodes, framed green for success and
+    red for failure. For a perception table it shows the first 64 pictures.
     """
     with Progress(quiet, lines=False) as progress:
+        from knotgym.cli.dataset_paths import folder_of
         from knotgym.cli.inspection import gallery as draw
-        from knotgym.cli.places import folder_of
 
         out = out or folder_of(path) / "gallery.png"
         progress.say(f"{out}: {draw(path, out, columns, overwrite)}")
@@ -63,12 +63,12 @@ def gallery(
 @dataset_app.command()
 def verify(
     path: PathOrId,
-    quiet: Annotated[bool, typer.Option("--quiet", help="Say nothing but faults.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print faults only.")] = False,
 ) -> None:
-    """Check everything that a dataset says.
+    """Check a dataset.
 
-    Checksums, schema, labels by two labellers, provenance by replay, splits. Exit status 1 on any
-    fault.
+    Compares checksums and schema, recomputes Gauss codes with two implementations, replays the
+    actions that led to each state, and checks the splits. Exit status 1 on any fault.
     """
     with Progress(quiet, lines=False) as progress:
         from knotgym.cli.inspection import checked, faults
@@ -78,8 +78,8 @@ def verify(
         found = 0
         for fault in faults(path, progress):
             found += 1
-            told = f"fault: {fault}"
-            progress.console.print(told, soft_wrap=True, highlight=False, markup=False)
+            line = f"fault: {fault}"
+            progress.console.print(line, soft_wrap=True, highlight=False, markup=False)
         if found:
             progress.say(f"{path}: {found} faults")
             raise typer.Exit(1)
@@ -94,8 +94,8 @@ def merge(
         typer.Argument(
             metavar="PATH-OR-ID...",
             help=(
-                "All the shards of one run; or state files or their folders; or trajectory datasets"
-                " of one task."
+                "All shards of one run; state files or their folders; or trajectory datasets of one"
+                " task."
             ),
         ),
     ],
@@ -103,22 +103,22 @@ def merge(
         Path | None,
         typer.Option(
             help=(
-                "For shards the folder to make, for those of collect the root of the dataset's id;"
-                " with --id the root of the id, Minari's own by default; else the file: states.h5,"
-                " or episodes.h5 for trajectories."
+                "Output. For shards: the folder to make, or for shards of collect the Minari root."
+                " With --id: the Minari root, Minari's own by default. Otherwise: the file,"
+                " states.h5, or episodes.h5 for trajectories."
             )
         ),
     ] = None,
     dataset_id: Annotated[
         str,
-        typer.Option("--id", help="Make a Minari dataset of this id, such as knotgym/all-v0."),
+        typer.Option("--id", help="Write a Minari dataset with this id, such as knotgym/all-v0."),
     ] = "",
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Put shards of one run, or datasets of one kind, together.
+    """Merge the shards of one run, or datasets of one kind.
 
-    Nothing is encoded again.
+    Data is copied, not encoded again.
 
     Examples:
 
@@ -129,7 +129,7 @@ def merge(
         knotgym dataset merge knotgym/tie-nx2/a-v0 knotgym/tie-nx2/b-v0 --id knotgym/both-v0
     """
     if not dataset_id and out is None:
-        raise typer.BadParameter("say where to: --out FILE, or --id for a Minari dataset")
+        raise typer.BadParameter("give an output: --out FILE, or --id for a Minari dataset")
     with Progress(quiet, lines=False) as progress:
         from knotgym.cli.inspection import merge as put_together
         from knotgym.cli.inspection import merge_to_minari
@@ -148,22 +148,23 @@ def replay(
         Path | None,
         typer.Option(
             help=(
-                "Video to write: .gif, or .mp4 or .webm with the extra video; replay.gif in the"
-                " folder by default."
+                "Video to write: .gif, or with the extra video .mp4 or .webm; by default replay.gif"
+                " in the folder."
             )
         ),
     ] = None,
-    row: Annotated[int, typer.Option(min=0, help="Which state or episode.")] = 0,
+    row: Annotated[int, typer.Option(min=0, help="Index of the state or episode.")] = 0,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Act out how a state or an episode came to be, check it bit for bit, and film it.
+    """Replay the actions of a state or an episode, check the result bit for bit, and film it.
 
-    The pull is an arrow, both codes stand below, and the last frame says "reached" or "failed".
+    Arrows show the pulls, both codes are printed below, and the last frame says "reached" or
+    "failed".
     """
     with Progress(quiet, lines=False) as progress:
+        from knotgym.cli.dataset_paths import folder_of
         from knotgym.cli.inspection import film
-        from knotgym.cli.places import folder_of
 
         out = out or folder_of(path) / "replay.gif"
         progress.say(f"{out}: {film(path, row, out, overwrite, progress)}")
@@ -178,13 +179,14 @@ def page(
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Write one HTML file to browse a dataset in, without a network.
+    """Write a self-contained HTML page for browsing a dataset offline.
 
-    States turn in three dimensions, episodes play; 10 MB at most, large sets are sampled.
+    States can be rotated in 3D and episodes played. Large sets are sampled, so that the page has at
+    most 10 MB.
     """
     with Progress(quiet, lines=False) as progress:
+        from knotgym.cli.dataset_paths import folder_of
         from knotgym.cli.inspection import page as write
-        from knotgym.cli.places import folder_of
 
         out = out or folder_of(path) / "page.html"
         progress.stage("writing the page")
@@ -198,8 +200,8 @@ def export(
         Path,
         typer.Option(
             help=(
-                "What to write: a file, .h5, for the compact form, a folder of such where there are"
-                " several datasets; a folder for the others."
+                "Output: an .h5 file for compact, or a folder of them for several datasets; a"
+                " folder for all other formats."
             )
         ),
     ],
@@ -207,15 +209,15 @@ def export(
         str,
         typer.Option(
             help=(
-                "compact (states and actions; pictures are drawn), lerobot, ogbench; huggingface"
-                " or minari: a folder to upload as it is."
+                "Format: compact (states and actions, pictures are rendered on loading), lerobot or"
+                " ogbench; huggingface or minari for a folder ready to upload."
             )
         ),
     ] = "compact",
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Convert a dataset to another form, or to a folder to upload."""
+    """Convert a dataset to another format, or to a folder ready to upload."""
     with Progress(quiet, lines=False) as progress:
         from knotgym.cli.inspection import export as convert
 

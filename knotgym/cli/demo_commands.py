@@ -1,4 +1,4 @@
-"""The commands of a first visit: `knotgym demo` and `knotgym compile`."""
+"""The commands `knotgym demo` and `knotgym compile`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,10 @@ def demo(
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Watch the expert tie a diagram: an observation, a film and a page, in about 20 seconds."""
+    """Film the expert tying a knot diagram, in about 20 seconds.
+
+    Writes an observation, a film and an HTML page.
+    """
     with Progress(quiet) as progress:
         progress.stage("loading the simulator")
         from PIL import Image
@@ -61,14 +64,14 @@ def demo(
             write_film(folder / film_name, frames)
             page(str(dataset), folder / "page.html", overwrite=False)
         reached = sum(bool(one.is_success[-1]) for one in episodes)
-        progress.say(f"{out / 'reset.png'}: a first observation, the rope beside its goal")
+        progress.say(f"{out / 'reset.png'}: the first observation, with the rope beside its goal")
         progress.say(f"{out / film_name}: the expert reaches the goal in {reached} of 2 episodes")
-        progress.say(f"{out / 'page.html'}: the same episodes, to turn and play in a browser")
-        progress.say("next: knotgym-generate --nx 3 --count 40, or README's example")
+        progress.say(f"{out / 'page.html'}: the same episodes, to play and rotate in a browser")
+        progress.say("next: knotgym-generate --nx 3 --count 40, or the example in the README")
 
 
 def compile_kernels(quiet: QuietOption = False) -> None:
-    """Compile the numerical kernels now, so that no later command has to; about 40 CPU seconds."""
+    """Compile the numerical kernels ahead of time, in about 40 CPU seconds."""
     with Progress(quiet) as progress:
         from knotgym.control.planner_config import PlannerConfig
         from knotgym.control.policies import PolicyConfig
@@ -82,15 +85,15 @@ def compile_kernels(quiet: QuietOption = False) -> None:
 
         options, silent = RunOptions(workers=1, quiet=True), Progress(quiet=True)
         with tempfile.TemporaryDirectory(prefix="knotgym-compile-") as temporary:
-            room = Path(temporary)
-            progress.stage("compiling what draws, relaxes and measures states")
+            folder = Path(temporary)
+            progress.stage("compiling the kernels that draw, relax and measure states")
             states = GenerateConfig(nx=(1,), count=1, demonstrations=False)
-            generate(states, room / "states", options, progress=silent)
-            progress.stage("compiling what plays, plans and draws pictures")
+            generate(states, folder / "states", options, progress=silent)
+            progress.stage("compiling the kernels that simulate, plan and render")
             config = CollectConfig(
                 task=TaskConfig(task="tie", nx=1, horizon=2, observation="state"),
                 policy=PolicyConfig(policy="expert", planner=PlannerConfig(budget=64)),
                 episodes=1,
             )
-            arrays(collect(config, room, options, progress=silent), observation="both")
+            arrays(collect(config, folder, options, progress=silent), observation="both")
         progress.say(f"compiled; the machine code is kept in {scan.stats.cache_path}")

@@ -1,4 +1,4 @@
-"""What `knotgym dataset ...` does with what a path or an id names."""
+"""The work of the `knotgym dataset` commands on a dataset named by a path or an id."""
 
 from __future__ import annotations
 
@@ -11,7 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from knotgym.cli.places import Place, UnknownDataset, episodes_at, name_of, place, places
+from knotgym.cli.dataset_paths import (
+    Dataset,
+    UnknownDataset,
+    episodes_at,
+    name_of,
+    resolve_dataset,
+    resolve_datasets,
+)
 from knotgym.cli.summaries import print_episodes, print_images, print_states, print_transcripts
 from knotgym.common.atomic_files import (
     atomic_write,
@@ -53,24 +60,24 @@ from knotgym.states.state_file import (
     write_states,
 )
 
-_LARGE = 4_000_000  # bytes of a table that is checked sooner by several processes than by this one
+_LARGE = 4_000_000  # bytes; larger tables are checked faster by several processes than by one
 
 
-def demonstrations(path: Path) -> list[Place]:
-    """The trajectory datasets beside the states of a run."""
+def demonstrations(path: Path) -> list[Dataset]:
+    """Return the trajectory datasets in the folder of a run."""
     return episodes_at(str(path)) if (path / "minari").is_dir() else []
 
 
 class UntrueReplay(KnotgymError, RuntimeError):
-    """A replay ended elsewhere than the dataset says."""
+    """A replay ended in another state than the stored one."""
 
 
 def show(named: str, console: Console) -> None:
-    """Print what a dataset holds, or transcripts."""
+    """Print a summary of a dataset or of transcripts."""
     if transcripts_at(named) is not None:
         print_transcripts(Path(named), console)
         return
-    for kind, path in places(named):
+    for kind, path in resolve_datasets(named):
         if kind == "images":
             print_images(str(path), console)
         elif kind == "states":
@@ -80,10 +87,10 @@ def show(named: str, console: Console) -> None:
 
 
 def faults(named: str, progress: Progress) -> Iterator[str]:
-    """Check what a path or an id names; yield its faults.
+    """Check the datasets that a path or an id names; yield their faults.
 
     Raises:
-        HarmfulFile: the HDF5 library doesn't live through a file of it.
+        HarmfulFile: the HDF5 library crashes on one of the files.
     """
     given = [Path(named)]
     if not given[0].exists() and not leads_out(named):
@@ -92,34 +99,34 @@ def faults(named: str, progress: Progress) -> Iterator[str]:
     tables = [file for one in given for file in (one, *one.glob("**/*.parquet")) if file.is_file()]
     large = sum(file.stat().st_size for file in tables) > _LARGE
     with executor(0 if large else 1) as pool:
-        for _, path in places(named):
+        for _, path in resolve_datasets(named):
             progress.stage(f"checking {path}")
             yield from verification.faults(path, pool.map, progress.stage)
 
 
 def checked(named: str) -> str:
-    """What a check of a sound dataset has looked at, in a few words."""
-    told: Counter[str] = Counter()
-    for kind, path in places(named):
+    """Describe what `faults` has checked, as counts."""
+    counts: Counter[str] = Counter()
+    for kind, path in resolve_datasets(named):
         if kind == "images":
-            told["pictures"] += len(read_table(path, columns=["nx"]))
+            counts["pictures"] += len(read_table(path, columns=["nx"]))
         elif kind == "states":
-            told["labels"] += len(read_states(states_at(path), images=False))
+            counts["Gauss codes"] += len(read_states(states_at(path), images=False))
         if kind != "images":
             inside = episodes_at(str(path)) if kind == "episodes" else demonstrations(path)
             for one in inside:
                 reader = EpisodeReader(one.path)
-                told["episodes" if kind == "episodes" else "demonstrations"] += len(reader)
-                told["steps acted out"] += int(reader.lengths.sum())
+                counts["episodes" if kind == "episodes" else "demonstrations"] += len(reader)
+                counts["steps replayed"] += int(reader.lengths.sum())
                 reader.close()
-        told["checksums"] += len(read_manifest(path)[0].get("files", {})) if path.is_dir() else 0
-    return ", ".join(f"{count} {what}" for what, count in told.items() if count)
+        counts["checksums"] += len(read_manifest(path)[0].get("files", {})) if path.is_dir() else 0
+    return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
 
 
 def gallery(named: str, out: Path, columns: int, overwrite: bool) -> str:
-    """Draw a contact sheet of what a path or an id names; the fact to tell of it."""
+    """Write a contact sheet; return a one-line summary."""
     require_output(out, folder=False, overwrite=overwrite)
-    found = places(named)
+    found = resolve_datasets(named)
     kind, path = found[0]
     with atomic_write(out, overwrite=overwrite) as temporary:
         if kind == "states":
@@ -144,10 +151,16 @@ def export(
     overwrite: bool = False,
     count: Count = uncounted,
 ) -> str:
-    """Write another form of what a path or an id names, the compact one as a file, or a folder with
-    one for each dataset; the fact to tell of it. `count` is told before each episode.
+    """Export a dataset to another format; return a one-line summary.
+
+    Args:
+        named: a path or an id.
+        out: a file for one dataset in format compact; otherwise a folder.
+        form: the format: compact, lerobot, ogbench, huggingface or minari.
+        overwrite: replace `out`.
+        count: called before each episode.
     """
-    require_writable(out)  # each form then checks what it would replace
+    require_writable(out)  # each exporter then checks what it would replace
     require_own_files(named)
     if form == "huggingface":
         to_huggingface(_sources(named), out, count, overwrite=overwrite)
@@ -180,13 +193,13 @@ def export(
 
 
 def require_own_files(named: str) -> None:
-    """Refuse to copy from a dataset whose files are links to elsewhere.
+    """Require that no file of a dataset is a link to another place.
 
     Raises:
         LinkedFile: one is; see `require_no_links`.
     """
     root = Path(named) if Path(named).exists() else minari_root() / named
-    for kind, path in places(named):
+    for kind, path in resolve_datasets(named):
         inside = [one.path for one in demonstrations(path)] if kind == "states" else []
         files = shards(path) if kind == "images" else []
         if kind == "states":
@@ -197,25 +210,25 @@ def require_own_files(named: str) -> None:
 
 
 def _sources(named: str) -> ToUpload:
-    """The files that a path or an id names, and a title."""
-    found = places(named)
+    """Return the files that a path or an id names, and a title."""
+    found = resolve_datasets(named)
     kind, path = found[0]
     title = path.resolve().name
     if kind == "images":
         return ToUpload(title, pictures=path)
     if kind == "states":
-        ways = [one.path for one in demonstrations(path)]
-        return ToUpload(title, states=states_at(path), episodes=ways)
+        episodes = [one.path for one in demonstrations(path)]
+        return ToUpload(title, states=states_at(path), episodes=episodes)
     title = named if len(found) > 1 else dataset_name(path)
     return ToUpload(title, episodes=[one.path for one in found])
 
 
 def refuse_minaris_folder(out: Path) -> None:
-    """Raise UnknownDataset where a plain file would lie among Minari's datasets."""
+    """Raise UnknownDataset if a plain file would be written into Minari's folder."""
     if out.resolve().is_relative_to(minari_root().resolve()):
         raise UnknownDataset(
-            f"{out} is in Minari's folder, where a plain file is no dataset: give --id"
-            " knotgym/name-v0 to merge, or another --out"
+            f"{out} is in Minari's folder, where Minari can't read a plain file: merge with --id"
+            " knotgym/name-v0, or give another --out"
         )
 
 
@@ -226,16 +239,16 @@ def merge_to_minari(
     overwrite: bool,
     count: Count = uncounted,
 ) -> str:
-    """Make a Minari dataset of several; the fact to tell of it."""
+    """Merge trajectory datasets into one Minari dataset; return a one-line summary."""
     for source in sources:
         require_own_files(source)
-    paths = [place(source, "episodes").path for source in sources]
+    paths = [resolve_dataset(source, "episodes").path for source in sources]
     made = merge_datasets(paths, dataset_id, root, count, overwrite=overwrite)
     return f"{made}: {len(EpisodeReader(made))} episodes"
 
 
 def page(named: str, out: Path, overwrite: bool) -> str:
-    """Write one HTML file to browse what a path or an id names; the fact to tell of it."""
+    """Write an HTML page for browsing a dataset; return a one-line summary."""
     require_output(out, folder=False, overwrite=overwrite)
     data = page_data(**_sources(named)._asdict())
     with atomic_write(out, overwrite=overwrite) as temporary:
@@ -244,14 +257,14 @@ def page(named: str, out: Path, overwrite: bool) -> str:
 
 
 def merge(sources: Sequence[str], out: Path, overwrite: bool, count: Count = uncounted) -> str:
-    """Put datasets of one kind together, or the shards of one run; the fact to tell of it."""
+    """Merge datasets of one kind, or the shards of one run; return a one-line summary."""
     run_shards = [shard for source in sources if (shard := shard_folder_of(source))]
     if run_shards:
         others = len(sources) - len(run_shards)
         if others:
             raise UnknownDataset(
-                f"shards of a run are merged with each other alone; {others} of these"
-                f" {len(sources)} are none"
+                f"shards of a run are only merged with each other; {others} of these"
+                f" {len(sources)} are not shards"
             )
         made = merge_shards(run_shards, out, overwrite=overwrite)
         return f"{made} is the whole run, of {len(run_shards)} shards"
@@ -259,16 +272,15 @@ def merge(sources: Sequence[str], out: Path, overwrite: bool, count: Count = unc
     refuse_minaris_folder(out)
     for source in sources:
         require_own_files(source)
-    found = [place(source) for source in sources]
+    found = [resolve_dataset(source) for source in sources]
     kinds = {one.kind for one in found}
     if "images" in kinds:
         raise UnknownDataset(
-            "perception tables are merged only if they are shards of one run (knotgym images"
-            " --shard)"
+            "perception tables can only be merged as shards of one run (knotgym images --shard)"
         )
     if len(kinds) > 1:
         raise UnknownDataset(
-            f"states and trajectories don't go into one file: {', '.join(sources)}"
+            f"states and trajectories can't be merged into one file: {', '.join(sources)}"
         )
     if kinds == {"states"}:
         merged = merge_states([read_states(states_at(path)) for _, path in found], distinct=True)
@@ -282,29 +294,29 @@ def merge(sources: Sequence[str], out: Path, overwrite: bool, count: Count = unc
 
 
 def film(named: str, row: int, out: Path, overwrite: bool, progress: Progress) -> str:
-    """Act out a state's provenance or an episode and write it as a video; the fact to tell of it.
+    """Replay a state or an episode and write it as a video; return a one-line summary.
 
     Raises:
-        UnknownDataset: there is no such row, or nothing is known of how it came to be.
-        UntrueReplay: it ended elsewhere; nothing is written.
+        UnknownDataset: there is no such row, or it has no recorded actions.
+        UntrueReplay: the replay ended in another state; nothing is written.
     """
     require_output(out, folder=False, overwrite=overwrite)
     require_film(out)
-    kind, path = place(named, "states", "episodes")
+    kind, path = resolve_dataset(named, "states", "episodes")
     scene = (_state_scene if kind == "states" else _episode_scene)(path, row)
     simulation, steps = Simulation(1, scene.rope), len(scene.actions)
     simulation.lay(scene.start_qpos[None])
     ropes, pulls = [simulation.points[0].copy()], []
     for step, action in enumerate(scene.actions):
-        progress.stage("steps acted out", step, steps)
+        progress.stage("replaying steps", step, steps)
         beads, forces = simulation.read_actions(action[None])
         pulls.append((int(beads[0]), forces[0] / scene.rope.config.max_force))
         simulation.act(action[None])
         ropes.append(simulation.points[0].copy())
     if not np.array_equal(simulation.points[0], scene.end):
         raise UntrueReplay(
-            f"row {row} of {named} acted out again ends elsewhere, first bead"
-            f" {np.abs(simulation.points[0] - scene.end).max():.3g} m away at most"
+            f"row {row} of {named} ends in another state when replayed: beads differ by up to"
+            f" {np.abs(simulation.points[0] - scene.end).max():.3g} m per coordinate"
         )
     progress.stage("writing")
     headings = [f"step {step} of {steps}" for step in range(steps + 1)]
@@ -315,7 +327,7 @@ def film(named: str, row: int, out: Path, overwrite: bool, progress: Progress) -
 
 
 class _Scene(NamedTuple):
-    """What is acted out: from a start, by actions, to an end; beside a goal."""
+    """What to replay: actions from a start state to an end state, and the goal shown beside it."""
 
     rope: Rope
     start_qpos: Array
@@ -330,7 +342,7 @@ def _state_scene(path: Path, row: int) -> _Scene:
     _require_row(row, len(states))
     if not {"start_qpos", "actions", "steps"} <= states.source.keys():
         raise UnknownDataset(
-            f"{path} doesn't say how its states were made, so they can't be acted out"
+            f"{path} has no recorded actions for its states, so they can't be replayed"
         )
     actions = states.source["actions"][row, : states.source["steps"][row]]
     end = states.points[row]
@@ -355,4 +367,4 @@ def _episode_scene(path: Path, row: int) -> _Scene:
 
 def _require_row(row: int, count: int) -> None:
     if row >= count:
-        raise UnknownDataset(f"row {row} is not there; there are {count}, from 0")
+        raise UnknownDataset(f"there is no row {row}; the dataset has {count} rows, counted from 0")

@@ -22,22 +22,24 @@ from knotgym.runs.run_options import Existing
 
 
 def train(
-    out: Annotated[Path, typer.Option(help="Folder to make: weights, card, curves.")],
+    out: Annotated[Path, typer.Option(help="Folder to write: weights, card and learning curves.")],
     data: Annotated[
         list[str],
-        typer.Option(help="Minari id or folder of episodes of the train split; may be repeated."),
+        typer.Option(help="Minari id or folder of train-split episodes; may be repeated."),
     ],
-    steps: Annotated[int, typer.Option(help="Of training the reader.")] = 3000,
+    steps: Annotated[
+        int, typer.Option(help="Training steps of the reader, the perception model.")
+    ] = 3000,
     settings: SettingsOption = None,
     seed: Annotated[
-        int, typer.Option(help="Of everything; the same seed and data give the same weights.")
+        int, typer.Option(help="Random seed; the same seed and data give the same weights.")
     ] = 0,
     resume: ResumeOption = False,
     restart: RestartOption = False,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Train a learner that sees pictures alone; `knotgym evaluate --policy FOLDER` measures it."""
+    """Train a policy from pictures alone; evaluate it with `knotgym evaluate --policy FOLDER`."""
     for library in ("torch", "safetensors"):
         if importlib.util.find_spec(library) is None:
             raise MissingExtra(library, install_command("learn"), "knotgym train")

@@ -1,4 +1,4 @@
-"""The command line: commands, and how they end; every mistake is one line and exit status 2."""
+"""The entry points of the command line; a user's mistake prints one line, with exit status 2."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from knotgym.runs.run_options import NotEnough
 
 
 class Command(TyperCommand):
-    """A command whose --help shows flags without a type, and square brackets as they are."""
+    """A command whose --help shows flags without a type and keeps square brackets."""
 
     def get_params(self, ctx: Any) -> Any:
         return _flags_bare(super().get_params(ctx))
@@ -39,12 +39,12 @@ class Command(TyperCommand):
         plain: Any = copy.copy(self)
         plain.params = [copy.copy(one) for one in self.params]
         for part in [plain, *plain.params]:
-            part.help = escape(part.help or "")  # else rich takes '.[video]' for a style
+            part.help = escape(part.help or "")  # rich would read '.[video]' as a style
         TyperCommand.format_help(plain, ctx, formatter)
 
 
 class Group(TyperGroup):
-    """The same for a group of commands."""
+    """A group of commands whose --help shows flags without a type."""
 
     def get_params(self, ctx: Any) -> Any:
         return _flags_bare(super().get_params(ctx))
@@ -83,10 +83,10 @@ def _version(asked: bool) -> None:
 def knotgym(
     version: Annotated[
         bool,
-        typer.Option("--version", callback=_version, is_eager=True, help="Say which this is."),
+        typer.Option("--version", callback=_version, is_eager=True, help="Show the version."),
     ] = False,
 ) -> None:
-    """Data for spatial reasoning on knots.
+    """Environments and data for spatial reasoning about knots.
 
     Examples:
 
@@ -102,28 +102,28 @@ def knotgym(
     """
 
 
-# ClickException, be it Click's own or the copy inside typer
+# ClickException, from Click itself or from the copy that typer bundles
 _USAGE: Any = typer.BadParameter.__mro__[2]
 _FAILED, _MISTAKEN, _INTERRUPTED = 1, 2, 130
 _NO_NAME = (errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP)
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _OURS = (
-    "this is a fault of knotgym's, not of yours: please report it, with the lines above, in the"
-    " issue tracker of the repository"
+    "this is a bug in knotgym: please report it, with the traceback above, in the repository's"
+    " issue tracker"
 )
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run `knotgym`; exits with 0 only when everything asked for was done."""
+    """Run `knotgym` and exit, with status 0 only if everything requested was done."""
     _run(app, "knotgym", arguments)
 
 
 def main_generate(arguments: Sequence[str] | None = None) -> None:
-    """Run `knotgym-generate`, the same as `knotgym generate`."""
+    """Run `knotgym-generate`, an alias of `knotgym generate`."""
     _run(generate_app, "knotgym-generate", arguments)
 
 
-# what typer makes anew, at every call, of the signatures of all commands
+# typer would rebuild every command from its signature at each call
 _built = functools.cache(typer.main.get_command)
 
 
@@ -134,28 +134,28 @@ def _run(command: typer.Typer, name: str, arguments: Sequence[str] | None) -> No
     try:
         result = _built(command)(args=arguments, prog_name=name, standalone_mode=False)
         status = result if isinstance(result, int) else 0
-        if status == _INTERRUPTED:  # what typer makes of a KeyboardInterrupt
+        if status == _INTERRUPTED:  # typer returns this after a KeyboardInterrupt
             _say(stopped(), status)
     except (NotEnough, LostWorkers) as error:
         status = _say(str(error), _FAILED)
     except _USAGE as error:
-        # the help was shown, if empty
+        # an empty message means that the help was shown
         status = _say(error.format_message(), _MISTAKEN) if error.format_message() else _MISTAKEN
     except KnotgymError as error:
         status = _say(str(error), _MISTAKEN)
     except BrokenExecutor:
         status = _say(
-            "a worker died, perhaps for want of memory; --resume goes on from the last cycle",
+            "a worker died, perhaps out of memory; --resume continues from the last checkpoint",
             _FAILED,
         )
     except MemoryError:
         status = _say(
-            "no memory was left, here or at a worker; what a run has finished is kept, --resume"
-            " goes on from there",
+            "out of memory, here or in a worker; finished work is kept, --resume continues from"
+            " there",
             _FAILED,
         )
     except OSError as error:
-        # a name that can't be one is the user's
+        # an impossible file name is the user's mistake
         status = _say(_trouble(error), _MISTAKEN if error.errno in _NO_NAME else _FAILED)
     except (KeyboardInterrupt, typer.Abort):
         status = _say(stopped(), _INTERRUPTED)
@@ -171,22 +171,20 @@ def _run(command: typer.Typer, name: str, arguments: Sequence[str] | None) -> No
 
 
 def _interrupted(error: BaseException | None) -> bool:
-    """Whether a KeyboardInterrupt began it: of one inside a compiled function, numba makes a
-    SystemError.
-    """
+    """Whether a KeyboardInterrupt caused this; in compiled code, numba makes it a SystemError."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__
     return error is not None
 
 
 def _stopped(typed: typer.Typer, arguments: Sequence[str] | None) -> str:
-    """The line of an interrupted command, which promises --resume where there is one."""
+    """Return the message of an interrupted command, which mentions --resume if it has one."""
     command: Any = _built(typed)
     for word in sys.argv[1:] if arguments is None else arguments:
         command = getattr(command, "commands", {}).get(word, command)
     resumable = any(parameter.name == "resume" for parameter in command.params)
-    goes_on = ", --resume goes on from the last cycle" if resumable else ""
-    return f"interrupted; nothing half-written is left{goes_on}"
+    goes_on = ", --resume continues from the last checkpoint" if resumable else ""
+    return f"interrupted; no partial output is left{goes_on}"
 
 
 def _interrupt(stopped: Callable[[], str], number: int, frame: object) -> None:
@@ -197,32 +195,31 @@ def _interrupt(stopped: Callable[[], str], number: int, frame: object) -> None:
 
 
 def _unraisable(stopped: Callable[[], str], error: sys.UnraisableHookArgs) -> None:
-    """After an interruption: silence of what was half made and is taken down; but the interruption
-    itself is never swallowed.
-    """
+    """After an interruption, ignore errors in destructors, but act on a second interruption."""
     if issubclass(error.exc_type, KeyboardInterrupt):
         _end(stopped, 0, None)
 
 
 def _end(stopped: Callable[[], str], number: int, frame: object) -> None:
-    """Asked to stop again while clearing up: leave at once. What is half-written has no final name,
-    and workers end with their parent.
+    """Exit at once when interrupted again during cleanup.
+
+    Partial output never has its final name, and workers end with their parent.
     """
-    shown = "\x1b[?25h" if sys.stderr.isatty() else ""  # a live table had hidden the cursor
+    shown = "\x1b[?25h" if sys.stderr.isatty() else ""  # the live table hides the cursor
     os.write(2, f"{shown}knotgym: {stopped()}\n".encode())
     os._exit(_INTERRUPTED)
 
 
 def _trouble(error: OSError) -> str:
-    """What the system says, without what a library adds to it."""
+    """Return the operating system's message, without what a library adds to it."""
     said = os.strerror(error.errno) if error.errno else str(error)
     return f"{said} {error.filename or ''}"
 
 
 def _say(text: str, status: int) -> int:
-    """One line on standard error."""
+    """Print one line on standard error; return the exit status."""
     if status == _INTERRUPTED:
         for number in _SIGNALS:
-            signal.signal(number, signal.SIG_IGN)  # it is the last
+            signal.signal(number, signal.SIG_IGN)  # this is the last line
     print(f"knotgym: {printable(' '.join(text.split()))}", file=sys.stderr)
     return status

@@ -1,4 +1,4 @@
-"""Options that several commands share, each declared once, in the groups that --help shows."""
+"""Options shared by several commands, declared once, in the groups that --help shows."""
 
 from __future__ import annotations
 
@@ -16,66 +16,78 @@ from knotgym.topology.gauss import GaussCode
 ENVIRONMENT, ACTING = "The environment", "Who acts"
 RUN, METADATA = "How it is run", "Metadata"
 _POLICIES = (
-    "random, constant, scripted, expert, noisy-expert, mixed, pretrained; the folder of a learner"
-    " (knotgym train); a .zip (SB3), .onnx or .pt file; prompt:FILE, transcripts of `knotgym"
-    " prompt`; or module:name of your own, a function of (observation) or (observation, info,"
-    " generator), or an object with reset and act."
+    "random, constant, scripted, expert, noisy-expert, mixed or pretrained; a folder written by"
+    " `knotgym train`; a .zip (SB3), .onnx or .pt file; prompt:FILE, to score transcripts of"
+    " `knotgym prompt`; or module:name for your own code: a function of (observation) or"
+    " (observation, info, generator), or an object with reset and act."
 )
 
 
 def option(*names: str, help: str, group: str | None = None, **more: Any) -> Any:
-    """An option of a group of --help."""
+    """Declare an option in a --help group."""
     return typer.Option(*names, help=help, rich_help_panel=group, **more)
 
 
-NxOption = Annotated[str, option("--nx", help="Crossings: 3, or 2,3, or 0-4.")]
+NxOption = Annotated[str, option("--nx", help="Numbers of crossings: 3, 2,3 or 0-4.")]
 
 StatesOption = Annotated[
     Path | None,
     option(
         "--states",
-        help="readable (default), random-walk or hard-unknots, which ship, or a state file, or the"
-        " folder of the run that made it.",
+        help="Set of states: readable (default), random-walk or hard-unknots, which are included;"
+        " or a state file, or the folder of the run that made it.",
         group=ENVIRONMENT,
     ),
 ]
 ObservationOption = Annotated[
-    str, option("--observation", help="pixels, state, both or symbolic.", group=ENVIRONMENT)
+    str,
+    option(
+        "--observation", help="Observation: pixels, state, both or symbolic.", group=ENVIRONMENT
+    ),
 ]
 MaxGoalsOption = Annotated[
     int | None,
     option(
         "--max-goals",
-        help="So many goal configurations of the split at most, the first by row; all by default.",
+        help="Use only the first N goal states of the split, in file order; all by default.",
         group=ENVIRONMENT,
     ),
 ]
 ImageSizeOption = Annotated[
-    int, option("--image-size", help="Pixels, each half of the picture.", group=ENVIRONMENT)
+    int,
+    option(
+        "--image-size",
+        help="Side of each half of the picture (rope and goal), in pixels.",
+        group=ENVIRONMENT,
+    ),
 ]
 ViewsOption = Annotated[
     str,
     option(
         "--views",
-        help="Views in the picture, with commas: of top, left and front.",
+        help="Camera views in the picture, comma-separated: top, left, front.",
         group=ENVIRONMENT,
     ),
 ]
 DepthOption = Annotated[
-    bool, option("--depth", help="Depth as a fourth channel of the picture.", group=ENVIRONMENT)
+    bool, option("--depth", help="Add depth as a fourth image channel.", group=ENVIRONMENT)
 ]
 HorizonOption = Annotated[
-    int, option("--horizon", help="Steps until truncation.", group=ENVIRONMENT)
+    int, option("--horizon", help="Steps before an episode is truncated.", group=ENVIRONMENT)
 ]
 HoldOption = Annotated[
     int,
-    option("--hold", help="Consecutive steps the goal code must show.", group=ENVIRONMENT),
+    option(
+        "--hold",
+        help="Consecutive steps that the rope must show the goal code.",
+        group=ENVIRONMENT,
+    ),
 ]
 TowLimitOption = Annotated[
     float | None,
     option(
         "--tow-limit",
-        help="Metres that the rope's centre may be towed; no bound by default.",
+        help="Furthest that the rope's centre may be towed, in metres; no limit by default.",
         group=ENVIRONMENT,
     ),
 ]
@@ -83,7 +95,7 @@ ResetNoiseOption = Annotated[
     float,
     option(
         "--reset-noise",
-        help="Scale of the noise at reset, radians per joint and metres.",
+        help="Scale of the noise added at reset, in radians per joint and in metres.",
         group=ENVIRONMENT,
     ),
 ]
@@ -91,7 +103,7 @@ IntegratorStepsOption = Annotated[
     int,
     option(
         "--integrator-steps",
-        help="MuJoCo steps in an action; 20 are faster, on slightly other trajectories.",
+        help="MuJoCo steps per action; 20 is faster and gives slightly different trajectories.",
         group=ENVIRONMENT,
     ),
 ]
@@ -102,32 +114,44 @@ PoliciesOption = Annotated[
 ]
 NoiseOption = Annotated[
     float,
-    option("--noise", help="Chance that a noisy expert's pull is a random one.", group=ACTING),
+    option(
+        "--noise",
+        help="Probability that noisy-expert takes a random action instead of its own.",
+        group=ACTING,
+    ),
 ]
 BudgetOption = Annotated[
     int,
-    option("--budget", help="Actions that an expert may simulate for an episode.", group=ACTING),
+    option("--budget", help="Simulated actions per episode for expert planning.", group=ACTING),
 ]
 SharesOption = Annotated[
     str,
-    option("--shares", help="Of random, scripted, noisy-expert and expert in mixed.", group=ACTING),
+    option(
+        "--shares",
+        help="Shares of random, scripted, noisy-expert and expert episodes in mixed.",
+        group=ACTING,
+    ),
 ]
 
 SeedOption = Annotated[
     int,
-    option("--seed", help="Of everything; the same seed gives the same bytes.", group=RUN),
+    option("--seed", help="Random seed; the same seed gives the same bytes.", group=RUN),
 ]
 WorkersOption = Annotated[
     int,
-    option("--workers", help="Processes; 0 for one a core. Does not change the result.", group=RUN),
+    option(
+        "--workers",
+        help="Worker processes; 0 for one per core. Doesn't change the result.",
+        group=RUN,
+    ),
 ]
-EngineOption = Annotated[
+ExecutorOption = Annotated[
     str,
     option(
-        "--engine",
+        "--executor",
         help=(
-            "local, or dask: the workers of a Dask cluster, on a file system that all of them see"
-            " (extra dask)."
+            "What runs the work: local processes, or dask for a Dask cluster whose workers share a"
+            " file system (needs the extra dask)."
         ),
         group=RUN,
     ),
@@ -136,7 +160,7 @@ SchedulerOption = Annotated[
     str,
     option(
         "--scheduler",
-        help="Address of the cluster's scheduler, such as tcp://127.0.0.1:8786.",
+        help="Address of the Dask scheduler, such as tcp://127.0.0.1:8786.",
         group=RUN,
     ),
 ]
@@ -145,8 +169,8 @@ ShardOption = Annotated[
     option(
         "--shard",
         help=(
-            "2/8: make the second eighth of the run, in NAME-shard-2-of-8; `knotgym dataset merge`"
-            " puts all eight together."
+            "2/8 makes the second eighth of the run, in NAME-shard-2-of-8; `knotgym dataset merge`"
+            " joins all eight."
         ),
         group=RUN,
     ),
@@ -155,7 +179,7 @@ SettingsOption = Annotated[
     Path | None,
     option(
         "--settings",
-        help="JSON file of further settings, named as `config` in manifest.json names them.",
+        help="JSON file with more settings, using the names of `config` in manifest.json.",
         group=RUN,
     ),
 ]
@@ -164,7 +188,7 @@ RestartOption = Annotated[
     bool,
     option(
         "--restart",
-        help="Throw away what an interrupted run left, and start from the beginning.",
+        help="Delete the work of an interrupted run and start again.",
         group=RUN,
     ),
 ]
@@ -172,11 +196,11 @@ OverwriteOption = Annotated[
     bool,
     option(
         "--overwrite",
-        help="Replace an output that exists, once the new one is complete.",
+        help="Replace an existing output once the new one is complete.",
         group=RUN,
     ),
 ]
-QuietOption = Annotated[bool, option("--quiet", help="Say nothing but errors.", group=RUN)]
+QuietOption = Annotated[bool, option("--quiet", help="Print errors only.", group=RUN)]
 
 
 def numbers(text: str) -> tuple[int, ...]:
@@ -204,42 +228,42 @@ def numbers(text: str) -> tuple[int, ...]:
 
 
 def code_list(path: Path | None) -> list[GaussCode]:
-    """The Gauss codes in a file, one a line; none of no file.
+    """Read Gauss codes from a file, one per line; an empty list without a file.
 
     Raises:
-        InvalidGaussCode: a line is none.
+        InvalidGaussCode: a line is not a Gauss code.
     """
     if path is None:
         return []
     if path.exists() and not path.is_file():
-        raise typer.BadParameter(f"--codes {path} is no regular file")
+        raise typer.BadParameter(f"--codes {path} is not a regular file")
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise typer.BadParameter(f"--codes {path} can't be read: {error}") from error
     found = [GaussCode.parse(line) for line in lines if line.strip()]
     if not found:
-        raise typer.BadParameter(f"--codes {path} holds no code")
+        raise typer.BadParameter(f"--codes {path} contains no Gauss code")
     return found
 
 
 def listed(text: str) -> tuple[str, ...]:
-    """Read "top,left"."""
+    """Split "top,left" at its commas."""
     return tuple(word.strip() for word in text.split(","))
 
 
 def words(text: str) -> tuple[str, ...]:
-    """Read "tie,unknot", each once."""
+    """Split "tie,unknot" at its commas and drop duplicates."""
     return tuple(dict.fromkeys(listed(text)))
 
 
 def run_options(
-    engine: str, scheduler: str, workers: int, shard: str, existing: Existing, quiet: bool
+    executor: str, scheduler: str, workers: int, shard: str, existing: Existing, quiet: bool
 ) -> RunOptions:
-    """What the options of a run say together."""
+    """Build the options of a run from the command line."""
     return RunOptions(
         workers=workers,
-        scheduler=scheduler_of(engine, scheduler, workers),
+        scheduler=scheduler_of(executor, scheduler, workers),
         shard=Shard.parse(shard),
         quiet=quiet,
         **vars(existing),
@@ -247,7 +271,7 @@ def run_options(
 
 
 def default_folder(name: str, *marks: str) -> Path:
-    """Where a run goes without --out: its name, and what tells it from other runs of that name.
+    """Return the output folder used without --out: a name and marks for non-default settings.
 
     >>> print(default_folder("nx3", "3_1", "", "seed1"))
     knotgym-data/nx3-3_1-seed1
@@ -256,7 +280,7 @@ def default_folder(name: str, *marks: str) -> Path:
 
 
 def made_from(source: Path | None) -> str:
-    """A mark for a run that sets out from a file of another run's folder.
+    """Return the mark of a run that starts from a file of another run.
 
     >>> made_from(Path("knotgym-data/nx3/archive.h5"))
     'from-nx3'
@@ -265,10 +289,10 @@ def made_from(source: Path | None) -> str:
 
 
 def with_settings(config: Config, path: Path | None) -> Config:
-    """A configuration changed by a --settings file.
+    """Apply a --settings file to a configuration.
 
     Raises:
-        InvalidConfig: the file can't be read as JSON, or names what isn't there.
+        InvalidConfig: the file can't be read as JSON or names an unknown setting.
     """
     if path is None:
         return config

@@ -13,7 +13,7 @@ from knotgym.cli.options import (
     METADATA,
     BudgetOption,
     DepthOption,
-    EngineOption,
+    ExecutorOption,
     HoldOption,
     HorizonOption,
     ImageSizeOption,
@@ -52,11 +52,13 @@ if TYPE_CHECKING:
 
 
 def collect(
-    task: Annotated[str, typer.Option(help="tie, unknot or convert.")] = "tie",
+    task: Annotated[str, typer.Option(help="Task: tie, unknot or convert.")] = "tie",
     nx: NxOption = "2",
     policy: PolicyOption = "expert",
-    episodes: Annotated[int, typer.Option(help="Played, for each nx.")] = 200,
-    split: Annotated[str, typer.Option(help="train, test, train-code or test-code.")] = "train",
+    episodes: Annotated[int, typer.Option(help="Episodes to play for each --nx.")] = 200,
+    split: Annotated[
+        str, typer.Option(help="Split of the states: train, test, train-code or test-code.")
+    ] = "train",
     keep_failed: Annotated[
         bool,
         typer.Option(
@@ -65,26 +67,27 @@ def collect(
     ] = True,
     attempts: Annotated[
         int,
-        typer.Option(
-            help="Times each episode is played; the shortest that reached the goal is kept."
-        ),
+        typer.Option(help="Rollouts per episode; the shortest one that reaches the goal is kept."),
     ] = 1,
     labels: Annotated[
         str,
         typer.Option(
-            help='"expert": store what it would do at every state, its --budget for each.',
+            help=(
+                '"expert" stores the expert\'s action at every state, planned with --budget for'
+                " each."
+            ),
             show_default="none",
         ),
     ] = "",
     out: Annotated[
-        Path | None, typer.Option(help="Root of the dataset's id; Minari's own by default.")
+        Path | None, typer.Option(help="Minari root to write to; Minari's own by default.")
     ] = None,
     dataset_id: Annotated[
         str,
         typer.Option(
             "--id",
             help=(
-                "Minari id; by default knotgym/tie-nx3/expert-v0 and the like, with a mark for each"
+                "Minari id; by default for example knotgym/tie-nx3/expert-v0, with a mark for each"
                 " setting that changes the data, as in expert-state-seed1-v0."
             ),
         ),
@@ -95,11 +98,11 @@ def collect(
         option(
             "--observation",
             help=(
-                "Stored, and seen by your functions and .pt models: pixels, state, both or"
-                " symbolic. A .zip or .onnx model sees what it was trained on."
+                "Observation to store, also the input of your functions and .pt models: pixels,"
+                " state, both or symbolic. A .zip or .onnx model gets what it was trained on."
             ),
             group=ENVIRONMENT,
-            show_default="both is stored, state is seen",
+            show_default="both is stored, policies get state",
         ),
     ] = None,
     max_goals: MaxGoalsOption = None,
@@ -115,18 +118,20 @@ def collect(
     budget: BudgetOption = 20000,
     shares: SharesOption = "0.25,0.25,0.25,0.25",
     author: Annotated[
-        list[str] | None, option("--author", help="May be repeated.", group=METADATA)
+        list[str] | None,
+        option("--author", help="Author of the dataset; may be repeated.", group=METADATA),
     ] = None,
     author_email: Annotated[
-        list[str] | None, option("--author-email", help="May be repeated.", group=METADATA)
+        list[str] | None,
+        option("--author-email", help="Author's email; may be repeated.", group=METADATA),
     ] = None,
     code_permalink: Annotated[
         str | None,
-        option("--code-permalink", help="Where the code can be seen.", group=METADATA),
+        option("--code-permalink", help="URL of the code that made it.", group=METADATA),
     ] = None,
     seed: SeedOption = 0,
     workers: WorkersOption = 0,
-    engine: EngineOption = "local",
+    executor: ExecutorOption = "local",
     scheduler: SchedulerOption = "",
     settings: SettingsOption = None,
     shard: ShardOption = "",
@@ -135,9 +140,9 @@ def collect(
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Play a policy's episodes and write them as a Minari dataset.
+    """Roll out a policy and write its episodes as a Minari dataset.
 
-    Several --nx make a dataset each.
+    Several values of --nx make one dataset each.
 
     Examples:
 
@@ -158,11 +163,11 @@ def collect(
         from knotgym.generate.episodes.collect import collect as run
 
         existing = Existing(resume=resume, restart=restart, overwrite=overwrite)
-        options, crossings = run_options(engine, scheduler, workers, shard, existing, quiet), nx
+        options, crossings = run_options(executor, scheduler, workers, shard, existing, quiet), nx
         if dataset_id and len(numbers(crossings)) > 1:
             raise typer.BadParameter(
-                f"--id names one dataset, and --nx {nx} makes {len(numbers(crossings))}: leave out"
-                " --id, or give one nx"
+                f"--id names one dataset, but --nx {nx} makes {len(numbers(crossings))}: leave out"
+                " --id or give a single --nx"
             )
         acting = policy_config(policy, noise, budget, shares)
         tasks = [
@@ -206,7 +211,7 @@ def collect(
             if settled.dataset_id == config.dataset_id and not dataset_id:
                 settled = replace(settled, dataset_id=distinct_id(settled))
             configs[number] = settled
-        for config in configs:  # all of them before the first is played
+        for config in configs:  # refuse any of them before playing the first
             require_collectable(config, out, options)
         for config in configs:
             run(config, out, options, progress=progress)
@@ -216,35 +221,35 @@ def collect(
 
 def evaluate(
     task: Annotated[
-        str, typer.Option(help="tie, unknot, convert, or several with commas.")
+        str, typer.Option(help="Tasks, comma-separated: tie, unknot, convert.")
     ] = "tie",
-    nx: Annotated[
-        str, typer.Option("--nx", help="Crossings: 3, or 2,3, or 2-4; several make the matrix.")
-    ] = "2",
+    nx: Annotated[str, typer.Option("--nx", help="Numbers of crossings: 3, 2,3 or 2-4.")] = "2",
     policy: PoliciesOption = None,
-    episodes: Annotated[int, typer.Option(help="For each policy, task, split and nx.")] = 256,
+    episodes: Annotated[
+        int, typer.Option(help="Episodes for each policy, task, split and --nx.")
+    ] = 256,
     split: Annotated[
-        str, typer.Option(help="train, test, train-code, test-code; several with commas.")
+        str, typer.Option(help="Splits, comma-separated: train, test, train-code, test-code.")
     ] = "test",
-    out: Annotated[Path | None, typer.Option(help="JSON to write.")] = None,
+    out: Annotated[Path | None, typer.Option(help="JSON file to write.")] = None,
     video: Annotated[
         Path | None,
         typer.Option(
             help=(
-                "Film of the first episodes of each setup: .webm or .gif, or .mp4 with the extra"
-                " video."
+                "Film of the first episodes of each setup: .gif, or with the extra video .mp4 or"
+                " .webm."
             )
         ),
     ] = None,
-    filmed: Annotated[int, typer.Option(min=0, help="Episodes of each setup in the film.")] = 2,
+    filmed: Annotated[int, typer.Option(min=0, help="Episodes per setup in the film.")] = 2,
     states: StatesOption = None,
     observation: Annotated[
         str,
         option(
             "--observation",
             help=(
-                "What your functions and .pt models see: pixels, state, both or symbolic. A .zip or"
-                " .onnx model sees what it was trained on."
+                "Input of your functions and .pt models: pixels, state, both or symbolic. A .zip or"
+                " .onnx model gets what it was trained on."
             ),
             group=ENVIRONMENT,
         ),
@@ -268,9 +273,9 @@ def evaluate(
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Measure success rates, with 95 % intervals.
+    """Measure the success rates of policies, with 95 % confidence intervals.
 
-    Of policies by tasks, splits and numbers of crossings.
+    Every combination of policy, task, split and number of crossings is one row.
 
     Examples:
 
@@ -322,7 +327,7 @@ def evaluate(
 
 
 def policy_config(policy: str, noise: float, budget: int, shares: str) -> PolicyConfig:
-    """What the options of a policy say."""
+    """Build a policy's configuration from its options."""
     from knotgym.control.planner_config import PlannerConfig
     from knotgym.control.policies import PolicyConfig
 
@@ -330,7 +335,7 @@ def policy_config(policy: str, noise: float, budget: int, shares: str) -> Policy
         parts = tuple(float(word) for word in shares.split(","))
     except ValueError:
         raise typer.BadParameter(
-            f"--shares takes four numbers with commas, got {shares!r}"
+            f"--shares takes four comma-separated numbers, got {shares!r}"
         ) from None
     return PolicyConfig(
         policy=policy, noise=noise, shares=parts, planner=PlannerConfig(budget=budget)

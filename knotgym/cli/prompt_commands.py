@@ -29,14 +29,14 @@ from knotgym.runs.run_options import Existing
 if TYPE_CHECKING:
     from knotgym.prompting.prompted_episodes import PromptConfig
 
-_MODEL, _ASKED = "The model", "What is asked"
+_MODEL, _PROMPT = "The model", "The prompt"
 
 
 def prompt(
     pictures: Annotated[
         Path | None,
         typer.Argument(
-            metavar="PICTURES", help="Folder of pictures that `knotgym images` made: mode read."
+            metavar="PICTURES", help="For mode read: a folder of pictures from `knotgym images`."
         ),
     ] = None,
     mode: Annotated[
@@ -44,81 +44,90 @@ def prompt(
         option(
             "--mode",
             help=(
-                "open: one answer with all actions; stateless: an action at a time; stateful: the"
-                " same, with past pictures and answers; read: the code of a picture."
+                "open: one answer with all actions; stateless: one action per request; stateful:"
+                " the same, with past pictures and answers; read: the Gauss code of a picture."
             ),
-            group=_ASKED,
+            group=_PROMPT,
         ),
     ] = "stateless",
-    model: Annotated[str, option("--model", help="Its name at the server.", group=_MODEL)] = "",
+    model: Annotated[str, option("--model", help="Model name on the server.", group=_MODEL)] = "",
     base_url: Annotated[
         str,
         option(
             "--base-url",
             help=(
-                "A server that speaks the chat-completions protocol. The key, where one is wanted,"
-                " is read from OPENAI_API_KEY."
+                "URL of a server with the chat-completions protocol. Its key, if it needs one, is"
+                " read from OPENAI_API_KEY."
             ),
             group=_MODEL,
         ),
     ] = "https://api.openai.com/v1",
     temperature: Annotated[
         float,
-        option("--temperature", help="Of sampling; below 0 leaves it to the server.", group=_MODEL),
+        option(
+            "--temperature",
+            help="Sampling temperature; below 0 uses the server's default.",
+            group=_MODEL,
+        ),
     ] = 1.0,
     prompt_price: Annotated[
         float | None,
-        option("--prompt-price", help="Of a million prompt tokens.", group=_MODEL),
+        option("--prompt-price", help="Price of a million prompt tokens.", group=_MODEL),
     ] = None,
     completion_price: Annotated[
         float | None,
-        option("--completion-price", help="Of a million completion tokens.", group=_MODEL),
+        option("--completion-price", help="Price of a million completion tokens.", group=_MODEL),
     ] = None,
     timeout: Annotated[
-        float, option("--timeout", help="Seconds that an attempt may take in all.", group=_MODEL)
+        float, option("--timeout", help="Time limit for one request, in seconds.", group=_MODEL)
     ] = 120.0,
     attempts: Annotated[
-        int, option("--attempts", help="Of each question, before the run stops.", group=_MODEL)
+        int,
+        option("--attempts", help="Tries per request before the run stops.", group=_MODEL),
     ] = 6,
     backoff: Annotated[
         float,
         option(
             "--backoff",
-            help="Seconds before the second attempt, doubled before each one after it.",
+            help="Seconds to wait before the second try; doubled before each later one.",
             group=_MODEL,
         ),
     ] = 1.0,
-    task: Annotated[str, typer.Option(help="tie, unknot or convert.")] = "tie",
-    nx: Annotated[int, typer.Option("--nx", help="Crossings.")] = 2,
-    episodes: Annotated[int, typer.Option(help="Or pictures, the first of the split.")] = 100,
+    task: Annotated[str, typer.Option(help="Task: tie, unknot or convert.")] = "tie",
+    nx: Annotated[int, typer.Option("--nx", help="Number of crossings.")] = 2,
+    episodes: Annotated[
+        int, typer.Option(help="Number of episodes, or of pictures from the start of the split.")
+    ] = 100,
     split: Annotated[
         str,
-        typer.Option(help="As of evaluate; by default train, as published; of pictures test."),
+        typer.Option(
+            help="Split, as for evaluate; default train, as published, or test for pictures."
+        ),
     ] = "",
     window: Annotated[
         int,
-        option("--window", help="Past turns that mode stateful shows.", group=_ASKED),
+        option("--window", help="Past turns included in mode stateful.", group=_PROMPT),
     ] = 4,
     actions: Annotated[
-        int, option("--actions", help="Limit on the actions of an episode.", group=_ASKED)
+        int, option("--actions", help="Maximum actions per episode.", group=_PROMPT)
     ] = 50,
     image_size: Annotated[
-        int, option("--image-size", help="Pixels of each picture.", group=_ASKED)
+        int, option("--image-size", help="Side of each picture in pixels.", group=_PROMPT)
     ] = 256,
     tell_centre: Annotated[
         bool,
         option(
             "--tell-centre",
-            help="Say where the middle of the current picture is, which can't be seen.",
-            group=_ASKED,
+            help="Tell the model the world coordinates of the picture's centre.",
+            group=_PROMPT,
         ),
     ] = False,
     show: Annotated[
         bool,
         option(
             "--show",
-            help=("Ask nobody: print the whole prompt; with --out write its pictures there, too."),
-            group=_ASKED,
+            help="Print the whole prompt and send nothing; with --out also write its pictures.",
+            group=_PROMPT,
         ),
     ] = False,
     states: StatesOption = None,
@@ -128,12 +137,12 @@ def prompt(
     integrator_steps: IntegratorStepsOption = 24,
     camera: Annotated[
         str,
-        option("--camera", help="orthographic or perspective.", group=ENVIRONMENT),
+        option("--camera", help="Projection: orthographic or perspective.", group=ENVIRONMENT),
     ] = "orthographic",
-    out: Annotated[Path | None, typer.Option(help="Folder to make.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder to write.")] = None,
     side_by_side: Annotated[
         int,
-        option("--side-by-side", help="Questions that wait for the server at a time.", group=RUN),
+        option("--side-by-side", help="Concurrent requests to the server.", group=RUN),
     ] = 4,
     seed: SeedOption = 0,
     resume: ResumeOption = False,
@@ -141,10 +150,9 @@ def prompt(
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Put a vision-language model to episodes, or to reading codes off pictures.
+    """Evaluate a vision-language model on episodes, or on reading Gauss codes from pictures.
 
-    Each episode's transcript is a line of transcripts.jsonl; result.json holds what they count up
-    to.
+    Each episode's transcript is a line of transcripts.jsonl; result.json has the totals.
 
     Examples:
 
@@ -160,7 +168,7 @@ def prompt(
 
         if (mode == READ) != (pictures is not None):
             raise typer.BadParameter(
-                "mode read takes a folder of pictures, and no other mode does; got --mode"
+                "mode read, and only mode read, takes a folder of pictures; got --mode"
                 f" {mode}{' and no folder' if pictures is None else f' and {pictures}'}"
             )
         if show and not model:
@@ -204,10 +212,10 @@ def prompt(
             return
         if pictures is not None:
             config = PromptConfig(**settings, pictures=(split or "test", _digest(rows)))
-        what = f"{task}-nx{nx}" if pictures is None else pictures.absolute().name
+        subject = f"{task}-nx{nx}" if pictures is None else pictures.absolute().name
         stem = "".join(letter if letter.isalnum() or letter in "-." else "-" for letter in model)
         mark = f"seed{seed}" if seed else ""
-        folder = out or default_folder(f"prompt-{mode}-{what}", stem, mark)
+        folder = out or default_folder(f"prompt-{mode}-{subject}", stem, mark)
 
         from knotgym.prompting.prompt_run import run
         from knotgym.prompting.prompted_episodes import read
@@ -234,7 +242,7 @@ def prompt(
 
 
 def _rows(pictures: Path, split: str, count: int) -> list[dict[str, Any]]:
-    """The first pictures of a split; they are in no order."""
+    """Return the first `count` pictures of a split; the table is shuffled."""
     from itertools import islice
 
     from knotgym.datasets.image_table import InvalidImages, read_rows
@@ -259,19 +267,20 @@ def _show(
     overwrite: bool,
     progress: Progress,
 ) -> None:
-    """Print the prompt of the first episode or picture; of mode stateful that of the second turn,
-    after an answer that moved nothing.
+    """Print the prompt of the first episode or picture.
+
+    In mode stateful it is the prompt of the second turn, after an answer that moved nothing.
     """
     from knotgym.common.atomic_files import atomic_write, require_output
     from knotgym.prompting.prompts import as_text
     from knotgym.prompting.sample_prompt import sample_prompt
 
-    said, shown = sample_prompt(config, rows)
+    messages, shown = sample_prompt(config, rows)
     pictures = {} if out is None else {out / f"{one.name}.png": one.png for one in shown}
     for path in pictures:
         require_output(path, folder=False, overwrite=overwrite)
     progress.console.print(
-        as_text(said, {one.sha256: one.name for one in shown}),
+        as_text(messages, {one.sha256: one.name for one in shown}),
         end="",
         soft_wrap=True,
         highlight=False,

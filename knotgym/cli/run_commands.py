@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from knotgym.cli.options import (
-    EngineOption,
+    ExecutorOption,
     NxOption,
     OverwriteOption,
     QuietOption,
@@ -38,28 +38,30 @@ def generate(
         str | None,
         typer.Option(
             "--nx",
-            help="Crossings: 3, or 2,3, or 0-4.",
-            show_default="3; with --knot as few as that knot can have",
+            help="Numbers of crossings: 3, 2,3 or 0-4.",
+            show_default="3, or with --knot the crossing number of that knot",
         ),
     ] = None,
     count: Annotated[
         int,
         typer.Option(
-            help="States for each number of crossings, of as many different codes as there are."
+            help="States per number of crossings, spread over as many Gauss codes as possible."
         ),
     ] = 40,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder to make; knotgym-data/nx3 for --nx 3, nx3-3_1 of that knot."),
+        typer.Option(
+            help="Folder to write; by default knotgym-data/nx3, or nx3-3_1 with --knot 3_1."
+        ),
     ] = None,
     source: Annotated[
         str,
         option(
             "--source",
             help=(
-                '"drawing": states are drawn from their Gauss codes, and legible ones that play'
-                ' met come first; "random-walk": states as uniform random actions meet them, only'
-                " over-twisted ones left out, without demonstrations."
+                '"drawing": draw states from their Gauss codes, after readable states found by'
+                ' simulated play; "random-walk": take states from uniform random actions, without'
+                " over-twisted ones and without demonstrations."
             ),
             group=_CHOICE,
         ),
@@ -69,8 +71,8 @@ def generate(
         option(
             "--demonstrations/--no-demonstrations",
             help=(
-                "Find an action sequence from the start to the code of every state, by play and"
-                " the planner, and write them as Minari datasets. To 6 crossings."
+                "Search for an action sequence that reaches the Gauss code of every state, and"
+                " write the sequences as Minari datasets. Up to 6 crossings."
             ),
             group=_CHOICE,
         ),
@@ -79,7 +81,7 @@ def generate(
         int,
         option(
             "--every-code",
-            help="Instead of --count: so many states of every code there is.",
+            help="Instead of --count: number of states for every existing Gauss code.",
             group=_CHOICE,
         ),
     ] = 0,
@@ -87,7 +89,7 @@ def generate(
         str,
         option(
             "--split-by",
-            help='"state", or "code": train and test share no code.',
+            help='"state" or "code"; with "code", train and test share no Gauss code.',
             group=_CHOICE,
         ),
     ] = "state",
@@ -96,9 +98,9 @@ def generate(
         option(
             "--knot",
             help=(
-                "Knot of the rope: 0_1, a prime knot of up to 10 crossings (8_19), a mirror image"
-                " (m3_1), or a sum (3_1#4_1); or a file with a closed curve, three numbers a line"
-                " or .npy, where action sequences then begin."
+                "Knot type of the rope: 0_1, a prime knot of up to 10 crossings (8_19), a mirror"
+                " image (m3_1) or a sum (3_1#4_1); or a file with a closed curve, as .npy or three"
+                " numbers per line, from which action sequences start."
             ),
             group=_CHOICE,
         ),
@@ -108,8 +110,8 @@ def generate(
         option(
             "--codes",
             help=(
-                "A file of Gauss codes, one a line, to make states of instead of those of --nx;"
-                " --every-code says how many of each, 1 if not given."
+                "File of Gauss codes, one per line, to use instead of --nx; --every-code gives the"
+                " number of states per code, 1 by default."
             ),
             group=_CHOICE,
         ),
@@ -118,7 +120,7 @@ def generate(
         Path | None,
         option(
             "--archive",
-            help="Begin with the action sequences of another run (its archive.h5).",
+            help="Start from the action sequences of another run (its archive.h5).",
             group=_SEARCH,
         ),
     ] = None,
@@ -127,8 +129,8 @@ def generate(
         option(
             "--attempts",
             help=(
-                "Drawings for each state wanted of a code, before the code is passed over; ropes"
-                " walked for each state wanted of a random walk."
+                "Drawings per requested state before a Gauss code is skipped; with random-walk,"
+                " walks per requested state."
             ),
             group=_SEARCH,
         ),
@@ -137,13 +139,13 @@ def generate(
         int,
         option(
             "--cycles",
-            help="Stop after so many waves of work, with what there is; 0: when all is there.",
+            help="Stop after this many rounds of work and keep the states made; 0 for no limit.",
             group=_SEARCH,
         ),
     ] = 0,
     seed: SeedOption = 0,
     workers: WorkersOption = 0,
-    engine: EngineOption = "local",
+    executor: ExecutorOption = "local",
     scheduler: SchedulerOption = "",
     settings: SettingsOption = None,
     shard: ShardOption = "",
@@ -152,7 +154,7 @@ def generate(
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Make rope states, split into train and test, and demonstrations that reach their codes.
+    """Generate rope states with train and test splits, and demonstrations of their Gauss codes.
 
     Examples:
 
@@ -175,12 +177,12 @@ def generate(
         from knotgym.topology.knot_table import UNKNOT, diagram_of
 
         existing = Existing(resume=resume, restart=restart, overwrite=overwrite)
-        options = run_options(engine, scheduler, workers, shard, existing, quiet)
+        options = run_options(executor, scheduler, workers, shard, existing, quiet)
         if source not in ("drawing", "random-walk"):
             raise typer.BadParameter(f"--source takes drawing or random-walk, got {source!r}")
         if nx is None:
-            named = knot != UNKNOT and not Path(knot).is_file()
-            nx = str(diagram_of(knot).nx) if named else "3"
+            is_table_name = knot != UNKNOT and not Path(knot).is_file()
+            nx = str(diagram_of(knot).nx) if is_table_name else "3"
         folder = out or default_folder(
             f"nx{nx}",
             "" if source == "drawing" else source,
@@ -202,12 +204,14 @@ def generate(
                 "--cycles": cycles != 0,
             }.items():
                 if given:
-                    raise typer.BadParameter(f"{name} goes with --source drawing, not random-walk")
+                    raise typer.BadParameter(f"{name} needs --source drawing, not random-walk")
             walks = RandomWalkConfig(nx=numbers(nx), count=count, seed=seed, attempts=attempts)
             walk_states(with_settings(walks, settings), folder, options, progress=progress)
             return
         if archive is not None and not demonstrations:
-            raise typer.BadParameter("--archive holds action sequences; drop --no-demonstrations")
+            raise typer.BadParameter(
+                "--archive provides action sequences; remove --no-demonstrations"
+            )
         listed_codes = code_list(codes)
         config = GenerateConfig(
             nx=tuple(dict.fromkeys(code.nx for code in listed_codes)) or numbers(nx),
@@ -233,47 +237,54 @@ def generate(
 def images(
     nx: NxOption = "0-4",
     count: Annotated[
-        int, typer.Option(help="Pictures in all, evenly over the numbers of crossings.")
+        int, typer.Option(help="Total pictures, spread evenly over the numbers of crossings.")
     ] = 20_000,
     out: Annotated[
-        Path | None, typer.Option(help="Folder to make; knotgym-data/images-nx0-4 for --nx 0-4.")
+        Path | None,
+        typer.Option(help="Folder to write; by default knotgym-data/images-nx0-4 for --nx 0-4."),
     ] = None,
     archive: Annotated[
-        Path | None, typer.Option(help="Set out from the archive of a run (its archive.h5).")
+        Path | None, typer.Option(help="Start from the states in a run's archive.h5.")
     ] = None,
     states: Annotated[
         Path | None,
-        typer.Option(help="Set out from a states.h5; without either, from the states that ship."),
+        typer.Option(help="Start from a states.h5; without either, from the included states."),
     ] = None,
     test_nx: Annotated[
         str,
         option(
             "--test-nx",
-            help="Crossings that only split test-nx shows; the largest, or none.",
+            help='Numbers of crossings held out for split test-nx; also "largest" or "none".',
             group=_SPLITS,
         ),
     ] = "largest",
     test_share: Annotated[
-        float, option("--test-share", help="Share of split test.", group=_SPLITS)
+        float, option("--test-share", help="Share of pictures in split test.", group=_SPLITS)
     ] = 0.15,
     code_share: Annotated[
         float,
         option(
             "--code-share",
-            help="Share of split test-code, and of codes that only it shows.",
+            help="Share of pictures in split test-code, and of Gauss codes held out for it.",
             group=_SPLITS,
         ),
     ] = 0.15,
     vary: Annotated[
-        str, typer.Option(help="Of colours,width,background,turn,zoom,noise,blur; all, or none.")
+        str,
+        typer.Option(
+            help="What to randomize: all, none, or some of"
+            " colours,width,background,turn,zoom,noise,blur."
+        ),
     ] = "none",
     size: Annotated[
         str,
-        typer.Option(help="Pixels of a side, 64 to 512; several, such as 64,128, are drawn from."),
+        typer.Option(
+            help="Side in pixels, 64 to 512; from several (64,128) one is drawn at random."
+        ),
     ] = "128",
     seed: SeedOption = 0,
     workers: WorkersOption = 0,
-    engine: EngineOption = "local",
+    executor: ExecutorOption = "local",
     scheduler: SchedulerOption = "",
     settings: SettingsOption = None,
     shard: ShardOption = "",
@@ -282,10 +293,10 @@ def images(
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Make labelled pictures.
+    """Generate labelled pictures for perception.
 
-    Of each the Gauss code, the crossings, the rope's coordinates and how hard it is to read.
-    Needs the extra huggingface: pip install '.[huggingface]'.
+    Each comes with its Gauss code, crossings, rope coordinates and a grade of difficulty. Needs the
+    extra huggingface: pip install '.[huggingface]'.
 
     Examples:
 
@@ -299,10 +310,12 @@ def images(
         from knotgym.rendering.appearance import VARIED, AppearanceConfig
 
         existing = Existing(resume=resume, restart=restart, overwrite=overwrite)
-        options = run_options(engine, scheduler, workers, shard, existing, quiet)
+        options = run_options(executor, scheduler, workers, shard, existing, quiet)
         sizes = size.split(",")
         if not all(pixels.strip().isdecimal() for pixels in sizes):
-            raise typer.BadParameter(f"--size takes pixels such as 128 or 64,128, got {size!r}")
+            raise typer.BadParameter(
+                f"--size takes sides in pixels, such as 128 or 64,128, got {size!r}"
+            )
         varied: tuple[str, ...] = VARIED if vary == "all" else ()
         if vary not in ("all", "none"):
             varied = tuple(word.strip() for word in vary.split(","))

@@ -10,7 +10,7 @@ import typer
 from knotgym.cli.options import (
     ENVIRONMENT,
     BudgetOption,
-    EngineOption,
+    ExecutorOption,
     ObservationOption,
     OverwriteOption,
     QuietOption,
@@ -29,22 +29,29 @@ from knotgym.runs.run_options import Existing
 
 def suite(
     task: Annotated[
-        str, typer.Option(help="Of unknot, tie and convert, with commas.")
+        str, typer.Option(help="Tasks, comma-separated: unknot, tie, convert.")
     ] = "unknot,tie,convert",
-    nx: Annotated[str, typer.Option("--nx", help="Crossings, of 2 to 4: 3, or 2,3.")] = "2-4",
+    nx: Annotated[
+        str, typer.Option("--nx", help="Numbers of crossings, from 2 to 4: 3 or 2,3.")
+    ] = "2-4",
     policies: Annotated[
-        str, typer.Option(help="Of random, scripted, noisy-expert and expert, with commas.")
+        str,
+        typer.Option(help="Policies, comma-separated: random, scripted, noisy-expert, expert."),
     ] = "random,scripted,noisy-expert,expert",
     states: Annotated[
         str,
-        option("--states", help="Of readable and random-walk, with commas.", group=ENVIRONMENT),
+        option(
+            "--states",
+            help="Sets of states, comma-separated: readable, random-walk.",
+            group=ENVIRONMENT,
+        ),
     ] = "readable,random-walk",
     episodes: Annotated[
         str,
         typer.Option(
             help=(
-                "Of each set: 100, or by policy expert=3000,random=100; those not named keep their"
-                " size."
+                "Episodes per dataset: 100 for all, or expert=3000,random=100 by policy; others"
+                " keep their default."
             ),
             show_default="random=250,scripted=500,noisy-expert=150,expert=1000",
         ),
@@ -52,14 +59,14 @@ def suite(
     observation: ObservationOption = "state",
     budget: BudgetOption = 1000,
     out: Annotated[
-        Path | None, typer.Option(help="Root of the datasets' ids; Minari's own by default.")
+        Path | None, typer.Option(help="Minari root to write to; Minari's own by default.")
     ] = None,
     scores: Annotated[
         list[Path] | None,
         typer.Option(
             help=(
-                "File of `knotgym evaluate --out` for the card's table of results, beside those in"
-                " the folder `evaluations` beside the card; may be repeated."
+                "Results of `knotgym evaluate --out` to add to the card's table, besides those in"
+                " the folder `evaluations` next to the card; may be repeated."
             )
         ),
     ] = None,
@@ -67,24 +74,24 @@ def suite(
         int,
         typer.Option(
             help=(
-                "Of every set. Not 0, with which `evaluate` begins: on the train split its"
-                " episodes would begin as those of the sets."
+                "Random seed of every dataset. Not 0, the default of `evaluate`, whose episodes on"
+                " the train split would then start like those of the datasets."
             )
         ),
     ] = 1,
     workers: WorkersOption = 0,
-    engine: EngineOption = "local",
+    executor: ExecutorOption = "local",
     scheduler: SchedulerOption = "",
     resume: ResumeOption = False,
     restart: RestartOption = False,
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Make the fixed benchmark, or a part of it.
+    """Collect the fixed benchmark of offline datasets, or a part of it.
 
-    For each of nine set-ups the episodes of four policies, on two sets of states, of the train
-    split; and a card over all of them. It says first how long that takes. With --resume, sets that
-    are finished are left alone and the rest is made.
+    It has episodes of four policies for each of nine setups, on the train split of two sets of
+    states, and one card for all. The expected time is printed first. With --resume, finished
+    datasets are kept and the others are collected.
 
     Examples:
 
@@ -106,7 +113,7 @@ def suite(
             seed=seed,
         )
         existing = Existing(resume=resume, restart=restart, overwrite=overwrite)
-        options = run_options(engine, scheduler, workers, "", existing, quiet)
+        options = run_options(executor, scheduler, workers, "", existing, quiet)
         make_suite(config, out, options, scores=tuple(scores or ()), progress=progress)
 
 
@@ -123,6 +130,6 @@ def _sizes(text: str, policies: tuple[str, ...]) -> dict[str, int]:
         pairs = [(policy, "=", pairs[0][0]) for policy in policies]
     if not all(name and count.isdecimal() and len(count) < 10 for name, _, count in pairs):
         raise typer.BadParameter(
-            f"--episodes takes a number, or expert=3000,random=100 and the like; got {text!r}"
+            f"--episodes takes a number, or one per policy (expert=3000,random=100); got {text!r}"
         )
     return {name: int(count) for name, _, count in pairs}

@@ -1,4 +1,4 @@
-"""What `knotgym dataset show` prints of states, of pictures and of episodes."""
+"""Summaries that `knotgym dataset show` prints for states, pictures, episodes and transcripts."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ from knotgym.prompting.transcripts import InvalidTranscript, read_transcripts, t
 from knotgym.runs.tables import narrow_table
 from knotgym.states.state_file import read_states
 
-_LISTED = 24  # parts of a value, at most
+_LISTED = 24  # entries of a mapping that are printed, at most
 
 
 def print_states(path: str, file: Path, console: Console) -> None:
-    """Print what a state file holds, and what its folder's manifest says of the run.
+    """Print a summary of a state file and of the run in its folder's manifest.
 
     Args:
-        path: as the user named it.
+        path: as the user gave it.
         file: the state file.
-        console: where to.
+        console: where to print.
     """
     states = read_states(file, images=False)
     facts = state_summary(states)
@@ -69,8 +69,8 @@ def print_states(path: str, file: Path, console: Console) -> None:
         _say(console, f"sources: {made}")
     _say(
         console,
-        "of: codes there are; chiral: codes with chirality; both: codes in both splits; actions:"
-        " fewest/median/most to reach",
+        "of: existing Gauss codes; chiral: codes with chirality; both: codes in both splits;"
+        " actions: fewest/median/most to reach a state",
     )
     shared = narrow_table(OVERLAP_HEAD, title="train and test")
     for row in overlap_rows(facts["nx"]):
@@ -94,7 +94,7 @@ def print_states(path: str, file: Path, console: Console) -> None:
 
 
 def print_images(path: str, console: Console) -> None:
-    """Print what a perception table holds."""
+    """Print a summary of a perception table."""
     facts, size = image_summary(path), sum(shard.stat().st_size for shard in shards(path))
     _say(
         console,
@@ -118,8 +118,8 @@ def print_images(path: str, console: Console) -> None:
     console.print(counts)
     _say(
         console,
-        "chiral: codes with chirality; of a code: fewest/most pictures; accepted: as good as"
-        " curated states",
+        "chiral: codes with chirality; of a code: fewest/most pictures; accepted: within the"
+        " quality limits of generated states",
     )
     console.print(grades)
     for name, (low, middle, high) in facts["quality"].items():
@@ -128,21 +128,21 @@ def print_images(path: str, console: Console) -> None:
 
 
 def print_episodes(path: str, console: Console) -> None:
-    """Print what an episode file or a Minari dataset holds."""
+    """Print a summary of an episode file or a Minari dataset."""
     for name, value in show_episodes(path).items():
-        told = _in_words(value)
-        if told:
-            lines = wrap(f"{name:20} {told}", 80, subsequent_indent=" " * 21)
+        text = _in_words(value)
+        if text:
+            lines = wrap(f"{name:20} {text}", 80, subsequent_indent=" " * 21)
             for line in lines:
                 _say(console, line)
 
 
 def print_transcripts(path: Path, console: Console) -> None:
-    """Print what the transcripts of a run, a file or a folder, count up to."""
+    """Print totals of the transcripts in a file or a folder."""
     file = transcripts_at(path)
     found = [] if file is None else read_transcripts(file)
     if not found:
-        raise InvalidTranscript(f"{path} holds no transcripts")
+        raise InvalidTranscript(f"{path} contains no transcripts")
     config, facts = found[0]["config"], summarize(found)
     task = config.get("task")
     of = f"{task['task']} nx {task['nx']}, {task['split']}" if task else "pictures"
@@ -167,11 +167,11 @@ def print_transcripts(path: Path, console: Console) -> None:
 
 
 def _in_words(value: Any) -> str:
-    """A value of a summary as a person reads it, "" for nothing."""
+    """Format a value of a summary for reading; "" for None."""
     if isinstance(value, Mapping):
-        told = [f"{name} {_in_words(one)}" for name, one in list(value.items())[:_LISTED]]
-        more = len(value) - len(told)
-        return ", ".join(told) + (f" and {more} more" if more else "")
+        entries = [f"{name} {_in_words(one)}" for name, one in list(value.items())[:_LISTED]]
+        more = len(value) - len(entries)
+        return ", ".join(entries) + (f" and {more} more" if more else "")
     if isinstance(value, float):
         return f"{value:.4g}"
     return "" if value is None else str(value)
@@ -194,8 +194,7 @@ def _print_rejected(report: Mapping[str, Any], console: Console) -> None:
         return
     _say(
         console,
-        f"{report['attempts']} drawings made, or ropes walked; rejected, by reason (one can have"
-        " several):",
+        f"{report['attempts']} drawings or walks; rejections by reason (one can have several):",
     )
     for nx, reasons in rejected.items():
         counts = ", ".join(f"{reason} {count}" for reason, count in most_first(reasons))
@@ -203,5 +202,5 @@ def _print_rejected(report: Mapping[str, Any], console: Console) -> None:
 
 
 def _say(console: Console, line: str) -> None:
-    told = fill(line, 80, break_long_words=False, break_on_hyphens=False)
-    console.print(told, highlight=False, markup=False, soft_wrap=True)
+    text = fill(line, 80, break_long_words=False, break_on_hyphens=False)
+    console.print(text, highlight=False, markup=False, soft_wrap=True)

@@ -1,8 +1,8 @@
-"""Shards of one run put together: what `--shard i/n` made in n folders becomes one.
+"""Merge the shards of one run, made by `--shard i/n` in n folders.
 
-Episodes come out byte for byte as from a run without shards. States and pictures are another draw
-than that run's, as true and as even; near-duplicates between shards go, the later one of two, and
-states are split anew so that the shares hold.
+Merged episodes have the same bytes as a run without shards. States and pictures differ from that
+run's, but have the same distribution: of near-duplicates in two shards the later one is dropped,
+and states are split again into train and test so that the shares hold.
 """
 
 from __future__ import annotations
@@ -65,18 +65,19 @@ _NEAR = "near_duplicates_between_shards"  # in the report of the whole
 
 
 class InvalidMerge(KnotgymError, ValueError):
-    """Shards that don't make a whole."""
+    """The shards don't make up one run."""
 
 
 @dataclass(frozen=True)
 class ShardFolder:
-    """A folder that a shard of a run made.
+    """The output folder of a shard.
 
     Attributes:
+        folder: its path.
         kind: "states", "episodes" or "images".
-        shard: which.
-        request: of the run, without the shard; shards of one run have the same.
-        manifest: of the folder; of episodes their report.
+        shard: its number.
+        request: request of the run without the shard; equal for all shards of a run.
+        manifest: the folder's manifest; for episodes, collection.json.
     """
 
     folder: Path
@@ -87,7 +88,7 @@ class ShardFolder:
 
 
 def shard_folder_of(source: str) -> ShardFolder | None:
-    """What a folder says it is a shard of; None of anything else."""
+    """Read a shard's folder; return None if the folder isn't one."""
     folder = Path(source)
     for name in ("manifest.json", REPORT):
         try:
@@ -102,20 +103,17 @@ def shard_folder_of(source: str) -> ShardFolder | None:
 
 
 def merge_shards(folders: Sequence[ShardFolder], out: Path, *, overwrite: bool = False) -> Path:
-    """Put all the shards of a run together.
+    """Merge all shards of a run and return the new folder.
 
     Args:
-        folders: in any order.
-        out: the folder to make; for episodes the root of the dataset's id, as of `knotgym collect`.
-        overwrite: replace a folder that exists, once the new one is whole.
-
-    Returns:
-        The folder made.
+        folders: all shards, in any order.
+        out: the folder to write; for episodes the Minari root, as in `knotgym collect`.
+        overwrite: replace an existing folder once the new one is complete.
 
     Raises:
-        InvalidMerge: some are missing, are there twice, are spoilt, belong to different runs, or
-            report what no run does.
-        Occupied: there is something in the way.
+        InvalidMerge: shards are missing, given twice, corrupted, of different runs, or have an
+            invalid report.
+        Occupied: the output exists.
     """
     ordered = sorted(folders, key=lambda folder: folder.shard.number)
     _require_whole_run(ordered)
@@ -134,7 +132,7 @@ def merge_shards(folders: Sequence[ShardFolder], out: Path, *, overwrite: bool =
 
 
 def _require_whole_run(ordered: Sequence[ShardFolder]) -> None:
-    """Refuse shards, by number, that aren't all those of one run, unspoilt."""
+    """Require all intact shards of one run, sorted by number."""
     first = ordered[0]
     for other in ordered[1:]:
         if (other.kind, other.shard.of, other.request) != (
@@ -170,10 +168,10 @@ def _require_whole_run(ordered: Sequence[ShardFolder]) -> None:
 
 
 def _reported(ordered: Sequence[ShardFolder]) -> dict[str, Any]:
-    """What the shards report, added up.
+    """Return the sum of the shards' reports.
 
     Raises:
-        InvalidMerge: their configuration or reports aren't such as a run of this kind writes.
+        InvalidMerge: a configuration or report is invalid.
     """
     first = ordered[0]
     try:
@@ -195,7 +193,7 @@ def _config_of(shard: ShardFolder) -> type[Any]:
 
 
 def _whole_request(ordered: Sequence[ShardFolder]) -> dict[str, Any]:
-    """The request of the whole run that the folders are shards of."""
+    """Return the request of the whole run."""
     return {**ordered[0].request, "shard": asdict(Shard())}
 
 
@@ -244,12 +242,12 @@ def _states(ordered: Sequence[ShardFolder], report: dict[str, Any], folder: Path
 
 
 def _machines(ordered: Sequence[ShardFolder]) -> list[dict[str, str]]:
-    """Those that made the shards."""
+    """Return the machines that made the shards."""
     return distinct(shard.manifest for shard in ordered)
 
 
 def _renumbered(states: States, config: dict[str, Any]) -> States:
-    """States split anew, each nx and split with demonstrations of its own."""
+    """Split the states again, and number the demonstrations of each nx and split."""
     states = _split_anew(states, config)
     numbered = state_folder.demonstrations_of(
         states.nx, states.split, str(states.knot[0]), (states.source["dataset"] != "").tolist()
@@ -258,8 +256,9 @@ def _renumbered(states: States, config: dict[str, Any]) -> States:
 
 
 def _split_anew(states: States, config: dict[str, Any]) -> States:
-    """States dealt out to the splits anew."""
-    splits = states.split.astype(np.array(STATE_SPLITS).dtype)  # of shards with one split, shorter
+    """Split the states of all shards into train and test again."""
+    # wide enough for both names, also if all shards have only one split
+    splits = states.split.astype(np.array(STATE_SPLITS).dtype)
     for nx in config["nx"]:
         mine = np.flatnonzero(states.nx == nx)
         codes = [GaussCode.parse(text) for text in states.gauss_code[mine]]
@@ -275,7 +274,7 @@ def _split_anew(states: States, config: dict[str, Any]) -> States:
 
 
 def _joined_archive(archives: Sequence[Archive], search: SearchSettings) -> Archive:
-    """What any of the searches found, their rounds one after another."""
+    """Merge archives; their rounds follow one another."""
     joined = archives[0]
     for other in archives[1:]:
         for elites in other.niches.values():
@@ -308,7 +307,7 @@ def _report_of_states(reports: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "attempts": sum(report["attempts"] for report in reports),
         "actions": sum(report["actions"] for report in reports),
         "rejected": {nx: dict(sorted(reasons.items())) for nx, reasons in rejected.items()},
-        "growth": [],  # that of each shard is its own
+        "growth": [],  # the curves of separate searches don't add up
     }
 
 
@@ -342,7 +341,7 @@ def _images(ordered: Sequence[ShardFolder], report: dict[str, Any], folder: Path
 
 
 def _kept_rows(tables: Sequence[Path]) -> dict[Path, NDArray[np.bool_]]:
-    """Which rows of each file to keep: those not near an earlier one of any file."""
+    """Return a mask of rows to keep for each file: those without an earlier near-duplicate."""
     points = [points_of(read_table(path, columns=["points"])) for path in tables]
     ends = np.cumsum([len(own) for own in points])
     kept = np.split(apart(np.concatenate(points)), ends[:-1])
@@ -363,7 +362,7 @@ def _report_of_images(reports: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _cut(tables: Iterable[Any], most: int) -> Iterator[Any]:
-    """The rows of tables in tables of `most` rows; the last may have fewer."""
+    """Regroup the rows of tables into tables of `most` rows; the last may have fewer."""
     rest: Any = None
     for table in tables:
         rest = table if rest is None else arrow().concat_tables([rest, table])

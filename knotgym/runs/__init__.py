@@ -1,1 +1,1 @@
-"""How long work is done: executors, shards, staging and locks, progress."""
+"""Long runs: executors, shards, staging folders and locks, progress, confidence intervals."""

@@ -1,9 +1,9 @@
-"""Work on a Dask cluster; imported only when one is asked for.
+"""Run work on a Dask cluster; imported only for `--executor dask`.
 
 Workers read and write the files of a run themselves, so they must see its folder under the same
-path: start them anywhere on one shared file system, with PYTHONSAFEPATH=1 unless all that lies in
-the folder where they start may be imported. They must have this version of knotgym. A
-worker that dies costs the pieces it was at: Dask gives them to others, who make the same bytes.
+path: start them anywhere on one shared file system, with the same version of knotgym. Set
+PYTHONSAFEPATH=1 unless every module in the folder where they start may be imported. When a worker
+dies, Dask repeats its pieces on other workers, with the same bytes.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ import mujoco
 
 import knotgym
 from knotgym.common.errors import install_command
-from knotgym.runs.pools import AHEAD, InvalidEngine, LostWorkers, Promise, ordered
+from knotgym.runs.pools import AHEAD, InvalidExecutor, LostWorkers, Promise, ordered
 
-CONNECT = 10.0  # seconds to find the scheduler in
-WAIT = 60.0  # seconds to wait for a first worker, and for another when the last is gone
+CONNECT = 10.0  # seconds to wait for the scheduler
+WAIT = 60.0  # seconds to wait for a first worker, and for a new one when all are gone
 
-_GONE = "the scheduler is gone; --resume goes on from there, on any engine"
+_GONE = "the scheduler is gone; --resume continues from there, with any executor"
 
-# simulations are kept by process: two threads of a worker may not share them
+# Simulations are cached per process, and two threads of a worker must not share them.
 _one_at_a_time = threading.Lock()
 
 
 class _Awaited:
-    """A future that gives up when the cluster is gone."""
+    """A future that raises LostWorkers when the cluster is gone."""
 
     def __init__(self, client: Any, future: Any) -> None:
         self._client, self._future = client, future
@@ -50,11 +50,11 @@ class _Awaited:
                 return self._future.result(timeout=None if done else 2.0)
             except KilledWorker as error:
                 raise LostWorkers(
-                    "workers of the cluster died again and again over one piece of work; --resume"
-                    " goes on from there"
+                    "several workers of the cluster died on the same piece of work; --resume"
+                    " continues from there"
                 ) from error
             except TimeoutError:
-                if done:  # the work itself timed out
+                if done:  # the work itself raised it
                     raise
             except (CommClosedError, CancelledError) as error:
                 raise LostWorkers(_GONE) from error
@@ -63,12 +63,12 @@ class _Awaited:
             alone_since = (alone_since or time.monotonic()) if alone else None
             if alone_since is not None and time.monotonic() - alone_since > WAIT:
                 raise LostWorkers(
-                    f"the cluster has had no worker for {WAIT:.0f} s; --resume goes on from there"
+                    f"the cluster has had no worker for {WAIT:.0f} s; --resume continues from there"
                 )
 
 
 class Cluster:
-    """Work done by the workers of a Dask cluster."""
+    """A pool of Dask workers."""
 
     def __init__(self, client: Any) -> None:
         self._client = client
@@ -91,16 +91,16 @@ class Cluster:
 
 @contextmanager
 def cluster(scheduler: str) -> Iterator[Cluster]:
-    """The cluster whose scheduler is at this address.
+    """Connect to the cluster whose scheduler is at this address.
 
     Raises:
-        InvalidEngine: there is none, it has no workers, or they have several threads each.
+        InvalidExecutor: no scheduler answers, there is no worker, or a worker has several threads.
     """
     try:
         from distributed import Client
     except ModuleNotFoundError as error:
-        raise InvalidEngine(
-            "--engine dask needs Dask distributed, which isn't installed; install it:"
+        raise InvalidExecutor(
+            "--executor dask needs Dask distributed, which isn't installed; install it with:"
             f" {install_command('dask')}"
         ) from error
     for name in (
@@ -111,11 +111,11 @@ def cluster(scheduler: str) -> Iterator[Cluster]:
             if one.startswith(("distributed.", "tornado"))
         ),
     ):
-        logging.getLogger(name).setLevel(logging.CRITICAL + 1)  # what matters comes as an exception
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)  # errors are raised instead
     try:
         client = Client(scheduler, timeout=CONNECT, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise InvalidEngine(
+        raise InvalidExecutor(
             f"no Dask scheduler answers at {scheduler}: start one with `dask scheduler`, or check"
             " the address"
         ) from error
@@ -123,16 +123,15 @@ def cluster(scheduler: str) -> Iterator[Cluster]:
         try:
             client.wait_for_workers(1, timeout=WAIT)
         except TimeoutError as error:
-            raise InvalidEngine(
+            raise InvalidExecutor(
                 f"the cluster at {scheduler} has no worker: start some with `dask worker"
                 f" {scheduler} --nthreads 1`"
             ) from error
         threads = client.nthreads()
         if max(threads.values()) > 1:
-            raise InvalidEngine(
-                f"a worker at {scheduler} has {max(threads.values())} threads: a process works on"
-                f" one piece at a time; start them with `dask worker {scheduler} --nthreads 1"
-                " --nworkers CORES`"
+            raise InvalidExecutor(
+                f"a worker at {scheduler} has {max(threads.values())} threads, but must have one:"
+                f" start workers with `dask worker {scheduler} --nthreads 1 --nworkers CORES`"
             )
         yield Cluster(client)
     finally:
@@ -141,7 +140,7 @@ def cluster(scheduler: str) -> Iterator[Cluster]:
 
 @contextmanager
 def _answering() -> Iterator[None]:
-    """Ask the scheduler something."""
+    """Turn a failed call of the scheduler into LostWorkers."""
     try:
         yield
     except (
@@ -153,18 +152,18 @@ def _answering() -> Iterator[None]:
 
 
 def _call(function: Callable[[Any], Any], piece: Any, folder: str, about: tuple[str, str]) -> Any:
-    """Do a piece of work where the run was started."""
+    """Run a piece of work on a worker, in the working directory of the run."""
     import cv2
 
     here = knotgym.__version__, mujoco.__version__
     if here != about:
-        raise InvalidEngine(
-            f"a worker has knotgym {here[0]} and MuJoCo {here[1]}, the run {about[0]} and"
-            f" {about[1]}: their bytes could differ"
+        raise InvalidExecutor(
+            f"a worker has knotgym {here[0]} and MuJoCo {here[1]}, but the run has {about[0]} and"
+            f" {about[1]}: results could differ"
         )
     with _one_at_a_time:
         if os.getcwd() != folder:
             sys.path[:] = filter(None, sys.path)  # "" would import from the run's folder
-            os.chdir(folder)  # relative paths are the run's
+            os.chdir(folder)  # paths may be relative to the run's folder
         cv2.setNumThreads(1)
         return function(piece)

@@ -1,9 +1,9 @@
-"""The one engine of long runs: states, episodes and pictures are recipes that it follows.
+"""The engine of long runs, which executes a recipe for states, episodes or pictures.
 
-A run works in a hidden folder beside what it makes (`staging`), and only a finished folder takes
-the final name. The folder holds the *request*: all that decides the bytes made, versions and
-configuration included. A run that was killed is resumed from what its recipe saved there, if it is
-asked for the very same; what differs is refused by name.
+A run works in a hidden staging folder beside its output (see `staging`), and only a finished folder
+gets the final name. The staging folder holds the *request*: everything that determines the output,
+with configuration and versions. A killed run can be resumed from its last checkpoint if the request
+is the same; otherwise the error names the differences.
 """
 
 from __future__ import annotations
@@ -49,18 +49,18 @@ from knotgym.runs.staging import (
 )
 
 REQUEST = "request.json"
-LISTED = ("config", "source", "shard", "versions", "rope")  # of a request, and of a manifest
+LISTED = ("config", "source", "shard", "versions", "rope")  # fields of a request, in manifests too
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Units of work that do not depend on each other's results.
+    """Independent units of work.
 
     Attributes:
-        work: a function of a unit alone, at the top level of a module, so that it can be pickled.
-        units: what to do; iterated once.
-        absorb: takes each unit with its result, in the order of the units.
-        name: what it is, for a person who looks on.
+        work: function of one unit, at the top level of a module so that it can be pickled.
+        units: arguments of `work`; iterated once.
+        absorb: called in this process with each unit and its result, in the order of the units.
+        name: description shown as progress.
     """
 
     work: Callable[[Any], Any]
@@ -69,7 +69,7 @@ class Batch:
     name: str = "working"
 
     def follow(self, pool: Pool) -> Iterator[None]:
-        """Do the work; yields after every unit absorbed."""
+        """Run the work on a pool; yield after each absorbed unit."""
         for unit, result in zip(self.units, pool.map(self.work, self.units), strict=True):
             self.absorb(unit, result)
             yield
@@ -77,50 +77,50 @@ class Batch:
 
 CHECKPOINT = Batch(
     work=id, units=(), absorb=max, name="saving"
-)  # no work: here a recipe can be saved
+)  # no work; a recipe yields it when `save` may be called
 
 
 class Recipe(Protocol):
-    """One kind of run. It may draw and decide, but only `Batch.work` runs elsewhere.
+    """One kind of run. Its methods run in the main process, only `Batch.work` runs on workers.
 
-    `flexible` names the fields of the configuration that a resumed run may change.
+    `flexible` names the fields of the configuration that may change when a run is resumed.
     """
 
     flexible: tuple[str, ...]
 
     def request(self) -> dict[str, Any]:
-        """The configuration and source, JSON-able: `{"config": {...}, "source": ...}`."""
+        """Return the configuration and sources as JSON: `{"config": {...}, "source": ...}`."""
 
     def begin(self) -> None:
-        """Prepare from the start, before anything is written; refuse what can't be done."""
+        """Prepare a new run before anything is written; raise if it can't be done."""
 
     def load(self, folder: Path) -> bool:
-        """Take up what `save` left in the staging folder; False if there is nothing."""
+        """Restore a checkpoint from the staging folder; return False if there is none."""
 
     def batches(self, folder: Path) -> Iterator[Batch]:
-        """What is left to do, decided as results come in; `folder` is the staging folder."""
+        """Yield the remaining work, chosen as results come in; `folder` is the staging folder."""
 
     def save(self, folder: Path) -> None:
-        """Leave in the staging folder what `load` takes up."""
+        """Write a checkpoint to the staging folder."""
 
     def status(self) -> Status:
-        """Where the run stands."""
+        """Return the progress of the run."""
 
     def finish(self, folder: Path, request: dict[str, Any]) -> Path:
-        """Write all that was asked for below the new folder; return the folder to be renamed."""
+        """Write the output below the new folder `folder`; return the folder to move into place."""
 
     def summary(self) -> str:
-        """What was made, in a line."""
+        """Return a one-line description of the output."""
 
 
 def run(recipe: Recipe, out: Path, options: RunOptions, progress: Progress | None = None) -> Path:
-    """Follow a recipe until the new folder `out` is there, and return it.
+    """Execute a recipe and return the new folder `out`.
 
     Raises:
-        Occupied: there is something in the way, another run is at it, or it was removed meanwhile.
-        Unwritable: nothing can be written there.
-        InvalidRun: what is resumed was asked for differently.
-        KnotgymError: the recipe refuses, or what was allowed is spent.
+        Occupied: the output exists, another run holds its staging folder, or that was removed.
+        Unwritable: the output can't be written.
+        InvalidRun: the run to resume had another request.
+        KnotgymError: the recipe can't be executed, or its budget is used up.
     """
     if progress is None:
         with Progress(options.quiet) as progress:
@@ -128,7 +128,7 @@ def run(recipe: Recipe, out: Path, options: RunOptions, progress: Progress | Non
     began = time.perf_counter()
     request = whole_request(recipe.request(), options.shard)
     if is_finished(out, request, options, recipe.flexible):
-        discard(out)  # killed between its last two steps
+        discard(out)  # left if the run was killed after moving its output into place
         progress.say(f"{out} is finished already")
         return out
     require_output(out, folder=True, overwrite=options.overwrite)
@@ -147,9 +147,9 @@ def run(recipe: Recipe, out: Path, options: RunOptions, progress: Progress | Non
                 for done, _ in enumerate(batch.follow(pool), 1):
                     progress.stage(batch.name, done, len(batch.units))
                     progress.show(recipe.status)
-                # else it would be made anew by what is written there, and no other run kept out
+                # If the folder was removed, writing would create it again without its lock.
                 if not is_held(folder, lock):
-                    raise Occupied(f"{folder} was removed under the run; begin it anew")
+                    raise Occupied(f"{folder} was removed during the run; start the run again")
                 if batch is CHECKPOINT:
                     recipe.save(folder)
             progress.show(recipe.status, last=True)
@@ -166,10 +166,10 @@ def run(recipe: Recipe, out: Path, options: RunOptions, progress: Progress | Non
 def is_finished(
     out: Path, asked: dict[str, Any], existing: Existing, flexible: tuple[str, ...] = ()
 ) -> bool:
-    """Whether `out` is what a resumed run would make: a finished run of the same request.
+    """Whether `out` is already the finished output of the run to resume.
 
     Raises:
-        InvalidRun: it was made by another request, and is not to be overwritten.
+        InvalidRun: it is the output of another request, and `existing` doesn't overwrite it.
     """
     made_by = request_of(out) if may_be_finished(out, existing) else None
     if made_by is None:
@@ -187,22 +187,27 @@ def require_startable(
     flexible: tuple[str, ...],
     progress: Progress,
 ) -> None:
-    """Refuse to begin over an interrupted run's work unasked, or to resume another request's.
+    """Require that a run can start, or that the run to resume had the same request.
 
     Raises:
-        InvalidRun: what is to be resumed is of another request.
-        Occupied: another run is at it, or an interrupted one left work.
+        InvalidRun: the run to resume had another request.
+        Occupied: another run holds the staging folder, or an interrupted one left work.
     """
     require_no_interrupted_run(out, existing)
     left_in = staging_folder(out)
     if existing.resume and left_in.exists():
         require_resumable(left_in, request_of(left_in), asked, flexible)
     elif existing.resume:
-        progress.say(f"{out}: there is nothing to resume here, so the run begins")
+        progress.say(f"{out}: there is nothing to resume, starting from the beginning")
 
 
 def whole_request(asked: dict[str, Any], shard: Shard) -> dict[str, Any]:
-    """All that decides the bytes of a run, as JSON has it; `asked` is a recipe's own request."""
+    """Return everything that determines the output of a run, as JSON.
+
+    Args:
+        asked: the recipe's part of the request.
+        shard: which part of the run.
+    """
     request = {
         **asked,
         "shard": {"number": shard.number, "of": shard.of},
@@ -214,8 +219,9 @@ def whole_request(asked: dict[str, Any], shard: Shard) -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Versions of all whose change could change a byte; `code` tells two states of one version of
-    this package apart.
+    """Return the versions of everything that could change the output.
+
+    `code` is a digest of this package's modules, to distinguish edits within a version.
     """
     return {
         "knotgym": knotgym.__version__,
@@ -228,7 +234,7 @@ def versions() -> dict[str, str]:
 
 @cache
 def _code_sha256() -> str:
-    """SHA-256 of this package's modules, less the commands, which only print and pass on."""
+    """Return the SHA-256 of this package's modules, except `cli`, which can't affect the output."""
     root, digest = Path(knotgym.__file__).parent, hashlib.sha256()
     modules = {path.relative_to(root).as_posix(): path for path in root.rglob("*.py")}
     for name in sorted(modules):
@@ -238,11 +244,11 @@ def _code_sha256() -> str:
 
 
 def request_of(folder: Path) -> dict[str, Any] | None:
-    """What was asked of the run that made a folder, or is making it; None if it doesn't say."""
+    """Return the request of the run that made a folder or is making it; None if unknown."""
     for name in (REQUEST, "manifest.json", "data/collection.json", "collection.json"):
         try:
-            said = read_json(folder / name)
-            return {key: said[key] for key in LISTED}
+            content = read_json(folder / name)
+            return {key: content[key] for key in LISTED}
         except (OSError, ValueError, KeyError, TypeError):
             continue
     return None
@@ -251,38 +257,38 @@ def request_of(folder: Path) -> dict[str, Any] | None:
 def require_resumable(
     folder: Path, left: dict[str, Any] | None, asked: dict[str, Any], flexible: tuple[str, ...]
 ) -> None:
-    """Refuse to go on from a staging folder that isn't of this request, or doesn't say of which.
+    """Require that a staging folder belongs to this request.
 
     Raises:
-        InvalidRun: it is such.
+        InvalidRun: it belongs to another request, or it has work and an unreadable request.
     """
     if left is not None:
         require_same(left, asked, flexible, folder)
     elif has_work(folder):
         raise InvalidRun(
-            f"{folder} can't be resumed, its {REQUEST} is missing or damaged; --restart throws it"
-            " away and begins anew"
+            f"{folder} can't be resumed, its {REQUEST} is missing or corrupted; --restart deletes"
+            " it and starts again"
         )
 
 
 def require_same(
     there: dict[str, Any], asked: dict[str, Any], flexible: tuple[str, ...], folder: Path
 ) -> None:
-    """Refuse to go on in a folder with another request than the one that began it.
+    """Require that two requests agree, apart from the `flexible` fields of the configuration.
 
     Raises:
-        InvalidRun: they differ in more than the fields of the configuration named `flexible`.
+        InvalidRun: they differ.
     """
     if found := differing(there, asked, flexible):
         raise InvalidRun(
-            f"{folder} is of another run than the one asked for: {'; '.join(found[:3])}; give the"
-            " same again, or --restart to throw an interrupted run away, --overwrite to replace a"
-            " finished one"
+            f"{folder} belongs to a different run: {'; '.join(found[:3])}; give the same options"
+            " again, or --restart to delete an interrupted run, --overwrite to replace a finished"
+            " one"
         )
 
 
 def differing(there: dict[str, Any], asked: dict[str, Any], flexible: tuple[str, ...]) -> list[str]:
-    """In what two requests differ, but for the fields of the configuration named `flexible`."""
+    """Return the differences of two requests, without `flexible` fields of the configuration."""
     return [
         difference
         for difference in differences(there, asked)

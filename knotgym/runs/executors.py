@@ -1,8 +1,8 @@
-"""Where work runs: in this process, in processes of this machine, or on a Dask cluster.
+"""Executors: this process, processes of this machine, or a Dask cluster.
 
-Results come in the order of the work, whatever the engine, and only so much of it is under way at a
-time that memory stays flat. A piece of work is a function of its argument alone, so the engine
-doesn't change a byte of what is made.
+Every executor returns results in the order of the work and limits how many pieces are in progress,
+so that memory stays flat. A piece of work depends on its argument alone, so the choice of executor
+doesn't change a byte of the output.
 """
 
 from __future__ import annotations
@@ -18,79 +18,80 @@ from contextlib import contextmanager
 from multiprocessing import forkserver, resource_tracker
 from typing import Any
 
-from knotgym.runs.pools import AHEAD, InvalidEngine, Pool, Promise, ordered
+from knotgym.runs.pools import AHEAD, InvalidExecutor, Pool, Promise, ordered
 
-ENGINES = ("local", "dask")
-# when a run is killed, Python's tracker clears up what it left, of which nobody needs to hear
-_UNTOLD = "ignore:resource_tracker:UserWarning"
+EXECUTORS = ("local", "dask")
+# Python's resource tracker warns when it cleans up after a killed run, which is expected.
+_IGNORED_WARNING = "ignore:resource_tracker:UserWarning"
 
 _SAFE_PATH = "PYTHONSAFEPATH"
 
 
 class InProcess:
-    """Work done here, one piece after the other."""
+    """Run work in this process, one piece after another."""
 
     def map(self, function: Callable[[Any], Any], work: Iterable[Any], /) -> Iterable[Any]:
         return map(function, work)
 
 
 class Processes:
-    """Work done by the processes of an executor."""
+    """Run work in the processes of a ProcessPoolExecutor."""
 
     def __init__(self, executor: ProcessPoolExecutor, count: int) -> None:
         self._executor, self._count = executor, count
 
     def map(self, function: Callable[[Any], Any], work: Iterable[Any], /) -> Iterable[Any]:
         def submit(piece: Any) -> Promise:
-            with uninterrupted(), _safe_path():  # a process may have to begin for it
+            with uninterrupted(), _safe_path():  # this may start a process
                 return self._executor.submit(function, piece)
 
         return ordered(submit, work, AHEAD * self._count)
 
 
 def cores() -> int:
-    """Cores this process may use."""
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def scheduler_of(engine: str, scheduler: str, workers: int) -> str:
-    """What the options --engine, --scheduler and --workers say: the address of a cluster's
-    scheduler, "" for this machine.
+def scheduler_of(kind: str, scheduler: str, workers: int) -> str:
+    """Check --executor, --scheduler and --workers; return the scheduler's address, "" if local.
 
     Raises:
-        InvalidEngine: they don't go together.
+        InvalidExecutor: they contradict each other.
     """
-    if engine not in ENGINES:
-        raise InvalidEngine(f"engine must be {' or '.join(ENGINES)}, got {engine!r}")
-    if engine == "local" and scheduler:
-        raise InvalidEngine(f"--scheduler {scheduler} is for --engine dask")
-    if engine == "dask" and not scheduler:
-        raise InvalidEngine(
-            "--engine dask needs the address of a scheduler, such as --scheduler"
+    if kind not in EXECUTORS:
+        raise InvalidExecutor(f"--executor takes {' or '.join(EXECUTORS)}, got {kind!r}")
+    if kind == "local" and scheduler:
+        raise InvalidExecutor(f"--scheduler {scheduler} is for --executor dask")
+    if kind == "dask" and not scheduler:
+        raise InvalidExecutor(
+            "--executor dask needs the address of a scheduler, such as --scheduler"
             " tcp://127.0.0.1:8786"
         )
-    if engine == "dask" and workers:
-        raise InvalidEngine(
-            f"--workers {workers} is for --engine local; a cluster has the workers that were"
-            " started for it"
+    if kind == "dask" and workers:
+        raise InvalidExecutor(
+            f"--workers {workers} is for --executor local; a Dask cluster uses all of its workers"
         )
     return scheduler
 
 
 @contextmanager
 def executor(workers: int, scheduler: str = "") -> Iterator[Pool]:
-    """A pool of `workers` processes, 0 for one a core; 1 works in this process. With a scheduler's
-    address, its cluster.
+    """Open a pool; on an error, end its processes without waiting for their work.
+
+    Args:
+        workers: number of processes, 0 for one per core; 1 uses this process.
+        scheduler: address of a Dask scheduler, whose cluster is used instead.
 
     Raises:
-        InvalidEngine: the cluster can't be used.
-        LostWorkers: it is gone, or its workers are.
+        InvalidExecutor: the cluster can't be used.
+        LostWorkers: the cluster or its workers are gone.
     """
     if scheduler:
         from knotgym.runs.dask_executor import cluster
 
-        with cluster(scheduler) as distant:
-            yield distant
+        with cluster(scheduler) as remote:
+            yield remote
         return
     count = workers or cores()
     if count == 1:
@@ -109,15 +110,16 @@ def executor(workers: int, scheduler: str = "") -> Iterator[Pool]:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Hold Ctrl-C and SIGTERM back until the block ends: a process half begun would complain on its
-    own.
+    """Delay SIGINT and SIGTERM until the block ends.
+
+    Otherwise a process that is just starting would print a traceback of its own.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    came: list[tuple[int, Any]] = []
+    received: list[tuple[int, Any]] = []
     handlers = {
-        number: signal.signal(number, lambda *said: came.append(said))
+        number: signal.signal(number, lambda *arguments: received.append(arguments))
         for number in (signal.SIGINT, signal.SIGTERM)
     }
     try:
@@ -125,26 +127,25 @@ def uninterrupted() -> Iterator[None]:
     finally:
         for number, handler in handlers.items():
             signal.signal(number, handler or signal.SIG_DFL)
-        if came:
-            signal.raise_signal(came[0][0])
+        if received:
+            signal.raise_signal(received[0][0])
 
 
 def _context() -> multiprocessing.context.BaseContext:
-    """How processes begin: from a server that holds no copies of this process's threads and
-    simulations.
+    """Return the start method: a fork server, which has none of this process's threads and memory.
 
-    They leave Ctrl-C to their parent. The server, and all it starts, inherit that it is blocked, so
-    none is interrupted before it can say so.
+    Workers leave SIGINT to their parent. It is blocked while the server starts, and the server and
+    its workers inherit that, so that no worker is interrupted before it can ignore the signal.
     """
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     with uninterrupted(), _safe_path():
-        # else the server starts it, which unblocks the signals here
-        sys.warnoptions.append(_UNTOLD)  # are handed to what is started
+        # Start the tracker first: if the server started it, that would unblock the signals here.
+        sys.warnoptions.append(_IGNORED_WARNING)  # child processes inherit warning options
         try:
             resource_tracker.ensure_running()
         finally:
-            sys.warnoptions.remove(_UNTOLD)
+            sys.warnoptions.remove(_IGNORED_WARNING)
         blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             forkserver.ensure_running()
@@ -155,9 +156,9 @@ def _context() -> multiprocessing.context.BaseContext:
 
 @contextmanager
 def _safe_path() -> Iterator[None]:
-    """Let the Python processes that begin in this block import nothing from the current folder.
+    """Keep Python processes started in this block from importing from the current folder.
 
-    Multiprocessing begins them by `python -c`, which puts that folder first on the path.
+    Multiprocessing starts them with `python -c`, which puts that folder first on the path.
     """
     before = os.environ.get(_SAFE_PATH)
     os.environ[_SAFE_PATH] = "1"

@@ -1,8 +1,8 @@
 """Confidence intervals of success rates.
 
-Episodes are not independent draws of the tasks there could be: a cell of 256 episodes has some 20
-tangled states and 9 plain loops, each met many times. `cluster_interval` is of the success rate on
-states drawn as these were, so it resamples states and not episodes.
+Episodes are not independent: 256 episodes of one setup share about 20 tangled states and 9 plain
+loops. `cluster_interval` estimates the success rate on new states from the same distribution, so
+it resamples states and not episodes.
 """
 
 from __future__ import annotations
@@ -15,21 +15,22 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.streams import Stream, generator
 
-DRAWS = 2000  # of each bootstrap
-_Z = 1.959963984540054  # the normal quantile of a two-sided 95 % interval
+DRAWS = 2000  # resamples per bootstrap
+_Z = 1.959963984540054  # normal quantile of a two-sided 95 % interval
 
 
 def wilson(successes: float, trials: float, z: float = _Z) -> tuple[float, float]:
-    """Wilson's score interval of a proportion of independent trials, by default with 95 %
-    confidence.
+    """Return Wilson's score interval for a proportion of independent trials, by default at 95 %.
 
     >>> [round(end, 3) for end in wilson(8, 10)]
     [0.49, 0.943]
     """
+    # The ends solve |p - rate| = z sqrt(p (1 - p) / trials), a quadratic equation in p.
     rate, spread = successes / trials, z * z / trials
     middle = (rate + spread / 2) / (1 + spread)
     half = z / (1 + spread) * math.sqrt(rate * (1 - rate) / trials + spread / (4 * trials))
-    # exact at the ends
+    # With no successes the lower end is exactly 0, with no failures the upper end exactly 1;
+    # rounding would miss them.
     return max(0.0, middle - half) if successes else 0.0, (
         min(1.0, middle + half) if successes < trials else 1.0
     )
@@ -38,7 +39,7 @@ def wilson(successes: float, trials: float, z: float = _Z) -> tuple[float, float
 def cluster_interval(
     success: Sequence[int], starts: ArrayLike, goals: ArrayLike
 ) -> tuple[float, float]:
-    """The 95 % interval of a success rate whose episodes share starts and goals.
+    """Return the 95 % interval of a success rate whose episodes share starts and goals.
 
     A bootstrap over starts and one over goals give the variance of the rate:
 
@@ -47,20 +48,21 @@ def cluster_interval(
     (Cameron, Gelbach and Miller 2011, multiway clustering: the variance within clusters is in both
     terms, so it is subtracted once). Each bootstrap draws G - 1 of G clusters with replacement,
     which makes its variance unbiased for few clusters (Rao and Wu 1988). Owen's pigeonhole
-    bootstrap, one resampling with the product of both weights, counts the variance within clusters
-    three times; where states differ little its intervals are 1.4 times as wide for nothing.
+    bootstrap, a single resampling with the product of both weights, counts the variance within
+    clusters three times; where states differ little, its intervals are 1.4 times too wide.
 
     The interval is Wilson's with the effective number of episodes p (1 - p) / V, at most n, and
-    Student's t for the normal quantile (Korn and Graubard 1998), with one degree of freedom fewer
-    than the side with fewer clusters has of them. A side with one cluster has no variance: the
-    interval then holds for that state alone. Where all episodes succeed, or none, nothing says how
-    much states differ; then each state of the side with more of them counts as one trial.
+    Student's t instead of the normal quantile (Korn and Graubard 1998). Its degrees of freedom are
+    one less than the number of clusters on the side with fewer of them. A side with one cluster
+    contributes no variance, and the interval then holds for that state only. If all episodes
+    succeed, or none, the data doesn't show how much states differ; each state of the side with
+    more states then counts as one trial.
 
-    The draws are of a stream of their own, so the same episodes give the same interval.
+    The bootstrap has a random stream of its own, so the same episodes give the same interval.
 
     Args:
-        success: of each episode, 0 or 1; at least one.
-        starts, goals: of each episode, which start and goal it had; any labels.
+        success: 0 or 1 for each episode; at least one episode.
+        starts, goals: identifiers of each episode's start and goal.
 
     >>> [round(end, 2) for end in cluster_interval([0] * 60, [*range(20)] * 3, [0] * 60)]
     [0.0, 0.16]
@@ -74,6 +76,7 @@ def cluster_interval(
     rng = generator(Stream.INTERVAL, 0)
     variances = [_variance(outcome, side, rng) for side in sides]
     within = rate * (1 - rate) / n
+    # V is at least each of its terms, but its estimate can fall below them by chance.
     variance = max(sum(variances) - within, *variances, within)
     freedom = min((count - 1 for count in counts if count > 1), default=0)
     trials = rate * (1 - rate) / variance
@@ -83,23 +86,25 @@ def cluster_interval(
 def _variance(
     outcome: NDArray[np.float64], clusters: NDArray[np.int64], rng: np.random.Generator
 ) -> float:
-    """The bootstrap variance of the mean outcome when clusters are resampled; 0 for one."""
+    """Return the variance of the mean outcome when clusters are resampled; 0 for one cluster."""
     sizes = np.bincount(clusters).astype(np.float64)
     count = len(sizes)
     if count == 1:
         return 0.0
+    # (DRAWS, count): how often each resample of count - 1 clusters contains each cluster
     weights = rng.multinomial(count - 1, np.full(count, 1 / count), size=DRAWS)
     sums = np.bincount(clusters, weights=outcome)
     return float(np.var((weights @ sums) / (weights @ sizes)))
 
 
 def _student(freedom: int) -> float:
-    """The quantile of Student's t of a two-sided 95 % interval.
+    """Return the quantile of Student's t for a two-sided 95 % interval.
 
     >>> round(_student(8), 2)
     2.31
     """
-    x = np.linspace(0, 13, 13001)  # the quantile is 12.7 at one degree of freedom
+    # Integrate the density from 0 by the trapezoidal rule, up to 0.475, half of 95 %.
+    x = np.linspace(0, 13, 13001)  # the largest quantile is 12.7, at one degree of freedom
     log = math.lgamma((freedom + 1) / 2) - math.lgamma(freedom / 2)
     density = np.exp(log - (freedom + 1) / 2 * np.log1p(x * x / freedom))
     density /= math.sqrt(freedom * math.pi)

@@ -1,4 +1,4 @@
-"""What every executor is: a pool that maps a function over work and keeps its order."""
+"""The interface of an executor's pool, which maps a function over work and keeps the order."""
 
 from __future__ import annotations
 
@@ -9,32 +9,33 @@ from typing import Any, Protocol
 
 from knotgym.common.errors import KnotgymError
 
-AHEAD = 8  # pieces under way for each worker: enough that a slow one holds up no other
+AHEAD = 8  # pieces in progress per worker, so that one slow piece doesn't leave others idle
 
 
-class InvalidEngine(KnotgymError, ValueError):
-    """Work cannot run where it was asked to."""
+class InvalidExecutor(KnotgymError, ValueError):
+    """The requested executor can't be used."""
 
 
 class LostWorkers(KnotgymError, RuntimeError):
-    """Work stopped because nobody is left to do it."""
+    """Work stopped because no worker is left."""
 
 
 class Pool(Protocol):
-    """Something that maps a function over work."""
+    """Maps a function over work; results come in the order of the work."""
 
     def map(self, function: Callable[[Any], Any], work: Iterable[Any], /) -> Iterable[Any]: ...
 
 
 class Promise(Protocol):
-    """Something that will have a result."""
+    """Any future with a `result` method."""
 
     def result(self) -> Any: ...
 
 
 def ordered(submit: Callable[[Any], Promise], work: Iterable[Any], ahead: int) -> Iterator[Any]:
-    """Results in the order of the work, at most `ahead` pieces under way at a time; the first of
-    them are from now on.
+    """Return results in the order of the work, with at most `ahead` pieces in progress.
+
+    The first pieces are submitted at once, before the first result is requested.
     """
     rest = iter(work)
     promised = deque(submit(piece) for piece in islice(rest, ahead))

@@ -1,6 +1,4 @@
-"""What a person sees while something goes on: on a terminal a few lines that tick twice a second,
-whatever the work is at; elsewhere plain lines, if the work is a long run.
-"""
+"""Progress of a command: a live table on a terminal, plain lines elsewhere for long runs."""
 
 from __future__ import annotations
 
@@ -14,22 +12,22 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-_LIVE_EVERY, _LINE_EVERY = 0.5, 10.0  # seconds between two looks
-_LONG = 3600.0  # seconds: a run that would take longer says so before it begins
+_LIVE_EVERY, _LINE_EVERY = 0.5, 10.0  # seconds between updates
+_LONG = 3600.0  # seconds; a run that would take longer prints an estimate first
 
 
 @dataclass(frozen=True)
 class Status:
-    """Where a run stands.
+    """Progress of a run.
 
     Attributes:
-        done, total: of what is counted, such as states or episodes; `total` is what was asked
-            for, and what was made beyond it belongs in `facts`.
-        counted: its name in the plural.
-        facts: name -> value of whatever else is worth knowing.
-        even: each takes about as long as another, so that the time left can be told.
-        share: of the work that is done, in [0, 1], where things take unlike times; then the time
-            left is told by it.
+        done, total: how many items, such as states or episodes, are made and requested; `done`
+            may exceed `total`.
+        counted: name of the items, in the plural.
+        facts: other values to show, by name.
+        even: all items take about the same time, so the remaining time follows from `done`.
+        share: fraction of the work that is done, in [0, 1]; used instead of `done` for the
+            remaining time if items take different times.
     """
 
     done: int
@@ -41,20 +39,20 @@ class Status:
 
     @property
     def part(self) -> float | None:
-        """The share of the work that is done, None if that can't be told."""
+        """Fraction of the work that is done; None if unknown."""
         if self.share is None and self.even and self.total:
             return self.done / self.total
         return self.share
 
 
 class Progress:
-    """Shows where a run stands; a context manager that clears up behind it.
+    """Shows the progress of a run; a context manager that removes the live table at its end.
 
     Args:
         quiet: show nothing.
-        lines: write plain lines now and then where there is no terminal.
-        console: standard output by default.
-        clock: seconds.
+        lines: print plain lines from time to time if there is no terminal.
+        console: where to print; standard output by default.
+        clock: returns seconds.
     """
 
     def __init__(
@@ -66,16 +64,16 @@ class Progress:
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self._clock, self._began = clock, clock()
-        self._told: float | None = None
-        self._first: tuple[float, Status] | None = None  # the first status, and when
+        self._shown: float | None = None  # when a status was shown last
+        self._first: tuple[float, Status] | None = None  # the first status and its time
         self._status: Status | None = None
         self._stage, self._count = "starting", ""
-        # the file itself: what goes on may send `sys.stdout` elsewhere for a while, as pyknotid's
-        # words are, and would send the ticks along
+        # Keep the stream of now: `sys.stdout` is redirected while pyknotid runs, to hide its
+        # output, and the live table must not follow.
         self.console = console or Console(file=sys.stdout)
         shown = self.console
         if not shown.is_terminal and console is None and sys.stderr.isatty():
-            shown = Console(file=sys.stderr)  # the output goes into a pipe, the person looks on
+            shown = Console(file=sys.stderr)  # output is piped, but a person is watching
         live = shown.is_terminal and not quiet
         self._live = (
             Live(
@@ -92,7 +90,7 @@ class Progress:
     def __enter__(self) -> Progress:
         if self._live:
             self._live.start(refresh=True)
-        if self._lines:  # what follows may import for seconds
+        if self._lines:  # the imports that follow may take seconds
             self.say("    0 s  starting")
         return self
 
@@ -101,27 +99,27 @@ class Progress:
             self._live.stop()
 
     def say(self, text: str) -> None:
-        """Print a line that stays."""
+        """Print a permanent line."""
         if not self._quiet:
             self.console.print(text, soft_wrap=True, highlight=False, markup=False)
 
     def say_how_to_load(self, lines: Sequence[str]) -> None:
-        """Print the lines of code that load what was made."""
+        """Print the lines of code that load the output."""
         for line in ("to load it:", *(f"    {line}" for line in lines)):
             self.say(line)
 
     def stage(self, name: str, done: int = 0, total: int = 0) -> None:
-        """Say what is being done now, and how much of it is; in plain lines until a status is."""
-        if self._lines and self._told is None and name != self._stage:
+        """Set the current stage and its count; plain lines show stages until the first status."""
+        if self._lines and self._shown is None and name != self._stage:
             self.say(f"{self._clock() - self._began:5.0f} s  {name}")
         self._stage, self._count = name, f" {done} of {total}" if total else ""
 
     def show(self, status_of: Callable[[], Status], last: bool = False) -> None:
-        """Show the status, which is only asked for when it is time for another look."""
+        """Show a status; `status_of` is only called if an update is due."""
         now, every = self._clock(), _LIVE_EVERY if self._live else _LINE_EVERY
-        if self._quiet or (self._told is not None and now - self._told < every and not last):
+        if self._quiet or (self._shown is not None and now - self._shown < every and not last):
             return
-        self._told, self._status = now, status_of()
+        self._shown, self._status = now, status_of()
         self._first = self._first or (now, self._status)
         if self._lines:
             line = "; ".join(f"{name} {value}" for name, value in self._facts().items())
@@ -130,17 +128,17 @@ class Progress:
             )
 
     def _facts(self) -> dict[str, str]:
-        """What is to be told now, name -> value."""
+        """Return the values to show now, by name."""
         status = self._status
         if status is None or self._first is None:
             return {}
         since, first = self._first
         counted, beyond = min(status.done, status.total), max(0, status.done - status.total)
         facts = {status.counted: f"{counted} of {status.total}"}
-        facts |= {"beyond what was asked for": f"{beyond}"} if beyond else {}
+        facts |= {"beyond the request": f"{beyond}"} if beyond else {}
         facts |= status.facts
         if status.part is not None and first.part is not None:
-            done = status.part - first.part  # work of an earlier run says nothing of the speed
+            done = status.part - first.part  # exclude the work of a resumed run
             if 0 < done and status.part < 1:
                 left = (self._clock() - since) * (1 - status.part) / done
                 facts["time left, about"] = duration(left)
@@ -155,7 +153,7 @@ class Progress:
 
 
 def duration(seconds: float) -> str:
-    """A time as people say it.
+    """Format a duration with one unit.
 
     >>> [duration(one) for one in (50, 5000, 8e4, 8e6, 8e8)]
     ['50 s', '83 minutes', '22 hours', '93 days', '25 years']
@@ -167,12 +165,12 @@ def duration(seconds: float) -> str:
 
 
 def tell_if_long(progress: Progress, core_seconds: float, workers: int) -> None:
-    """Say before a run begins how long it would take, if that is more than an hour.
+    """Print an estimate of the time a run takes, if it is more than an hour.
 
     Args:
-        progress: where to.
-        core_seconds: an estimate for one core of the machine of docs/validation.md.
-        workers: processes, 0 for one a core.
+        progress: where to print it.
+        core_seconds: estimate for one core of the machine in docs/validation.md.
+        workers: number of processes, 0 for one per core.
     """
     from knotgym.runs.executors import cores
 
@@ -185,13 +183,13 @@ def tell_if_long(progress: Progress, core_seconds: float, workers: int) -> None:
 
 
 def compile_first(progress: Progress) -> None:
-    """Have the labeller compiled, which takes a while the first time, before others wait for it."""
+    """Compile the crossing kernel, if it isn't, before several processes wait for it."""
     from knotgym.topology.crossing_kernel import is_compiled
 
     if not is_compiled():
         from knotgym.rope.model import Rope
         from knotgym.topology.crossings import label
 
-        progress.stage("compiling, in the first run only")
+        progress.stage("compiling, only on the first run")
         label(Rope().loop())
     progress.stage("starting")

@@ -1,6 +1,6 @@
-"""How a run is done, as any caller says it, and how it ends when it can't be done.
+"""Options of a run that don't change its content, and the errors of a run that can't finish.
 
-This module imports nothing heavy: the command line reads options before anything else.
+This module has no slow imports, because the command line reads options first.
 """
 
 from __future__ import annotations
@@ -12,21 +12,21 @@ from knotgym.runs.shards import Shard
 
 
 class InvalidRun(KnotgymError, ValueError):
-    """A run that cannot be made, or gone on with, as asked."""
+    """A run can't be started or resumed as requested."""
 
 
 class NotEnough(KnotgymError, RuntimeError):
-    """What was allowed was spent before everything asked for was there."""
+    """The budget was used up before everything requested was made."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Existing:
-    """What is to become of what an earlier run left; by default it is refused, and stays.
+    """What to do with the output of an earlier run; by default it is kept and the run refused.
 
     Attributes:
-        resume: go on from an interrupted run, and take a finished one of the same request as done.
-        restart: throw an interrupted run's work away and begin anew.
-        overwrite: replace a finished result, once the new one is whole.
+        resume: continue an interrupted run; a finished run of the same request counts as done.
+        restart: delete the work of an interrupted run and start again.
+        overwrite: replace a finished result once the new one is complete.
     """
 
     resume: bool = False
@@ -36,8 +36,8 @@ class Existing:
     def __post_init__(self) -> None:
         if self.resume and self.restart:
             raise InvalidRun(
-                "--resume goes on from an interrupted run, --restart throws it away: give one of"
-                " them"
+                "--resume continues an interrupted run and --restart deletes its work: give only"
+                " one of them"
             )
 
 
@@ -46,13 +46,13 @@ REFUSE_EXISTING = Existing()
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions(Existing):
-    """How a run is done. Nothing here but the shard changes a byte of what is made.
+    """Execution options; of these only the shard changes the output.
 
     Attributes:
-        workers: processes, 0 for one a core; 1 works in this process.
-        scheduler: address of a Dask cluster's scheduler, to work there instead.
-        shard: of the run.
-        quiet: show nothing but errors.
+        workers: number of processes, 0 for one per core; 1 uses this process.
+        scheduler: address of a Dask scheduler, whose cluster is used instead; "" for none.
+        shard: which part of the run to make.
+        quiet: print errors only.
     """
 
     workers: int = 0

@@ -1,7 +1,7 @@
-"""What a run saves to go on from, as JSON with a checksum of itself.
+"""JSON files with a checksum of their content, for checkpoints.
 
-A folder in which a run works may lie on a disk that others write to, or that fails: what was
-changed there is told before anything is made of it.
+A staging folder may be on a disk that fails or that other users can write to. The checksum detects
+a changed file before it is used.
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ from knotgym.common.configuration import UnreadableJson, read_json
 _SEAL = "seal"
 
 
-def write_sealed(path: Path, said: dict[str, Any]) -> None:
-    """Write JSON, whole or not at all; `said` has no field `seal`."""
+def write_sealed(path: Path, content: dict[str, Any]) -> None:
+    """Write JSON atomically with its checksum; `content` must not have a field `seal`."""
     with atomic_write(path) as temporary:
-        temporary.write_text(json.dumps({**said, _SEAL: _digest(said)}), encoding="utf-8")
+        temporary.write_text(json.dumps({**content, _SEAL: _digest(content)}), encoding="utf-8")
 
 
 def read_sealed(path: Path) -> dict[str, Any]:
-    """What `write_sealed` wrote.
+    """Read a file of `write_sealed` and return its content without the checksum.
 
     Raises:
-        OSError: it can't be read.
-        UnreadableJson: it isn't what was written.
+        OSError: the file can't be read.
+        UnreadableJson: it was changed since it was written.
     """
-    said = read_json(path)
-    if not isinstance(said, dict) or said.pop(_SEAL, None) != _digest(said):
+    content = read_json(path)
+    if not isinstance(content, dict) or content.pop(_SEAL, None) != _digest(content):
         raise UnreadableJson(f"{path.name} isn't what was written: its checksum differs")
-    return said
+    return content
 
 
-def _digest(said: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(said).encode()).hexdigest()
+def _digest(content: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(content).encode()).hexdigest()

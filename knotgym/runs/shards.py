@@ -1,8 +1,8 @@
-"""Shards of a run: `--shard 2/8` does the second eighth of it, in a folder of its own, without
-knowing of the others.
+"""Shards of a run: `--shard 2/8` makes the second eighth of it, independently of the others.
 
-What a shard makes depends on the configuration, the seed and its number alone. Counters that key
-random draws begin at `first`, so that no two shards draw the same; a whole run is shard 1 of 1.
+The output of a shard depends only on the configuration, the seed and the shard's number. Counters
+that key random draws start at `first`, so that no two shards draw the same numbers. A whole run is
+shard 1 of 1.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from typing import Any
 
 from knotgym.common.errors import KnotgymError
 
-_STRIDE = 10**9  # more than a shard counts of anything
+_STRIDE = 10**9  # larger than any counter within a shard
 
 
 class InvalidShard(KnotgymError, ValueError):
-    """No such shard of a run."""
+    """There is no such shard of a run."""
 
 
 @dataclass(frozen=True)
 class Shard:
-    """Shard `number`, from 1, of `of`."""
+    """Shard `number`, counted from 1, of `of` shards."""
 
     number: int = 1
     of: int = 1
@@ -37,7 +37,7 @@ class Shard:
 
     @classmethod
     def parse(cls, text: str) -> Shard:
-        """Read "2/8"; "" is the whole."""
+        """Parse "2/8"; "" means the whole run."""
         words = text.split("/")
         if not text:
             return cls()
@@ -47,17 +47,17 @@ class Shard:
 
     @property
     def is_whole(self) -> bool:
-        """There is no other."""
+        """Whether this is the only shard."""
         return self.of == 1
 
     @property
     def first(self) -> int:
-        """Where this shard's counters begin."""
+        """First value of this shard's counters."""
         return (self.number - 1) * _STRIDE
 
     def share(self, count: int) -> range:
-        """Which of `count` things in a row are this shard's; where they don't divide, the first
-        shards have one more.
+        """Return this shard's part of `range(count)`; if it doesn't divide evenly, the first shards
+        get one more.
 
         >>> [Shard(number, 3).share(8) for number in (1, 2, 3)]
         [range(0, 3), range(3, 6), range(6, 8)]
@@ -67,13 +67,11 @@ class Shard:
         return range(begin, begin + each + (self.number <= more))
 
     def dealt(self, things: Sequence[Any]) -> Sequence[Any]:
-        """Those of the things that fall to this shard when they are dealt out in turn, as many as
-        `share` says.
-        """
+        """Return every `of`-th item, starting at this shard; as many as in `share`."""
         return things[self.number - 1 :: self.of]
 
     def folder(self, out: Path) -> Path:
-        """Where this shard goes if the whole run goes to `out`."""
+        """Return the folder of this shard if the whole run is written to `out`."""
         return (
             out if self.is_whole else out.with_name(f"{out.name}-shard-{self.number}-of-{self.of}")
         )

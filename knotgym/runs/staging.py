@@ -1,8 +1,7 @@
-"""Runs that can be killed and resumed: one process at a time works in a hidden folder beside what
-it makes.
+"""Staging folders: one process at a time works in a hidden folder beside its output.
 
-The folder, its lock and all in it must belong to this user, and none of them may be a link: whoever
-may write beside the output could otherwise have another folder emptied or written to.
+The folder, its lock and everything in it must belong to this user, and none of them may be a link.
+Otherwise anyone who can write beside the output could make a run empty or fill another folder.
 """
 
 from __future__ import annotations
@@ -21,19 +20,17 @@ from knotgym.runs.run_options import Existing
 
 
 def staging_folder(out: Path) -> Path:
-    """The folder `.NAME.partial` beside `out`, in which everything stands until `out` is
-    finished.
-    """
+    """Return the folder `.NAME.partial` beside `out`, which holds a run until it is finished."""
     return out.parent / f".{out.name}.partial"
 
 
 @contextmanager
 def staging(out: Path, existing: Existing) -> Iterator[Path]:
-    """Hold the staging folder of `out`; it stays until the caller removes it.
+    """Lock the staging folder of `out` during the block; the caller removes it afterwards.
 
     Raises:
-        Occupied: another process holds it, or an interrupted run left work there that is neither
-            to be resumed nor to be thrown away.
+        Occupied: another process holds it, or it has the work of an interrupted run and `existing`
+            says neither resume nor restart.
     """
     partial = staging_folder(out)
     with lock_folder(partial):
@@ -46,10 +43,10 @@ def staging(out: Path, existing: Existing) -> Iterator[Path]:
 
 
 def require_no_interrupted_run(out: Path, existing: Existing) -> None:
-    """Refuse to begin where an interrupted run left work, unless it was said what becomes of it.
+    """Require that no interrupted run left work, unless `existing` says what to do with it.
 
     Raises:
-        Occupied: there is such work, or another process is at it now.
+        Occupied: there is such work, or another process holds the staging folder.
     """
     if os.path.lexists(staging_folder(out)):
         with lock_folder(staging_folder(out)):
@@ -59,28 +56,26 @@ def require_no_interrupted_run(out: Path, existing: Existing) -> None:
 def _require_no_work(out: Path, existing: Existing) -> None:
     if has_work(staging_folder(out)) and not (existing.resume or existing.restart):
         raise Occupied(
-            f"an interrupted run of {out} left its work: --resume goes on from it, --restart throws"
-            " it away"
+            f"an interrupted run of {out} left its work: --resume continues it, --restart deletes"
+            " it"
         )
 
 
 def may_be_finished(out: Path, existing: Existing) -> bool:
-    """Whether a resumed run may find its own result at `out`: not if it was begun to replace it."""
+    """Whether `out` may be the finished output of the run to resume, not one it should replace."""
     begun_to_overwrite = existing.overwrite and has_work(staging_folder(out))
     return existing.resume and not begun_to_overwrite
 
 
 def has_work(partial: Path) -> bool:
-    """Whether an interrupted run left anything to go on from: one that was killed at once left no
-    more than its lock, and parts of files.
-    """
+    """Whether a staging folder has work to resume, more than a lock and partial files."""
     return partial.is_dir() and any(
         path.name != "lock" and not path.name.startswith(".part-") for path in partial.iterdir()
     )
 
 
 def discard(out: Path) -> None:
-    """Remove the staging folder of `out`, if there is one and no run is at it.
+    """Remove the staging folder of `out`, if there is one.
 
     Raises:
         Occupied: another process holds it.
@@ -92,12 +87,13 @@ def discard(out: Path) -> None:
 
 @contextmanager
 def lock_folder(partial: Path) -> Iterator[None]:
-    """Hold a folder, as it is; the lock goes with the process, however it ends, so that none is
-    ever stale.
+    """Lock a folder during the block, and create it if needed.
+
+    The system releases the lock when the process ends, so locks can't become stale.
 
     Raises:
-        Occupied: another process holds it, its disk knows no locks, or it, or anything in it, is a
-            link or another user's.
+        Occupied: another process holds it, the file system has no locks, or the folder or anything
+            in it is a link or belongs to another user.
     """
     require_own(partial)
     new = not partial.exists()
@@ -111,18 +107,18 @@ def lock_folder(partial: Path) -> Iterator[None]:
             if new:
                 shutil.rmtree(partial)
             raise Occupied(
-                f"{partial.name[1:-8]} can't be kept from other runs, for its disk has no locks"
+                f"{partial.name[1:-8]} can't be locked, because its file system has no locks"
                 f" ({error.strerror}): choose an --out on another"
             ) from error
         if not is_held(partial, os.fstat(lock.fileno())):
-            # and taken the folder away
+            # that run has removed the folder
             raise Occupied(f"another run has just finished {partial.name[1:-8]}")
         require_own_tree(partial)
         yield
 
 
 def is_held(partial: Path, lock: os.stat_result) -> bool:
-    """Whether the folder's lock is still the one that was taken: not so once it was removed."""
+    """Whether the folder still has the lock file that was locked; False after it was removed."""
     try:
         return os.path.samestat(os.stat(partial / "lock"), lock)
     except OSError:
@@ -130,10 +126,10 @@ def is_held(partial: Path, lock: os.stat_result) -> bool:
 
 
 def _opened(path: Path) -> IO[bytes]:
-    """A file to lock, made if it isn't there; what others may have put in its place isn't touched.
+    """Open a lock file, and create it if needed, without following or blocking on anything else.
 
     Raises:
-        Occupied: it is a link or no file.
+        Occupied: the path is a link or not a regular file.
     """
     wanted = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
     try:

@@ -1,4 +1,4 @@
-"""Tables for a terminal of 80 columns, and for a pipe, which has as many."""
+"""Tables for terminals of 80 columns; output to a pipe also has 80 columns."""
 
 from __future__ import annotations
 
@@ -11,15 +11,13 @@ from rich.table import Table
 def narrow_table(
     columns: Iterable[str], title: str | None = None, left: Sequence[str] = ()
 ) -> Table:
-    """A table without rules between columns, whose heads stay whole; words of the first column,
-    if too long, go on below.
-    """
+    """Make a table without vertical rules; only the first column may wrap."""
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-    for place, column in enumerate(columns):
+    for index, column in enumerate(columns):
         table.add_column(
             column,
             justify="left" if column in left else "right",
-            no_wrap=place > 0,
+            no_wrap=index > 0,
             overflow="fold",
         )
     return table

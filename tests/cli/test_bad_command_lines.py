@@ -49,7 +49,7 @@ WORDS: dict[str, tuple[str, ...]] = {
     "--split-by": ("x", "", "\x1b[2J"),
     "--knot": ("x", "", "{fifo}", "{empty}", "{text}", "99_99", "\x1b[2J"),
     "--shard": ("x", "0/2", "3/2", "1/0", "1/2/3", "-1/2", "1.5/2", "\x1b[2J"),
-    "--engine": ("x", "", "\x1b[2J"),
+    "--executor": ("x", "", "\x1b[2J"),
     "--scheduler": ("x", "tcp://127.0.0.1:1"),
     "--task": ("x", "", "tie,x", "\x1b[2J"),
     "--split": ("x", "both", "\x1b[2J"),

@@ -217,7 +217,7 @@ def test_a_first_run_says_that_it_compiles(tmp_path: Path, monkeypatch: pytest.M
     stages: list[str] = []
     monkeypatch.setattr(Progress, "stage", lambda _, name: stages.append(name))
     compile_first(Progress(quiet=True))
-    assert stages == ["compiling, in the first run only", "starting"]
+    assert stages == ["compiling, only on the first run", "starting"]
 
 
 def test_a_first_environment_says_once_that_it_compiles(
@@ -299,7 +299,7 @@ def shown(even: bool, *done: int) -> str:
 
 def test_counters_never_pass_what_was_asked_for() -> None:
     told = shown(False, 0, 12)
-    assert "things 10 of 10; beyond what was asked for 2" in told and "12 of" not in told
+    assert "things 10 of 10; beyond the request 2" in told and "12 of" not in told
 
 
 def test_a_plain_run_says_something_before_it_imports_anything(
@@ -435,11 +435,11 @@ def test_resume_on_nothing_says_so_and_a_run_over_what_is_left_needs_a_word(
 ) -> None:
     out, options = tmp_path / "a", RunOptions(workers=1)
     run(Empty(), out, replace(options, resume=True))
-    assert "there is nothing to resume here, so the run begins" in capfd.readouterr().out
+    assert "there is nothing to resume, starting from the beginning" in capfd.readouterr().out
     staging_folder(out).mkdir()
     out.joinpath("manifest.json").rename(staging_folder(out) / "request.json")
     out.rmdir()
-    with pytest.raises(Occupied, match="--resume goes on from it, --restart throws it away"):
+    with pytest.raises(Occupied, match="--resume continues it, --restart deletes it"):
         run(Empty(), out, options)
     run(Empty(), out, replace(options, restart=True))
     assert list(tmp_path.iterdir()) == [out]  # and nothing hidden
@@ -589,7 +589,7 @@ def test_what_show_prints_fits_a_pipe(
     assert knotgym("dataset", "show", curated / name) == 0
     lines = [line for line in capfd.readouterr().out.splitlines() if str(curated) not in line]
     assert lines and all("{" not in line and "…" not in line for line in lines)
-    tables = [line for line in lines if " drawings made" not in line and "; " not in line]
+    tables = [line for line in lines if " drawings or walks" not in line and "; " not in line]
     assert max(map(len, tables)) <= 100
 
 
@@ -605,7 +605,7 @@ def test_numbers_and_dicts_are_told_in_words() -> None:
 @pytest.mark.parametrize(
     ("name", "told"),
     [
-        ("", "8 labels, 8 demonstrations, "),
+        ("", "8 Gauss codes, 8 demonstrations, "),
         pytest.param(WAYS, "2 episodes, ", marks=pytest.mark.slow),  # of the eight above
         # above, verify tells a terminal the same
         pytest.param("states.h5", "8 labels: no faults", marks=pytest.mark.slow),
@@ -716,14 +716,14 @@ def test_no_memory_is_one_line(
 
     monkeypatch.setattr(cli, "_built", lambda _: full)
     assert knotgym("dataset", "show", "x") == 1
-    assert capfd.readouterr().err.startswith("knotgym: no memory was left, here or at a worker")
+    assert capfd.readouterr().err.startswith("knotgym: out of memory, here or in a worker")
 
 
 @pytest.mark.parametrize(
     ("words", "goes_on"),
     [
         (("dataset", "show", "readable"), ""),
-        (("evaluate",), ", --resume goes on from the last cycle"),
+        (("evaluate",), ", --resume continues from the last checkpoint"),
     ],
 )
 def test_an_interruption_promises_to_go_on_only_where_that_can_be(
@@ -738,4 +738,4 @@ def test_an_interruption_promises_to_go_on_only_where_that_can_be(
     monkeypatch.setattr("knotgym.cli.inspection.show", stopped)
     monkeypatch.setattr("knotgym.generate.episodes.evaluate.run", stopped)
     assert knotgym(*words) == 130
-    assert said(capfd) == [f"knotgym: interrupted; nothing half-written is left{goes_on}"]
+    assert said(capfd) == [f"knotgym: interrupted; no partial output is left{goes_on}"]

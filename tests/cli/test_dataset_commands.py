@@ -237,9 +237,7 @@ def test_show_counts_states_codes_and_rejections(
 ) -> None:
     assert knotgym("dataset", "show", curated) == 0
     told = capfd.readouterr().out
-    assert (
-        "8 states" in told and "noise_survival" in told and "drawings made, or ropes walked" in told
-    )
+    assert "8 states" in told and "noise_survival" in told and "drawings or walks" in told
 
 
 def test_show_sums_up_trajectories(curated: Path, capfd: pytest.CaptureFixture[str]) -> None:
@@ -347,7 +345,9 @@ def test_a_replay_that_ends_elsewhere_is_told_and_not_filmed(
         != 0
     )
     (line,) = capfd.readouterr().err.splitlines()
-    assert "row 5 of" in line and "ends elsewhere" in line and not (tmp_path / "a.gif").exists()
+    assert (
+        "row 5 of" in line and "ends in another state" in line and not (tmp_path / "a.gif").exists()
+    )
 
 
 def test_states_without_provenance_cannot_be_replayed(
@@ -355,13 +355,13 @@ def test_states_without_provenance_cannot_be_replayed(
 ) -> None:
     assert knotgym("dataset", "replay", states_path, "--out", tmp_path / "a.gif") == 2
     (line,) = capfd.readouterr().err.splitlines()
-    assert "doesn't say how its states were made" in line
+    assert "has no recorded actions for its states" in line
 
 
 @pytest.mark.parametrize(
     ("options", "problem"),
     [
-        ("--row 8", "row 8 is not there; there are 8, from 0"),
+        ("--row 8", "there is no row 8; the dataset has 8 rows, counted from 0"),
         ("--row -1", "greater than or equal to 0"),
         ("--out {}/a.avi", "a video must end in .gif, .mp4 or .webm"),
     ],

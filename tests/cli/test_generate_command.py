@@ -383,7 +383,7 @@ def test_other_options_cannot_resume_it(killed: Path, capfd: pytest.CaptureFixtu
     ):
         assert knotgym("generate", *options, "--workers", 1, "--out", killed, "--resume") == 2
         (line,) = said(capfd)
-        assert "is of another run than the one asked for: config." in line
+        assert "belongs to a different run: config." in line
     assert bytes_of(killed.parent) == before
 
 
@@ -458,9 +458,8 @@ def test_an_interrupted_run_says_one_line_and_leaves_nothing(
     _, error = run.communicate(timeout=SECONDS)
     assert run.returncode == 130
     assert (
-        error
-        == "knotgym: interrupted; nothing half-written is left, --resume goes on from the last"
-        " cycle\n"
+        error == "knotgym: interrupted; no partial output is left, --resume continues from the last"
+        " checkpoint\n"
     )
     assert [path.name for path in tmp_path.iterdir()] == [".a.partial"]
 
@@ -484,7 +483,7 @@ def test_a_worker_that_dies_is_one_line(
     monkeypatch.setattr(run_engine, "executor", deadly)
     assert knotgym("generate", "--nx", 0, "--count", 1, "--out", tmp_path / "a") == 1
     assert said(capfd) == [
-        "knotgym: a worker died, perhaps for want of memory; --resume goes on from the last cycle"
+        "knotgym: a worker died, perhaps out of memory; --resume continues from the last checkpoint"
     ]
 
 
@@ -536,7 +535,10 @@ def mistaken(tmp_path: Path) -> Path:
         ("--nx -1", "--nx takes numbers of crossings such as 3, 2,3 or 0-4, got '-1'"),
         ("--nx=-1", "--nx takes numbers of crossings such as 3, 2,3 or 0-4, got '-1'"),
         ("--nx 12", "from 0 to 11, got 12"),
-        ("--nx 7", "up to 6 crossings, got nx 7; --no-demonstrations makes states without them"),
+        (
+            "--nx 7",
+            "limited to 6 crossings, got nx 7; --no-demonstrations makes states without them",
+        ),
         ("--nx 4-2", "got '4-2'"),
         ("--nx 0-99999999999", "got '0-99999999999'"),
         ("--nx three", "got 'three'"),
@@ -553,7 +555,7 @@ def mistaken(tmp_path: Path) -> Path:
         ("--split-by row", 'split_by must be "state" or "code", got \'row\''),
         ("--source play", "--source takes drawing or random-walk, got 'play'"),
         ("--knot 9_50", "no knot '9_50'; there are 0_1, the prime knots"),
-        ("--archive {}/knotted.h5 --no-demonstrations", "drop --no-demonstrations"),
+        ("--archive {}/knotted.h5 --no-demonstrations", "remove --no-demonstrations"),
         ("--knot 3_1 --nx 2", "no diagram of 3_1 has 2 crossings"),
         ("--knot {}/three.txt", "a closed rope needs at least 4 different points, got 3"),
         ("--knot {}/open.txt", "the curve isn't closed"),
@@ -564,7 +566,7 @@ def mistaken(tmp_path: Path) -> Path:
             "--archive {}/foreign.h5",
             "foreign.h5 has format 'none' version none; this version reads 'knotgym-archive'",
         ),
-        ("--archive {}/knotted.h5", "begin at another curve"),
+        ("--archive {}/knotted.h5", "start from another curve"),
     ],
 )
 def test_a_mistake_is_one_line_and_writes_nothing(
@@ -599,7 +601,9 @@ def test_too_few_attempts_are_a_failure_that_can_be_resumed(
     out = tmp_path / "runs" / "a"
     assert knotgym("generate", *words, "--workers", 1, "--quiet", "--out", out) == 1
     (line,) = said(capfd)
-    assert line.startswith("knotgym: states lack: 1 with nx = 0; use --resume and more --attempts")
+    assert line.startswith(
+        "knotgym: missing states: 1 with nx = 0; give --resume with more --attempts"
+    )
     assert [path.name for path in out.parent.iterdir()] == [".a.partial"]
 
 
@@ -616,7 +620,7 @@ def test_a_fault_of_our_own_is_not_called_the_users_mistake(
     lines = said(capfd)
     assert lines[0] == "Traceback (most recent call last):"
     assert "ValueError: shapes (3,) and (4,) differ" in lines
-    assert "a fault of knotgym's" in lines[-1] and "issue tracker" in lines[-1]
+    assert "a bug in knotgym" in lines[-1] and "issue tracker" in lines[-1]
 
 
 def test_an_interruption_inside_a_compiled_function_is_no_fault(
@@ -631,7 +635,7 @@ def test_an_interruption_inside_a_compiled_function_is_no_fault(
     words = ("generate", "--nx", 0, "--count", 1, "--out", tmp_path / "a", "--resume")
     assert knotgym(*words) == 130
     (line,) = said(capfd)
-    assert line.startswith("knotgym: interrupted; nothing half-written is left, --resume")
+    assert line.startswith("knotgym: interrupted; no partial output is left, --resume")
 
 
 # The whole job, as large as a user's.

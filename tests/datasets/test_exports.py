@@ -193,7 +193,7 @@ def test_a_plain_file_never_lands_in_minaris_folder(
     assert knotgym("dataset", "export", two[0], "--out", out.with_suffix(".h5")) == 2
     assert knotgym("dataset", "merge", *two) == 2
     told = " ".join("".join(capsys.readouterr()).split())
-    assert "give --id knotgym/name-v0" in told and "say where to" in told
+    assert "merge with --id knotgym/name-v0" in told and "give an output" in told
     assert [*out.parent.glob("both*")] == []
 
 

@@ -260,7 +260,7 @@ def test_an_evaluation_of_other_settings_is_not_gone_on_with(
 ) -> None:
     with pytest.raises(InvalidRun, match="config.seed is 0 there and 1 here"):
         to_file(config(states_path, episodes=17, seed=1), interrupted, resume=True)
-    with pytest.raises(Occupied, match="--resume goes on from it, --restart throws it away"):
+    with pytest.raises(Occupied, match="--resume continues it, --restart deletes it"):
         to_file(config(states_path, episodes=1), interrupted)
     to_file(config(states_path, episodes=1), interrupted, restart=True)
     with pytest.raises(InvalidRun, match="settings.episodes is 1 there and 2 here"):
@@ -294,7 +294,7 @@ def test_what_was_played_is_not_gone_on_from_once_it_is_spoilt(
 ) -> None:
     for spoilt in ("{}", '{"0": [[1]]}', "no JSON"):
         (staging_folder(interrupted) / "played.json").write_text(spoilt)
-        with pytest.raises(InvalidRun, match="is damaged; --restart begins anew"):
+        with pytest.raises(InvalidRun, match="is corrupted; --restart starts again"):
             to_file(config(states_path, episodes=17), interrupted, resume=True)
 
 

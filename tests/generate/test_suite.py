@@ -107,7 +107,7 @@ def test_a_killed_run_goes_on_to_the_same_bytes(
     assert staging_folder(tmp_path / ID.format("scripted")).is_dir()
     capfd.readouterr()
     assert knotgym(*CHEAP, "--quiet", "--out", tmp_path) == 2
-    assert "--resume leaves finished sets alone" in capfd.readouterr().err
+    assert "--resume keeps finished datasets" in capfd.readouterr().err
     assert knotgym(*CHEAP, "--resume", "--out", tmp_path) == 0
     assert "2 sets, 1 finished already; 5 episodes to play" in capfd.readouterr().out
     assert digests(tmp_path) == digests(unbroken)
@@ -142,12 +142,18 @@ def test_a_finished_suite_is_left_alone_and_shows_evaluations_that_came_since(
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        (("--task", "trefoil"), "the suite's tasks are of unknot, tie, convert; got trefoil"),
-        (("--nx", "5"), "the suite's nx are of 2, 3, 4; got 5"),
-        (("--states", "mine.h5"), "the suite's states are of readable, random-walk; got mine.h5"),
-        (("--policies", "mixed"), "the suite's policies are of random, scripted"),
-        (("--episodes", "expert:3"), "--episodes takes a number, or expert=3000,random=100"),
-        (("--episodes", "dreamer=3"), "episodes are told of random, scripted"),
+        (
+            ("--task", "trefoil"),
+            "the suite's tasks must be among unknot, tie, convert; got trefoil",
+        ),
+        (("--nx", "5"), "the suite's nx must be among 2, 3, 4; got 5"),
+        (
+            ("--states", "mine.h5"),
+            "the suite's states must be among readable, random-walk; got mine.h5",
+        ),
+        (("--policies", "mixed"), "the suite's policies must be among random, scripted"),
+        (("--episodes", "expert:3"), "--episodes takes a number, or one per policy"),
+        (("--episodes", "dreamer=3"), "episodes are set for random, scripted"),
         (("--episodes", "0"), "episodes must be at least 1, got 0"),
         (("--observation", "smell"), "no observation 'smell'"),
         (("--scores", "pyproject.toml"), "pyproject.toml isn't a file of `knotgym evaluate"),

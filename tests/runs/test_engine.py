@@ -87,7 +87,9 @@ def test_a_disk_without_locks_is_one_line_and_nothing_is_left(
 ) -> None:
     with monkeypatch.context() as patch:
         lockless(patch)
-        with pytest.raises(Occupied, match=r"its disk has no locks \(No locks available\): choose"):
+        with pytest.raises(
+            Occupied, match=r"its file system has no locks \(No locks available\): choose"
+        ):
             made(tmp_path / "a")
     assert list(tmp_path.iterdir()) == []
 
@@ -159,7 +161,7 @@ def test_what_does_not_say_what_it_is_of_is_not_gone_on_with(
         request.write_text(text.replace("squares", "cubes") if harm == "another" else text[:-9])
     with pytest.raises(InvalidRun, match="--restart"):
         made(tmp_path / "a", RESUMED)
-    with pytest.raises(Occupied, match="--resume goes on from it, --restart throws it away"):
+    with pytest.raises(Occupied, match="--resume continues it, --restart deletes it"):
         made(tmp_path / "a")
     assert made(tmp_path / "a", replace(QUIET, restart=True)) == "[0, 1, 4, 9]"
 

@@ -1,4 +1,4 @@
-"""Engines: results in the order of the work, little of it under way, and the same bytes on a
+"""Executors: results in the order of the work, little of it under way, and the same bytes on a
 cluster whose workers die.
 """
 
@@ -23,7 +23,7 @@ from knotgym.generate.episodes.collect import CollectConfig, collect
 from knotgym.generate.images.image_recipe import make_images
 from knotgym.generate.images.images_config import ImagesConfig
 from knotgym.runs.executors import executor, scheduler_of
-from knotgym.runs.pools import AHEAD, InvalidEngine, ordered
+from knotgym.runs.pools import AHEAD, InvalidExecutor, ordered
 from knotgym.runs.run_options import RunOptions
 
 from ..cli.test_generate_command import bytes_of, said
@@ -104,7 +104,7 @@ def generated(
         typed(
             "generate",
             *WANTED,
-            "--engine",
+            "--executor",
             "dask",
             "--scheduler",
             scheduler,
@@ -178,26 +178,26 @@ def test_processes_leave_an_interruption_to_their_parent_from_their_first_moment
 @pytest.mark.parametrize(
     ("options", "problem"),
     [
-        (("mpi", "", 0), "engine must be local or dask, got 'mpi'"),
-        (("local", "tcp://a:1", 0), "--scheduler tcp://a:1 is for --engine dask"),
-        (("dask", "", 0), "--engine dask needs the address"),
-        (("dask", "tcp://a:1", 2), "--workers 2 is for --engine local"),
+        (("mpi", "", 0), "--executor takes local or dask, got 'mpi'"),
+        (("local", "tcp://a:1", 0), "--scheduler tcp://a:1 is for --executor dask"),
+        (("dask", "", 0), "--executor dask needs the address"),
+        (("dask", "tcp://a:1", 2), "--workers 2 is for --executor local"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(
     options: tuple[str, str, int], problem: str
 ) -> None:
-    with pytest.raises(InvalidEngine, match=problem):
+    with pytest.raises(InvalidExecutor, match=problem):
         scheduler_of(*options)
 
 
 @pytest.mark.parametrize("command", ["generate", "collect", "images"])
-def test_a_wrong_engine_is_one_line_and_writes_nothing(
+def test_a_wrong_executor_is_one_line_and_writes_nothing(
     command: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    assert knotgym(command, "--engine", "mpi", "--out", tmp_path / "a") == 2
+    assert knotgym(command, "--executor", "mpi", "--out", tmp_path / "a") == 2
     assert (
-        said(capfd) == ["knotgym: engine must be local or dask, got 'mpi'"]
+        said(capfd) == ["knotgym: --executor takes local or dask, got 'mpi'"]
         and list(tmp_path.iterdir()) == []
     )
 
@@ -213,7 +213,7 @@ def test_without_dask_one_line_names_the_extra(
             0,
             "--count",
             1,
-            "--engine",
+            "--executor",
             "dask",
             "--scheduler",
             "tcp://127.0.0.1:9",
@@ -231,9 +231,9 @@ def test_without_dask_one_line_names_the_extra(
 def test_a_scheduler_that_does_not_answer_is_one_line(
     address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    from knotgym.runs import dask_executor as dask_engine
+    from knotgym.runs import dask_executor
 
-    monkeypatch.setattr(dask_engine, "CONNECT", 1.0)
+    monkeypatch.setattr(dask_executor, "CONNECT", 1.0)
     assert (
         knotgym(
             "generate",
@@ -241,7 +241,7 @@ def test_a_scheduler_that_does_not_answer_is_one_line(
             0,
             "--count",
             1,
-            "--engine",
+            "--executor",
             "dask",
             "--scheduler",
             address,
@@ -266,7 +266,7 @@ def test_a_worker_of_several_threads_is_refused(
                 0,
                 "--count",
                 1,
-                "--engine",
+                "--executor",
                 "dask",
                 "--scheduler",
                 scheduler,
@@ -311,7 +311,7 @@ def test_a_scheduler_that_dies_is_one_line_and_the_run_goes_on_elsewhere(
     out = tmp_path / "nx0-1"
     with cluster(tmp_path, 1) as (scheduler, _, _):
         words = typed(
-            "generate", *WANTED, "--engine", "dask", "--scheduler", scheduler, "--out", out
+            "generate", *WANTED, "--executor", "dask", "--scheduler", scheduler, "--out", out
         )
         run = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         while not (tmp_path / ".nx0-1.partial" / "run.json").exists() and run.poll() is None:
@@ -319,7 +319,8 @@ def test_a_scheduler_that_dies_is_one_line_and_the_run_goes_on_elsewhere(
     error = run.communicate(timeout=SECONDS)[1]
     assert (
         run.returncode == 1
-        and error == "knotgym: the scheduler is gone; --resume goes on from there, on any engine\n"
+        and error
+        == "knotgym: the scheduler is gone; --resume continues from there, with any executor\n"
     )
     assert knotgym("generate", *WANTED, "--workers", 1, "--out", out, "--resume", "--quiet") == 0
     assert bytes_of(out) == bytes_of(curated)
@@ -346,7 +347,7 @@ def spoilt(room: Path, done: str, after: int) -> Path:
 @pytest.mark.parametrize(
     ("done", "line"),
     [
-        ("raise MemoryError", "no memory was left, here or at a worker; what a run has finished"),
+        ("raise MemoryError", "out of memory, here or in a worker; finished work is kept"),
         ("os.kill(os.getpid(), signal.SIGKILL)", "the cluster has had no worker for 2 s; --resume"),
     ],
     ids=["told", "killed by the system"],
@@ -365,10 +366,10 @@ def test_a_worker_out_of_memory_is_one_line_and_what_was_finished_is_kept(
     capfd.readouterr()
     preload = spoilt(tmp_path, done, after=8)  # in the second shard
     with cluster(tmp_path, 1, "--preload", str(preload)) as (scheduler, _, _):
-        engine = ("--engine", "dask", "--scheduler", scheduler)
+        dask = ("--executor", "dask", "--scheduler", scheduler)
         wait_for_a_worker(scheduler)
         monkeypatch.setattr(dask_executor, "WAIT", 2.0)
-        assert knotgym(*words, tmp_path / "a", *engine) == 1
+        assert knotgym(*words, tmp_path / "a", *dask) == 1
     (said_,) = said(capfd)
     assert said_.startswith(f"knotgym: {line}")
     assert list((tmp_path / "a").rglob("episodes-*.json"))
@@ -391,8 +392,8 @@ def test_a_worker_of_another_version_is_one_line(
     other = tmp_path / "other.py"
     other.write_text("import knotgym\nknotgym.__version__ = '0.0.9'\n")
     with cluster(tmp_path, 1, "--preload", str(other)) as (scheduler, _, _):
-        engine = ("--engine", "dask", "--scheduler", scheduler)
-        assert knotgym(*COLLECT, *engine, "--quiet", "--out", tmp_path / "a") == 2
+        dask = ("--executor", "dask", "--scheduler", scheduler)
+        assert knotgym(*COLLECT, *dask, "--quiet", "--out", tmp_path / "a") == 2
     (line,) = said(capfd)
     assert line.startswith("knotgym: a worker has knotgym 0.0.9 and MuJoCo ")
     assert made(tmp_path / "a") == {}

@@ -2,7 +2,7 @@
 --resume completes to the same bytes.
 
 Kills of the main job and of a collection are in test_main_job and test_collect, those of a
-cluster's workers in test_engines.
+cluster's workers in test_executors.
 """
 
 import contextlib
@@ -63,7 +63,7 @@ RESUMABLE = [
     pytest.param(COLLECT, id="collect"),
     pytest.param(IMAGES, id="images", marks=[with_arrow, pytest.mark.slow]),
 ]
-RESUMED = "goes on from the last cycle"
+RESUMED = "continues from the last checkpoint"
 
 Unbroken = Callable[[tuple[object, ...]], dict[str, str]]
 
@@ -219,7 +219,7 @@ def test_a_worker_that_dies_is_one_line_and_the_rest_is_kept(
     error = broken.communicate(timeout=SECONDS)[1]
     assert (
         broken.returncode == 1
-        and error == f"knotgym: a worker died, perhaps for want of memory; --resume {RESUMED}\n"
+        and error == f"knotgym: a worker died, perhaps out of memory; --resume {RESUMED}\n"
     )
     assert knotgym(*COLLECT, "--workers", 1, "--quiet", "--out", tmp_path / "a", "--resume") == 0
     assert made(tmp_path / "a") == unbroken(COLLECT)
@@ -244,7 +244,7 @@ def test_asked_to_stop_twice_it_says_so_once(command: tuple[object, ...], tmp_pa
     error = stopped.communicate(timeout=SECONDS)[1]
     assert (
         stopped.returncode == 130
-        and error == f"knotgym: interrupted; nothing half-written is left, --resume {RESUMED}\n"
+        and error == f"knotgym: interrupted; no partial output is left, --resume {RESUMED}\n"
     )
 
 
@@ -258,7 +258,7 @@ def test_a_spoilt_checkpoint_is_one_line(
     saved.write_bytes(saved.read_bytes()[:-100])
     assert knotgym("generate", *WANTED, "--workers", 1, "--out", tmp_path / "a", "--resume") == 2
     (line,) = said(capfd)
-    assert line.startswith(f"knotgym: {partial} can't be resumed, it is damaged")
+    assert line.startswith(f"knotgym: {partial} can't be resumed, it is corrupted")
     assert line.endswith("start with --restart")
 
 
@@ -363,7 +363,7 @@ def test_a_disk_without_locks_is_one_line(
     lockless(monkeypatch)
     assert knotgym(*command, "--workers", 1, "--quiet", "--out", tmp_path / "a") == 2
     (line,) = said(capfd)
-    assert f"{folder.name} can't be kept from other runs, for its disk has no locks" in line
+    assert f"{folder.name} can't be locked, because its file system has no locks" in line
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
 

@@ -78,7 +78,7 @@ def test_a_shard_with_nothing_to_do_is_refused(
     words: tuple[object, ...], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     assert knotgym(*words, "--out", tmp_path / "a", "--shard", "3/3", "--workers", 1) == 2
-    assert "cut the run into fewer shards" in said(capfd)[0]
+    assert "split the run into fewer shards" in said(capfd)[0]
 
 
 # Episodes.
@@ -180,7 +180,7 @@ def test_shards_of_different_runs_are_not_merged(
     )
     assert "are not shards of one run" in said(capfd)[0]
     assert knotgym("dataset", "merge", *played, tmp_path, "--out", tmp_path / "merged") == 2
-    assert "merged with each other alone" in said(capfd)[0]
+    assert "only merged with each other" in said(capfd)[0]
 
 
 # States.

@@ -1,10 +1,8 @@
-"""Collection: a policy's episodes as a Minari dataset, by any number of processes, whatever kills
-them.
+"""Collect a policy's episodes as a Minari dataset, with any number of processes.
 
-Episodes are played in shards of a few, each written by one process and merged at the end; an
-episode depends on the seed and its number alone, so the dataset's bytes don't depend on the
-processes. While it runs, everything stands in a hidden folder beside the dataset; finished shards
-outlive a kill.
+Each process plays a few episodes at a time into a file of the staging folder; the files are merged
+at the end. An episode depends only on the seed and its number, so the dataset's bytes don't depend
+on the processes. A resumed run keeps the files that are finished.
 """
 
 from __future__ import annotations
@@ -37,34 +35,34 @@ from knotgym.states.state_file import minari_root, read_states, ships, states_fi
 
 REPORT = "collection.json"
 LABELS = ("", "expert")
-OBSERVATION = "both"  # that `knotgym collect` stores unless told otherwise
+OBSERVATION = "both"  # stored by `knotgym collect` by default
 _REFERENCES = Path(__file__).parent / "data" / "references.json"
 
 
 class InvalidCollection(KnotgymError, ValueError):
-    """A collection that cannot be made as asked."""
+    """The requested collection can't be made."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CollectConfig:
-    """What is collected.
+    """Which episodes to collect.
 
     Attributes:
-        task: the environment, whose `observation` is stored.
-        policy: who acts.
-        episodes: played.
-        seed: of the run; episode i is that of `rollouts.episode_seed(seed, i)`.
-        keep_failed: keep episodes that didn't reach the goal.
-        attempts: times that each episode is played, the policy drawing otherwise in each; the
-            shortest that reached the goal is kept, else the first.
-        labels: "expert": at every state it is asked for its action, `Episode.expert_action`, with
-            the policy's planner and its whole budget for each; "" for none.
-        episodes_per_file: of a run under way; doesn't show in the dataset.
-        seen: the observation that functions and models get that don't state their own; "" for the
+        task: the environment; its `observation` is stored.
+        policy: the acting policy.
+        episodes: number of episodes to play.
+        seed: random seed of the run; episode i has `rollouts.episode_seed(seed, i)`.
+        keep_failed: whether to keep episodes that didn't reach the goal.
+        attempts: rollouts per episode, with different random draws of the policy; the shortest that
+            reaches the goal is kept, or else the first.
+        labels: "expert" to store the expert's action at every state in `Episode.expert_action`,
+            planned with the policy's planner and its full budget for each state; "" for none.
+        episodes_per_file: episodes per file of the staging folder; doesn't affect the dataset.
+        seen: observation given to functions and models that don't declare their own; "" for the
             stored one.
-        dataset_id: of Minari; "" for knotgym/tie-nx3/expert-v0 and the like, of the test split
+        dataset_id: Minari id; by default for example knotgym/tie-nx3/expert-v0, for the test split
             knotgym/tie-nx3/expert-test-v0.
-        author, author_email, code_permalink: for Minari's metadata.
+        author, author_email, code_permalink: Minari metadata.
     """
 
     task: TaskConfig
@@ -84,8 +82,8 @@ class CollectConfig:
     def __post_init__(self) -> None:
         if self.policy.policy.startswith("prompt:"):
             raise InvalidCollection(
-                "transcripts are of episodes of an evaluation, which no dataset holds; give"
-                f" knotgym evaluate --policy {self.policy.policy}"
+                "transcripts can only be evaluated, not collected; give knotgym evaluate --policy"
+                f" {self.policy.policy}"
             )
         if self.labels not in LABELS:
             raise InvalidCollection(f"labels must be expert or empty, got {self.labels!r}")
@@ -102,19 +100,20 @@ class CollectConfig:
 
     @property
     def core_seconds(self) -> float:
-        """What an episode costs, as `PolicyConfig.core_seconds`."""
+        """Cost of an episode in core seconds, see `PolicyConfig.core_seconds`."""
         labelling = 40.0 if self.labels else 0.0
         return self.attempts * (self.policy.core_seconds + labelling)
 
     @property
     def seen_task(self) -> TaskConfig:
-        """The environment as the policy is given it."""
+        """The environment with the observation that the policy gets."""
         return replace(self.task, observation=self.seen or self.task.observation)
 
     @property
     def stored_task(self) -> TaskConfig:
-        """The environment as the dataset names it: states that don't ship are carried along, and
-        found by the dataset's id.
+        """The environment as stored in the dataset.
+
+        A state file that isn't included in knotgym is copied into the dataset and found by its id.
         """
         if ships(self.task.states):
             return self.task
@@ -122,14 +121,14 @@ class CollectConfig:
 
 
 def plain_id(task: TaskConfig, policy: PolicyConfig, *marks: str) -> str:
-    """The id of a dataset by its task and policy, and by marks of what else is its own."""
+    """Return the id of a dataset from its task, its policy and further marks."""
     split = "" if task.split == "train" else task.split
     name = "-".join([policy.short, *filter(None, (split, *marks))])
     return f"knotgym/{task.task}-nx{task.nx}/{name}-v0"
 
 
 def collection_marks(attempts: int, labels: str) -> tuple[str, ...]:
-    """Marks of what else a collection does."""
+    """Return the marks of best-of-n rollouts and of expert labels."""
     return f"best{attempts}" if attempts > 1 else "", "labelled" if labels else ""
 
 
@@ -157,8 +156,7 @@ def distinct_id(config: CollectConfig) -> str:
     if config.labels or policy.policy in ("noisy-expert", "mixed", "expert"):
         usual = PolicyConfig(policy=policy.policy)
         rules += differences(as_json(usual), as_json(policy))
-    told = "; ".join(rules).encode()
-    digest = f"rules{hashlib.sha256(told).hexdigest()[:8]}" if rules else ""
+    digest = f"rules{hashlib.sha256('; '.join(rules).encode()).hexdigest()[:8]}" if rules else ""
     return plain_id(
         task,
         policy,
@@ -172,7 +170,7 @@ def distinct_id(config: CollectConfig) -> str:
 
 
 class _EpisodeFile(NamedTuple):
-    """Work for one process: episodes `numbers`, to `path`."""
+    """A unit of work: play episodes `numbers` and write them to `path`."""
 
     config: CollectConfig
     numbers: range
@@ -181,15 +179,15 @@ class _EpisodeFile(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Tally:
-    """What was collected; sums over episodes.
+    """Totals over episodes.
 
     Attributes:
-        played, succeeded, kept: episodes.
-        steps: actions, of the kept episodes.
-        successful_steps: actions, of those that succeeded.
-        planned_actions: simulated while planning.
-        planning_seconds: that took; the only number here that is not the same in every run.
-        simulation_failures: episodes that ended because the simulation blew up.
+        played, succeeded, kept: numbers of episodes.
+        steps: actions of the kept episodes.
+        successful_steps: actions of the successful episodes.
+        planned_actions: actions simulated for planning.
+        planning_seconds: time for planning; the only value that differs between identical runs.
+        simulation_failures: episodes that ended because the simulation diverged.
     """
 
     played: int = 0
@@ -217,17 +215,17 @@ def collect(
     *,
     progress: Progress | None = None,
 ) -> Path:
-    """Make the dataset and return its folder.
+    """Collect a dataset and return its folder.
 
     Args:
-        config: what is collected.
-        out: the root under which Minari would find the id; None for Minari's own.
-        options: how it is done. The episodes of a shard go to a folder NAME-shard-2-of-8 with
-            main_data.hdf5 and collection.json; Minari doesn't list it.
-        progress: to show it on.
+        config: which episodes to collect.
+        out: Minari root to write to; None for Minari's own.
+        options: how to execute the run. A shard writes main_data.hdf5 and collection.json to a
+            folder NAME-shard-2-of-8, which Minari doesn't list.
+        progress: where to show progress; a new display by default.
 
     Raises:
-        Occupied, InvalidRun: as of `runs.engine.run`.
+        Occupied, InvalidRun: as in `runs.engine.run`.
         InvalidCollection: no episode is left to keep.
     """
     folder = _folder(config, out, options)
@@ -239,10 +237,10 @@ def collect(
 
 
 def require_collectable(config: CollectConfig, out: Path | None, options: RunOptions) -> None:
-    """Refuse a collection whose folder exists or was begun, unless it was said what becomes of it.
+    """Require that a collection's output doesn't exist and no interrupted run left work.
 
     Raises:
-        Occupied: it is so.
+        Occupied: it does, and `options` don't say what to do with it.
     """
     folder = _folder(config, out, options)
     if not options.resume:
@@ -255,8 +253,9 @@ def _folder(config: CollectConfig, out: Path | None, options: RunOptions) -> Pat
 
 
 class EpisodeRecipe:
-    """A policy's episodes, see `runs.engine.Recipe`; every file of a few episodes is a unit, and
-    those that are finished and unspoilt are all that is saved.
+    """Recipe for a policy's episodes, see `runs.engine.Recipe`.
+
+    Each unit writes a file of a few episodes. The finished files are the checkpoint.
     """
 
     flexible: tuple[str, ...] = ()
@@ -271,7 +270,7 @@ class EpisodeRecipe:
         self.files: list[_EpisodeFile] = []
         if not self.numbers:
             raise InvalidCollection(
-                f"shard {options.shard} of {config.episodes} episodes has none: cut the run into"
+                f"shard {options.shard} of {config.episodes} episodes has none: split the run into"
                 " fewer shards"
             )
 
@@ -333,7 +332,7 @@ class EpisodeRecipe:
 
 
 def sources_of(config: CollectConfig) -> dict[str, Any]:
-    """Digests of the policies, an expert that labels included, and states of a collection."""
+    """Return the digests of a collection's policies, including a labelling expert, and states."""
     labeller = [replace(config.policy, policy="expert")] if config.labels else []
     return sources([config.policy, *labeller], [config.task])
 
@@ -348,15 +347,23 @@ def write_whole(
     concatenate: bool = False,
     machines: Sequence[dict[str, str]] | None = None,
 ) -> Path:
-    """Write the dataset of a run below `root` from its episodes' files, played on these machines or
-    on this one, `concatenate` as of `publish`; its folder.
+    """Write a run's dataset below `root` from files of episodes, and return its folder.
+
+    Args:
+        config: of the run.
+        files: files of episodes.
+        tally: totals of the episodes.
+        root: Minari root to write to.
+        request: of the run.
+        concatenate: see `publish`.
+        machines: the machines that played the episodes; this one by default.
 
     Raises:
-        InvalidCollection: no episode is left.
+        InvalidCollection: no episode is left to keep.
     """
     if not tally.kept:
         raise InvalidCollection(
-            f"none of {tally.played} episodes reached the goal, and failed ones are dropped:"
+            f"none of {tally.played} episodes reached the goal and failed ones are dropped, so"
             " nothing is left to write"
         )
     carried = None if ships(config.task.states) else states_file(config.task.states)
@@ -386,9 +393,7 @@ def _report(
 
 
 def play(file: _EpisodeFile) -> Tally:
-    """Play a file and write it, then its tally beside it; a shard without a tally isn't
-    finished.
-    """
+    """Play a file's episodes, write it, and then write its tally, which marks it as finished."""
     config = file.config
     rollouts = _best_of_attempts(config, file.numbers)
     kept = [played for played in rollouts if played.success or config.keep_failed]
@@ -405,14 +410,16 @@ def play(file: _EpisodeFile) -> Tally:
         planning_seconds=sum(played.effort.seconds for played in rollouts),
         simulation_failures=sum(bool(played.episode.simulation_failed[-1]) for played in rollouts),
     )
-    told = {"sha256": sha256(file.path), "tally": asdict(tally)}
-    write_sealed(file.path.with_suffix(".json"), told)
+    write_sealed(
+        file.path.with_suffix(".json"), {"sha256": sha256(file.path), "tally": asdict(tally)}
+    )
     return tally
 
 
 def _best_of_attempts(config: CollectConfig, numbers: range) -> list[Rollout]:
-    """Of each episode the shortest attempt that reached the goal, else the first, with the effort
-    of all.
+    """Return each episode's shortest successful rollout, or else its first.
+
+    Its planning effort is the sum over all rollouts of the episode.
     """
     policy = make_policy(config.policy)
     labeller = Expert(config.policy.planner) if config.labels else None
@@ -429,7 +436,7 @@ def _best_of_attempts(config: CollectConfig, numbers: range) -> list[Rollout]:
 
 
 def _finished(path: Path) -> Tally | None:
-    """The tally of a shard that is there and unspoilt."""
+    """Return the tally of a file if it is finished and intact, otherwise None."""
     try:
         said = read_sealed(path.with_suffix(".json"))
         return Tally(**said["tally"]) if said["sha256"] == sha256(path) else None
@@ -438,9 +445,7 @@ def _finished(path: Path) -> Tally | None:
 
 
 def _metadata(config: CollectConfig, tally: Tally) -> MinariMetadata:
-    """Minari's metadata, with what is known of random and expert policies on this setup as
-    reference scores.
-    """
+    """Return Minari's metadata; reference scores are those of random and expert policies."""
     task, policy = config.task, config.policy
     scores = (
         reference_scores().get(f"{task.task}-nx{task.nx}", {}) if task.rope == RopeConfig() else {}
@@ -483,8 +488,9 @@ def _metadata(config: CollectConfig, tally: Tally) -> MinariMetadata:
 
 
 def reference_scores() -> dict[str, Any]:
-    """Mean returns of a random and of an expert policy by set-up, "tie-nx3", on readable states,
-    and the `episodes` they were taken over; empty where they aren't known.
+    """Return mean returns of a random and an expert policy by setup, for example "tie-nx3".
+
+    They are measured on readable states; `episodes` is the number of episodes. Empty if unknown.
     """
     if not _REFERENCES.is_file():
         return {}

@@ -1,5 +1,6 @@
-"""Digests of what episodes depend on: results and datasets hold them, and nothing is resumed or
-counted together unless they are the same.
+"""Digests of everything that episodes depend on.
+
+Results and datasets store them; only runs with equal digests are resumed or pooled.
 """
 
 from __future__ import annotations
@@ -20,20 +21,21 @@ from knotgym.states.state_file import shipped, ships, states_file
 
 
 def sources(policies: Iterable[PolicyConfig], tasks: Iterable[TaskConfig]) -> dict[str, Any]:
-    """SHA-256 of the files that policies and tasks read.
+    """Return the SHA-256 of the files that policies and tasks read.
 
     Returns:
         `states`: "own" or "shipped" -> digest of the state file;
         `policies`: name -> file -> digest, see `policy_digests`.
 
     Raises:
-        InvalidPolicy, InvalidSetting, OSError: a file isn't there.
+        InvalidPolicy, InvalidSetting, OSError: a file is missing.
     """
     files = {}
     for task in tasks:
         for origin in state_origins(task).values():
-            lent = origin == SHIPPED and not ships(task.states)  # plain loops, to a file without
-            files[origin] = shipped() if lent else states_file(task.states)
+            # a state file without plain loops borrows the included ones
+            borrowed = origin == SHIPPED and not ships(task.states)
+            files[origin] = shipped() if borrowed else states_file(task.states)
     return {
         "states": {origin: sha256(path) for origin, path in sorted(files.items())},
         "policies": {one.policy: policy_digests(one) for one in policies},
@@ -41,22 +43,20 @@ def sources(policies: Iterable[PolicyConfig], tasks: Iterable[TaskConfig]) -> di
 
 
 def digests(source: dict[str, Any]) -> dict[str, Any]:
-    """What a result or a dataset holds: `sources`, with the `versions` of all code and the
-    fingerprint of the `rope`.
-    """
+    """Return `sources` with the `versions` of all code and the fingerprint of the `rope`."""
     whole = whole_request({"source": source}, Shard())
-    told = {**source, "versions": whole["versions"], "rope": whole["rope"]}
-    # in one order, so that a run and its merged shards are the same bytes
-    ordered: dict[str, Any] = json.loads(json.dumps(told, sort_keys=True))
+    content = {**source, "versions": whole["versions"], "rope": whole["rope"]}
+    # sorted, so that a run and its merged shards have the same bytes
+    ordered: dict[str, Any] = json.loads(json.dumps(content, sort_keys=True))
     return ordered
 
 
 def require_unchanged(before: dict[str, Any], now: dict[str, Any]) -> None:
-    """Refuse episodes whose policy or states changed while they were played.
+    """Require that the files of policies and states didn't change during the run.
 
     Raises:
-        InvalidRun: so it is.
+        InvalidRun: they did.
     """
     if before != now:
-        told = "; ".join(differences(before, now))
-        raise InvalidRun(f"files changed while episodes were played, begin again: {told}")
+        changes = "; ".join(differences(before, now))
+        raise InvalidRun(f"files changed while episodes were played, start again: {changes}")

@@ -1,8 +1,7 @@
-"""Evaluation: how often a policy reaches its goals, on any tasks, crossings and splits, with an
-interval over states, see `cluster_interval`.
+"""Evaluate the success rate of policies on tasks, crossing numbers and splits.
 
-Several policies, crossings and splits at once make the generalization matrix: a policy trained on
-one, tested on all.
+Confidence intervals are over states, see `cluster_interval`. With several crossing numbers or
+splits, the results are a generalization matrix for policies trained on one of them.
 """
 
 from __future__ import annotations
@@ -41,24 +40,24 @@ from knotgym.runs.staging import may_be_finished
 from knotgym.runs.tables import narrow_table
 
 _SETUP = ("policy", "task", "split", "nx")  # columns
-SIDE_BY_SIDE = 8  # episodes of one piece of work
+SIDE_BY_SIDE = 8  # episodes per piece of work
 
 
 class InvalidEvaluation(KnotgymError, ValueError):
-    """An evaluation that cannot be done as asked."""
+    """The requested evaluation can't be done."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EvaluateConfig:
-    """What is evaluated.
+    """What to evaluate.
 
     Attributes:
-        policies: each on every task, crossing number and split.
+        policies: each is evaluated on every task, crossing number and split.
         tasks, nx, splits: see `TaskConfig`.
-        episodes: of each of these setups; episode i is the same for every policy.
-        seed: of the run; its streams are an evaluation's own, no dataset has these episodes.
-        task: the settings that all environments share; its task, nx and split are not used.
-        filmed: episodes of each setup whose course is kept.
+        episodes: episodes per setup; episode i is the same for every policy.
+        seed: random seed; evaluations have streams of their own, so no dataset has their episodes.
+        task: settings shared by all environments; its task, nx and split are not used.
+        filmed: number of episodes per setup to return for a film.
     """
 
     policies: tuple[PolicyConfig, ...]
@@ -77,11 +76,11 @@ class EvaluateConfig:
                 f" {self.seed}"
             )
         if not all((self.policies, self.tasks, self.nx, self.splits)):
-            raise InvalidEvaluation("name at least one policy, task, number of crossings and split")
-        list(self.setups())  # refuses what no environment has
+            raise InvalidEvaluation("give at least one policy, task, number of crossings and split")
+        list(self.setups())  # raises if an environment can't be made
 
     def setups(self) -> Iterator[tuple[PolicyConfig, TaskConfig]]:
-        """Every policy and environment."""
+        """Yield every combination of policy and environment."""
         for policy in self.policies:
             for task in self.tasks:
                 for split in self.splits:
@@ -91,20 +90,20 @@ class EvaluateConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """How one policy did in one setup.
+    """Result of one policy in one setup.
 
     Attributes:
-        policy, task, nx, split: which.
-        episodes, successes: counted.
-        success_rate, low, high: with the 95 % interval of `cluster_interval`.
-        steps: mean over the episodes that succeeded, None if none did.
-        mean_return: rewards of an episode, mean.
-        planned_actions, planning_seconds: mean of an episode.
-        simulation_failures: episodes that ended because the simulation blew up.
-        start_states, goal_states: where they were drawn from, "own" for the state file asked for
-            or "shipped" for the one that ships.
-        outcomes: of each episode `start` and `goal`, rows of those state files, `success` as 0 or
-            1, and `steps`.
+        policy, task, nx, split: the setup.
+        episodes, successes: numbers of episodes.
+        success_rate, low, high: success rate and the 95 % interval of `cluster_interval`.
+        steps: mean over successful episodes; None if there are none.
+        mean_return: mean return of an episode.
+        planned_actions, planning_seconds: means per episode.
+        simulation_failures: episodes that ended because the simulation diverged.
+        start_states, goal_states: source of the states, "own" for the requested state file or
+            "shipped" for the included one.
+        outcomes: for each episode `start` and `goal` (rows of those state files), `success` (0 or
+            1) and `steps`.
     """
 
     policy: str
@@ -127,7 +126,7 @@ class Result:
 
 
 class _Piece(NamedTuple):
-    """Work for one process: some episodes of one setup."""
+    """A unit of work: a few episodes of one setup."""
 
     policy: PolicyConfig
     task: TaskConfig
@@ -142,7 +141,7 @@ def evaluate(
     progress: Progress | None = None,
     unfinished: Unfinished | None = None,
 ) -> tuple[list[Result], list[Episode]]:
-    """Play every setup but for what is played of an unfinished evaluation.
+    """Play every setup, except the pieces that an unfinished evaluation has already played.
 
     Returns:
         The results in the order of `config.setups`, and the filmed episodes.
@@ -161,7 +160,7 @@ def evaluate(
         for policy, task in setups
         for first in starts
     ]
-    # of what was played no film is left
+    # checkpoints have no films, so filmed pieces are played again
     left = [
         number
         for number, piece in enumerate(pieces)
@@ -189,19 +188,19 @@ def evaluate(
     return results, films
 
 
-# of a learner's card
+# fields of a learner's card
 _TRAINING = ("weights_sha256", "seconds", "episodes")
 
 
 def sources_of(config: EvaluateConfig) -> dict[str, Any]:
-    """Digests of the policies and states of an evaluation, see `sources`."""
+    """Return the digests of the policies and states of an evaluation, see `sources`."""
     return sources(config.policies, (task for _, task in config.setups()))
 
 
 def report(
     config: EvaluateConfig, results: Sequence[Result], source: dict[str, Any]
 ) -> dict[str, Any]:
-    """What goes to the JSON file; `source` is that of `sources_of` before anything was played."""
+    """Return the content of the result file; `source` is `sources_of(config)` before playing."""
     columns: dict[str, list[Any]] = {"success": [], "start": [], "goal": []}
     for one in results:
         columns["success"] += one.outcomes["success"]
@@ -224,7 +223,7 @@ def report(
 
 
 def as_text(report: dict[str, Any]) -> str:
-    """A report as its file has it: JSON, a list of numbers on one line."""
+    """Format a report as JSON, with each list of numbers on one line."""
 
     def on_one_line(found: re.Match[str]) -> str:
         return " ".join(found[0].split())
@@ -233,7 +232,7 @@ def as_text(report: dict[str, Any]) -> str:
 
 
 def show(results: Sequence[Result], console: Console) -> None:
-    """A row for each setup, and the matrix if there are several; no wider than 80 columns."""
+    """Print a row per setup, and a matrix if there are several nx, in at most 80 columns."""
     reached = any(one.steps is not None for one in results)
     table = narrow_table(
         (*_SETUP, "success", "95 % interval", *(["steps"] if reached else []), "return"),
@@ -264,7 +263,7 @@ def show(results: Sequence[Result], console: Console) -> None:
         if {one.start_states, one.goal_states} == {OWN, SHIPPED}
     ):
         console.print(
-            f"{task} nx {nx}: the state file has no plain loops; those that ship are used.",
+            f"{task} nx {nx}: the state file has no plain loops; the included ones are used.",
             highlight=False,
         )
     for line in reference_lines(results):
@@ -285,9 +284,9 @@ def show(results: Sequence[Result], console: Console) -> None:
 
 
 def reference_lines(results: Sequence[Result]) -> list[str]:
-    """Return a line for each task and nx with the mean returns that a result is to be read beside.
+    """Return a line per task and nx with reference returns to compare a result with.
 
-    The references are measured on readable states, whichever states the results are of.
+    References are always measured on readable states.
     """
     known = reference_scores()
     lines = []
@@ -313,24 +312,26 @@ def run(
     progress: Progress | None = None,
     existing: Existing = REFUSE_EXISTING,
 ) -> list[Result]:
-    """Evaluate, show, and write what was asked for.
+    """Evaluate, print the results, and write the requested files.
 
-    With `existing.resume` it goes on from what an interrupted evaluation of the same settings left
-    beside `out`; one that is finished is shown.
+    With `existing.resume`, an interrupted evaluation with the same settings continues from its
+    checkpoint beside `out`, and a finished one is only printed.
 
     Raises:
-        InvalidEvaluation: fewer than 0 workers, or to resume or restart is asked for without `out`.
-        InvalidRun: what is to be resumed is of another evaluation, or damaged.
+        InvalidEvaluation: `workers` is negative, or resume or restart is requested without `out`.
+        InvalidRun: the checkpoint belongs to another evaluation or is corrupted.
         Occupied: `out` or `video` exists, an interrupted evaluation left work, or another process
-            is evaluating into `out`.
-        Unwritable: nothing can be written where `out` or `video` are.
-        PictureError: the video is of no kind that can be written here.
-        InvalidSetting: the state file lacks what a task needs.
+            is evaluating to `out`.
+        Unwritable: `out` or `video` can't be written.
+        PictureError: the video format can't be written here.
+        InvalidSetting: the state file lacks states that a task needs.
     """
     if workers < 0:
         raise InvalidEvaluation(f"workers must be at least 0, got {workers}")
     if out is None and (existing.resume or existing.restart):
-        raise InvalidEvaluation("--resume and --restart need the --out of the evaluation; name it")
+        raise InvalidEvaluation(
+            "--resume and --restart need the --out of the evaluation; give it too"
+        )
     if video is not None:
         from knotgym.rendering.video import require_film, write_film
 
@@ -366,8 +367,8 @@ def run(
             with atomic_write(out, overwrite=existing.overwrite) as temporary:
                 temporary.write_text(as_text(report(config, results, source)), encoding="utf-8")
     if out is not None and not quiet:
-        told = f"{out}: {len(results)} results of {config.episodes} episodes each"
-        console.print(told, soft_wrap=True, highlight=False)
+        line = f"{out}: {len(results)} results of {config.episodes} episodes each"
+        console.print(line, soft_wrap=True, highlight=False)
     if video is not None and not quiet:
         console.print(f"{video}: {len(films)} episodes", soft_wrap=True, highlight=False)
     return results
@@ -380,11 +381,11 @@ def _done_already(
     source: dict[str, Any],
     existing: Existing,
 ) -> list[Result] | None:
-    """The results at `out` if a resumed evaluation takes them as its own; None if it is to play.
+    """Return the results at `out` if the evaluation to resume is finished, otherwise None.
 
     Raises:
-        InvalidRun: the file is of another evaluation, and is not to be overwritten.
-        Occupied: it is finished, but its film isn't there.
+        InvalidRun: the file belongs to another evaluation, and `existing` doesn't overwrite it.
+        Occupied: the evaluation is finished, but its film is missing.
     """
     if not may_be_finished(out, existing) or not out.is_file():
         return None
@@ -396,14 +397,14 @@ def _done_already(
         raise
     if video is not None and not video.exists():
         raise Occupied(
-            f"{out} is finished already, but the film {video} isn't there; --overwrite alone makes"
-            " both anew"
+            f"{out} is finished already, but the film {video} isn't there; --overwrite without"
+            " --resume makes both again"
         )
     return results
 
 
 def _require_playable(config: EvaluateConfig) -> None:
-    """Refuse a policy or task that isn't there, or a policy that can't act in a task."""
+    """Raise if a policy or task doesn't exist, or if a policy can't act in a task."""
     acting = {one.policy: make_policy(one) for one in config.policies}
     for policy, task in config.setups():
         acting[policy.policy].suited(task)
@@ -411,15 +412,15 @@ def _require_playable(config: EvaluateConfig) -> None:
 
 
 def _finished(out: Path, config: EvaluateConfig, source: dict[str, Any]) -> list[Result]:
-    """What an evaluation of the same settings, policies, states and code wrote.
+    """Read the results of an evaluation with the same settings, policies, states and code.
 
     Raises:
-        InvalidRun: the file is of another one.
+        InvalidRun: the file belongs to another evaluation.
     """
     try:
-        said = read_json(out)
-        there = {name: said[name] for name in ("version", "settings", "digests")}
-        results = [Result(**row) for row in said["results"]]
+        content = read_json(out)
+        there = {name: content[name] for name in ("version", "settings", "digests")}
+        results = [Result(**row) for row in content["results"]]
     except (KeyError, TypeError, ValueError) as error:
         raise InvalidRun(
             f"{out} isn't an evaluation of this version; choose another --out"
@@ -434,7 +435,7 @@ def _finished(out: Path, config: EvaluateConfig, source: dict[str, Any]) -> list
 
 
 def film(episode: Episode, task: TaskConfig) -> list[NDArray[np.uint8]]:
-    """Draw an episode in all its views, with each pull and why it was chosen: frames of a film."""
+    """Return the frames of a film of an episode: all its views, each pull, and its reason."""
     from knotgym.rendering.video import film_frames
 
     moves = [""] * len(episode.points) if episode.move is None else episode.move

@@ -1,5 +1,6 @@
-"""How a learner that a script trained is measured: in the episodes of `knotgym evaluate`, into a
-file as it writes, which `benchmarks/results.py` reads.
+"""Evaluate a learner trained by a script, as `knotgym evaluate` does, with the same result file.
+
+`benchmarks/results.py` reads the file.
 """
 
 from __future__ import annotations
@@ -28,30 +29,30 @@ def evaluate_learner(
     quiet: bool = False,
     **settings: Any,
 ) -> dict[str, Any]:
-    """Play every set-up in this process, and write `evaluation.json` into the folder.
+    """Evaluate a policy on every setup in this process; write `evaluation.json` into the folder.
 
     Args:
-        name: what the results call the policy; it stays registered, so no other may have it.
-        policy: it acts in all episodes.
+        name: name of the policy in the results; it stays registered, so it must be unique.
+        policy: the policy to evaluate.
         folder: where to write.
         training: JSON, how the learner was trained.
-        files: the learner's weights, already written; the result holds their digests.
-        quiet: don't show the table.
-        settings: of `EvaluateConfig`, all but its policies.
+        files: the learner's weights, already written; the result has their digests.
+        quiet: don't print the table.
+        settings: fields of `EvaluateConfig` other than its policies.
 
     Returns:
-        What the file holds: that of `knotgym evaluate --out`, and `training`.
+        The content of the file: that of `knotgym evaluate --out`, and `training`.
 
     Raises:
-        InvalidPolicy: there is a policy of this name already.
-        InvalidEvaluation, InvalidSetting: settings that can't be had.
+        InvalidPolicy: a policy of this name exists already.
+        InvalidEvaluation, InvalidSetting: the settings are invalid.
     """
     register_policy(name, lambda _: policy, files)
     config = EvaluateConfig(policies=(PolicyConfig(policy=name),), **settings)
     path = folder / EVALUATION
     run(config, workers=1, out=path, video=None, quiet=quiet, console=Console())
-    told: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    told["training"] = training
+    content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    content["training"] = training
     with atomic_write(path) as part:
-        part.write_text(as_text(told), encoding="utf-8")
-    return told
+        part.write_text(as_text(content), encoding="utf-8")
+    return content

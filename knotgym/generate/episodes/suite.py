@@ -1,12 +1,11 @@
-"""The fixed benchmark: for each of nine set-ups the episodes of four policies, on two sets of
-states, always of the train split, with one card over all of them.
+"""The fixed benchmark: four policies' episodes on nine setups and two sets of states.
 
     {out}/knotgym/{task}-nx{nx}/{policy}-v0                 on readable states
     {out}/knotgym/{task}-nx{nx}/{policy}-random-walk-v0     on random-walk states
     {out}/knotgym/suite.json, README.md                     sizes, seeds, checksums; the card
 
-Every set is a collection like any other, see `collect`: this only says which, in which order, and
-how long all of them will take.
+Every dataset is an ordinary collection, see `collect`. This module defines which ones there are,
+their order, the estimate of the time they take, and one card for all.
 """
 
 from __future__ import annotations
@@ -47,8 +46,8 @@ SETUPS = tuple((task, nx) for task in TASKS for nx in (2, 3, 4))
 POLICIES = MIXED  # random, scripted, noisy-expert, expert: cheapest first
 STATES = ("readable", "random-walk")
 EPISODES = {"random": 250, "scripted": 500, "noisy-expert": 150, "expert": 1000}
-# for the sake of eight hours: with 20,000, as elsewhere, every episode that was timed reached its
-# goal, but tie and convert at nx 4 took 13 to 50 s each; with this they take 4 to 7, and some fail
+# Chosen to fit in eight hours. With the default of 20,000 all timed episodes succeeded, but
+# tie and convert at nx 4 took 13 to 50 s each; with 1,000 they take 4 to 7 s, and some fail.
 BUDGET = 1000
 SEED = 1
 _FORMAT = "knotgym-suite"
@@ -57,21 +56,21 @@ _RATES = Path(__file__).parent / "data" / "suite_rates.json"
 
 
 class InvalidSuite(KnotgymError, ValueError):
-    """A benchmark, or a part of it, that can't be made as asked."""
+    """The requested benchmark, or part of it, can't be made."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SuiteConfig:
-    """Which part of the benchmark; all of it by default.
+    """Which part of the benchmark to make; all of it by default.
 
     Attributes:
-        tasks, nx: set-ups, each task with each number of crossings.
-        policies: of POLICIES.
-        states: of STATES.
-        episodes: policy -> played in each set-up, on each set of states.
-        observation: stored, see `TaskConfig`; pictures can be drawn from any of them.
-        budget: actions that the experts may simulate for an episode, see `PlannerConfig`.
-        seed: of every set.
+        tasks, nx: every task is combined with every number of crossings.
+        policies: a subset of POLICIES.
+        states: a subset of STATES.
+        episodes: policy -> episodes per setup and set of states.
+        observation: stored observation, see `TaskConfig`; pictures can be drawn from any of them.
+        budget: simulated actions per episode for expert planning, see `PlannerConfig`.
+        seed: random seed of every dataset.
     """
 
     tasks: tuple[str, ...] = tuple(TASKS)
@@ -94,21 +93,22 @@ class SuiteConfig:
             wrong = [one for one in given if one not in known]
             if wrong or not given:
                 raise InvalidSuite(
-                    f"the suite's {name} are of {', '.join(map(str, known))}; got"
+                    f"the suite's {name} must be among {', '.join(map(str, known))}; got"
                     f" {', '.join(map(str, wrong)) or 'none'}"
                 )
         unknown = [one for one in self.episodes if one not in POLICIES]
         if unknown:
             raise InvalidSuite(
-                f"episodes are told of {', '.join(POLICIES)}; got {', '.join(unknown)}"
+                f"episodes are set for {', '.join(POLICIES)}; got {', '.join(unknown)}"
             )
         object.__setattr__(self, "episodes", {**EPISODES, **self.episodes})
-        for _ in self.sets():  # refuses sizes, seeds and observations that no collection has
+        for _ in self.sets():  # raises if a size, seed or observation is invalid
             pass
 
     def sets(self) -> Iterator[CollectConfig]:
-        """Every set asked for, in the order in which they are made: a set-up whole, then another,
-        and all of the readable states first.
+        """Yield the requested datasets in the order in which they are made.
+
+        Readable states come first; within a set of states, one setup is completed before the next.
         """
         for states in self.states:
             for task in self.tasks:
@@ -138,9 +138,10 @@ class SuiteConfig:
 
 
 def core_seconds(config: CollectConfig) -> float:
-    """What a set costs on one core, from `data/suite_rates.json`: CPU seconds an episode, the mean
-    of 2 to 8 on a machine that others used, and where a noisy expert wasn't timed, 1.5 times the
-    expert's. They hold for BUDGET; a larger one takes longer.
+    """Return the estimated cost of a dataset in core seconds, from `data/suite_rates.json`.
+
+    The rates are CPU seconds per episode, the mean of 2 to 8 episodes on a shared machine; where a
+    noisy expert wasn't timed, 1.5 times the expert's. They hold for BUDGET.
     """
     rates: dict[str, Any] = json.loads(_RATES.read_text(encoding="utf-8"))
     setup = f"{config.task.task}-nx{config.task.nx}"
@@ -156,21 +157,22 @@ def make_suite(
     scores: Sequence[Path] = (),
     progress: Progress | None = None,
 ) -> Path:
-    """Make the sets that aren't there, then the card over all that are, and return its folder.
+    """Make the missing datasets and a card for all existing ones; return the card's folder.
 
     Args:
-        config: which sets.
-        out: the root under which Minari would find them; None for Minari's own.
-        options: how it is done. With `resume` sets that are finished are left alone and a set that
-            was interrupted goes on; with `overwrite` each is replaced once its new one is whole.
-        scores: files of `knotgym evaluate --out`, for the card's table of results; those in the
-            folder `evaluations` beside the card are taken as well.
-        progress: to show it on.
+        config: which datasets to make.
+        out: Minari root to write to; None for Minari's own.
+        options: how to execute the runs. With `resume`, finished datasets are kept and interrupted
+            ones continued; with `overwrite`, each is replaced once the new one is complete.
+        scores: files of `knotgym evaluate --out` for the card's table of results, besides those in
+            the folder `evaluations` next to the card.
+        progress: where to show progress; a new display by default.
 
     Raises:
-        Occupied: a set or a card exists, or a set is begun, and it wasn't said what becomes of it.
-        InvalidRun: one is there that was asked for differently.
-        InvalidSuite: an evaluation can't be read.
+        Occupied: a dataset or a card exists, or an interrupted run left work, and `options` don't
+            say what to do with it.
+        InvalidRun: an existing dataset was made by another request.
+        InvalidSuite, InvalidScores: an existing dataset or an evaluation can't be read.
     """
     if progress is None:
         with Progress(options.quiet) as progress:
@@ -189,16 +191,18 @@ def make_suite(
         begun = has_work(staging_folder(root / one.dataset_id))
         collect(one, root, replace(options, resume=options.resume and begun), progress=progress)
         told[one.dataset_id] = describe_set(root / one.dataset_id)
-        _write_card(told, results, config.seed, folder)  # for whoever looks in meanwhile
+        _write_card(
+            told, results, config.seed, folder
+        )  # so that the card is current during the run
     progress.say(f"{folder}: {len(wanted)} sets, README.md, suite.json")
     return folder
 
 
 def _is_made(one: CollectConfig, root: Path, options: RunOptions) -> bool:
-    """Whether a set is finished, as it is asked for now.
+    """Whether a dataset of the same request is finished.
 
     Raises:
-        Occupied, InvalidRun: as of `make_suite`.
+        Occupied, InvalidRun: as in `make_suite`.
     """
     made = root / one.dataset_id
     request = whole_request(EpisodeRecipe(one, options).request(), options.shard)
@@ -212,18 +216,18 @@ def _is_made(one: CollectConfig, root: Path, options: RunOptions) -> bool:
         return True
     if os.path.lexists(made) and not options.overwrite:
         raise Occupied(
-            f"{made} exists already; --resume leaves finished sets alone and goes on with the rest,"
-            " --overwrite makes all of them anew"
+            f"{made} exists already; --resume keeps finished datasets and makes the rest,"
+            " --overwrite makes all of them again"
         )
     require_output(made, folder=True, overwrite=options.overwrite)
     return False
 
 
 def _require_own_card(folder: Path, options: RunOptions) -> None:
-    """Refuse to write the card over files that no suite wrote.
+    """Require that the card replaces only files of a suite.
 
     Raises:
-        Occupied: there is such a file, and `overwrite` wasn't asked for.
+        Occupied: it would replace another file, and `options` don't say overwrite.
     """
     try:
         own = read_json(folder / "suite.json")["format"] == _FORMAT
@@ -248,17 +252,17 @@ def _forecast(
 
 
 def _described(config: SuiteConfig, root: Path) -> dict[str, Any]:
-    """Every set of the benchmark that is there, be it of this run or of another, by its id."""
+    """Describe every existing dataset of the benchmark, of this run or earlier ones, by id."""
     whole = SuiteConfig(observation=config.observation, seed=config.seed)
     ids = [one.dataset_id for one in whole.sets()]
     return {name: describe_set(root / name) for name in ids if (root / name).exists()}
 
 
 def describe_set(made: Path) -> dict[str, Any]:
-    """Size, seed and checksums of a finished set.
+    """Return the size, seed and checksums of a finished dataset.
 
     Raises:
-        InvalidSuite: it isn't one that `knotgym collect` made.
+        InvalidSuite: it wasn't made by `knotgym collect`.
     """
     try:
         said = read_json(made / "data" / REPORT)

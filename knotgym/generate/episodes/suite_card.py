@@ -1,4 +1,4 @@
-"""The card of the fixed benchmark: tasks, protocol, its sets, reference scores and results."""
+"""The card of the fixed benchmark: tasks, protocol, datasets, reference scores and results."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ than these sets (more episodes, or the simulator) say so."""
 
 
 def suite_card(report: Mapping[str, Any], references: Mapping[str, Any]) -> str:
-    """The card as Markdown.
+    """Return the card as Markdown.
 
     Args:
-        report: suite.json.
-        references: mean returns of a random and of an expert policy by set-up, see
+        report: content of suite.json.
+        references: mean returns of a random and an expert policy by setup, see
             `collect.reference_scores`.
     """
     sets = report["sets"]

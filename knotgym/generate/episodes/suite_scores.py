@@ -1,4 +1,4 @@
-"""What files of `knotgym evaluate --out` say, as rows and as tables beside the published scores."""
+"""Read files of `knotgym evaluate --out` and tabulate them beside the published scores."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from knotgym.generate.episodes.evaluate import EvaluateConfig
 from knotgym.runs.intervals import cluster_interval
 
 TASKS, CROSSINGS = ("unknot", "tie", "convert"), (2, 3, 4)
-# per cent on the train split, learners after a million steps; arXiv 2505.18028
+# success rates in percent on the train split, learners after a million steps; arXiv 2505.18028
 PUBLISHED = {
     "random": (11.1, 8.4, 6.7, 35.9, 2.5, 1.4, 36.8, 9.2, 2.9),
     "DreamerV3": (93.3, 93.4, 89.3, 83.2, 16.1, 4.1, 71.5, 15.3, 5.4),
     "PPO": (65.7, 63.3, 37.0, 41.3, 3.3, 1.3, 47.7, 6.3, 4.7),
     "TD-MPC2": (71.3, 55.4, 50.3, 39.2, 4.6, 1.7, 40.8, 8.7, 3.8),
 }
-# episodes are counted together where all of this is the same: a line of a table, and its cell
+# Episodes that agree in all of these fields are pooled: LINE selects a table row, CELL a cell.
 LINE = ("policy", "settings", "policy_sha256", "code_sha256", "versions")
 CELL = ("states", "states_sha256", "split", "task", "nx")
-_APART = ("task", "nx", "split", "states")  # fields of a task that are columns of their own
+_APART = ("task", "nx", "split", "states")  # fields of a task that have their own column
 _OUTCOMES = ("start", "goal", "success", "steps")
 _PLAIN = {
     "task": as_json(EvaluateConfig(policies=(PolicyConfig(),)).task),
@@ -35,24 +35,24 @@ _PLAIN = {
 }
 
 
-# what reading a file of another shape raises
+# errors raised by reading a file with another structure
 _MALFORMED = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError)
 
 
 class InvalidScores(KnotgymError, ValueError):
-    """Files that aren't evaluations, or that tell of the same episodes twice."""
+    """A file is not an evaluation, or two files have the same episodes."""
 
 
 def read_scores(paths: Iterable[Path]) -> list[dict[str, Any]]:
-    """One row for each cell of each evaluation, sorted: `LINE` and `CELL`, episodes, successes,
-    success_rate, interval, steps, starts and goals (how many there were), planned_actions,
-    planning_seconds, seeds; and `training`, what a file says of how a learner was trained.
+    """Return one row per cell of all evaluations, sorted.
 
-    Files of one cell with different seeds are counted together. Where a policy, its settings, the
-    states or the code differ, rows are apart.
+    A row has the fields of `LINE` and `CELL`, episodes, successes, success_rate, interval, steps,
+    starts and goals (their numbers), planned_actions, planning_seconds, seeds, and `training`, how
+    a learner was trained. Files of one cell with different seeds are pooled; different policies,
+    settings, states or code have separate rows.
 
     Raises:
-        InvalidScores: a file can't be read or has no digests, or two tell of the same episodes.
+        InvalidScores: a file can't be read or has no digests, or two have the same episodes.
     """
     found: dict[tuple[Any, ...], list[dict[str, Any]]] = {}
     for path in paths:
@@ -72,7 +72,7 @@ def read_scores(paths: Iterable[Path]) -> list[dict[str, Any]]:
 
 
 def score_tables(rows: Sequence[Mapping[str, Any]], heading: str = "##") -> list[str]:
-    """Lines of Markdown: for each set of states and split a table, policies by cells."""
+    """Return Markdown tables, one per set of states and split, with a row per policy."""
     setups = [(task, nx) for task in TASKS for nx in CROSSINGS]
     head = (
         *("policy", "settings", "files", "code", *(f"{task} {nx}" for task, nx in setups)),
@@ -157,7 +157,7 @@ def _rows(told: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
 
 
 def _require_outcomes(outcomes: Mapping[str, Any]) -> None:
-    """Refuse columns that aren't those of one list of episodes."""
+    """Require integer columns of equal length."""
     whole = all(
         type(value) is int and 0 <= value < 2**31
         for values in outcomes.values()
@@ -169,7 +169,7 @@ def _require_outcomes(outcomes: Mapping[str, Any]) -> None:
 
 
 def _together(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """One row of the episodes of several."""
+    """Pool rows of one cell."""
     rows = sorted(rows, key=lambda row: str(row["seeds"]))
     columns = {
         name: [value for row in rows for value in row["outcomes"][name]]
@@ -196,7 +196,7 @@ def _together(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _unlike(plain: Any, value: Any, where: str = "") -> Iterator[str]:
-    """What of a configuration isn't the default's, as "planner.budget=1000"."""
+    """Yield the settings that differ from the defaults, as in "planner.budget=1000"."""
     if isinstance(value, dict):
         for name, inner in value.items():
             beside = plain.get(name) if isinstance(plain, dict) else None
@@ -206,7 +206,7 @@ def _unlike(plain: Any, value: Any, where: str = "") -> Iterator[str]:
 
 
 def _digest(files: Mapping[str, str]) -> str:
-    """One digest of several; of a single file its own, of none ""."""
+    """Combine digests into one; a single file keeps its own, and "" stands for none."""
     if len(files) < 2:
         return "".join(files.values())
     return hashlib.sha256(json.dumps(files, sort_keys=True).encode()).hexdigest()

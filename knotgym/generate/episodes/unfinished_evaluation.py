@@ -1,6 +1,4 @@
-"""What an evaluation has played, kept beside the file it will write, so that it can be gone on with
-when it was killed.
-"""
+"""Checkpoints of an evaluation, kept in a staging folder beside its output file."""
 
 from __future__ import annotations
 
@@ -20,11 +18,11 @@ from knotgym.runs.sealed_json import read_sealed, write_sealed
 from knotgym.runs.staging import staging
 
 _PLAYED = "played.json"
-_PAUSE = 2.0  # seconds between two savings, at least
+_PAUSE = 2.0  # minimum seconds between two checkpoints
 
 
 class PlayedEpisode(NamedTuple):
-    """What is counted of one episode; `start` and `goal` are rows of the state file."""
+    """Outcome of one episode; `start` and `goal` are rows of the state file."""
 
     start: int
     goal: int
@@ -37,9 +35,7 @@ class PlayedEpisode(NamedTuple):
 
 
 class Unfinished:
-    """The pieces of an evaluation that were played, by their number; saved in a file if there is
-    one.
-    """
+    """The finished pieces of an evaluation by number, saved to a file if there is one."""
 
     def __init__(self, path: Path | None = None) -> None:
         self.pieces: dict[int, list[PlayedEpisode]] = {}
@@ -52,13 +48,13 @@ class Unfinished:
             }
 
     def keep(self, number: int, piece: Sequence[PlayedEpisode]) -> None:
-        """Take in a piece just played."""
+        """Add a finished piece, and save if the last checkpoint is old enough."""
         self.pieces[number] = list(piece)
         if time.monotonic() > self._saved + _PAUSE:
             self.save()
 
     def save(self) -> None:
-        """Write what was played, whole or not at all."""
+        """Write the checkpoint atomically."""
         if self._path is not None:
             write_sealed(self._path, {str(number): piece for number, piece in self.pieces.items()})
             self._saved = time.monotonic()
@@ -68,12 +64,13 @@ class Unfinished:
 def kept_beside(
     out: Path | None, asked: dict[str, Any], existing: Existing, progress: Progress
 ) -> Iterator[Unfinished]:
-    """What was played of an evaluation that will write `out`; gone when it is written,
-    or when nothing was played.
+    """Hold the checkpoint of an evaluation that will write `out`.
+
+    It is removed when the block ends normally, or if nothing was played.
 
     Raises:
-        InvalidRun: what is there to resume is of another evaluation, or damaged.
-        Occupied: another process is at it, or an interrupted evaluation left work unasked for.
+        InvalidRun: the checkpoint belongs to another evaluation or is corrupted.
+        Occupied: another process holds it, or an interrupted evaluation left work.
     """
     if out is None:
         yield Unfinished()
@@ -83,7 +80,7 @@ def kept_beside(
         try:
             unfinished = Unfinished(folder / _PLAYED)
         except (TypeError, ValueError) as error:
-            raise InvalidRun(f"{folder / _PLAYED} is damaged; --restart begins anew") from error
+            raise InvalidRun(f"{folder / _PLAYED} is corrupted; --restart starts again") from error
         with atomic_write(folder / REQUEST) as temporary:
             temporary.write_text(json.dumps(asked, indent=1, sort_keys=True), encoding="utf-8")
         try:

@@ -1,10 +1,10 @@
 """The recipe of labelled pictures: from states to a folder of Parquet files.
 
-Walks set out from archived or curated states and meet frames (`walks`), in waves until every quota
-is full; frames are chosen one by one (`selection`); chosen configurations are measured and drawn,
-a file of the table at a time (`datasets.image_rows`). Walks and files are functions of the
-configuration, the states and their numbers alone, and files of their own in the staging folder, so
-a run that was killed goes on from the files there are.
+Walks start from states of an archive or a state file and yield frames (`walks`), in waves until
+every quota is full. Frames are chosen one by one (`selection`), and chosen configurations are
+measured and drawn, one file of the table at a time (`datasets.image_rows`). Walks and table files
+depend only on the configuration, the states and their numbers, and are separate files in the
+staging folder, so a resumed run continues from the existing files.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from knotgym.states.splits import IMAGE_SPLITS
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import codes_of
 
-CORE_SECONDS = 0.13  # a picture, as 20,000 took 22 minutes on two cores
+CORE_SECONDS = 0.13  # per picture: 20,000 took 22 minutes on two cores
 
 
 def make_images(
@@ -51,20 +51,20 @@ def make_images(
     states: Path | None = None,
     progress: Progress | None = None,
 ) -> Path:
-    """Make labelled pictures in the new folder `out`, or in that of the shard, and return it.
+    """Make labelled pictures and return the new folder, which for a shard is the shard's own.
 
     Args:
-        config: what is wanted.
+        config: which pictures to make.
         out: the folder of the whole run.
-        options: how it is done.
-        archive: to set out from, or
-        states: to set out from; without either, from the states that ship.
-        progress: to show it on.
+        options: how to execute the run.
+        archive: archive of a run whose states walks start from.
+        states: state file to start from instead; by default the included states.
+        progress: where to show progress; a new display by default.
 
     Raises:
-        Occupied, InvalidRun: as of `runs.engine.run`.
-        InvalidImagesConfig, NoSeedStates: can't be made as asked.
-        NotEnough: the states and their walks don't give so many different pictures.
+        Occupied, InvalidRun: as in `runs.engine.run`.
+        InvalidImagesConfig, NoSeedStates: such pictures can't be made.
+        NotEnough: walks from the states don't reach enough different configurations.
     """
     arrow()
     recipe = ImageRecipe(config, options, seed_states(config.nx, archive, states))
@@ -75,7 +75,7 @@ def make_images(
 
 
 class ImageRecipe:
-    """Labelled pictures, see `runs.engine.Recipe`."""
+    """Recipe for labelled pictures, see `runs.engine.Recipe`."""
 
     flexible: tuple[str, ...] = ()
 
@@ -95,7 +95,7 @@ class ImageRecipe:
         self.wanted = {key: len(share) for key, share in shares.items() if share}
         if not self.wanted:
             raise InvalidImagesConfig(
-                f"shard {self.shard} has no picture to make: cut the run into fewer shards"
+                f"shard {self.shard} has no picture to make: split the run into fewer shards"
             )
         self.split = splits_of(config, start, set(quota))
         self.chooser = Chooser(
@@ -117,7 +117,7 @@ class ImageRecipe:
         pass
 
     def load(self, folder: Path) -> bool:
-        return False  # walks and files of the table are found where they are
+        return False  # finished walks and table files are detected one by one
 
     def save(self, folder: Path) -> None:
         pass
@@ -158,8 +158,8 @@ class ImageRecipe:
                     for key, count in sorted(self.chooser.lacking().items())
                 )
                 raise NotEnough(
-                    f"{chosen} of {sum(self.wanted.values())} pictures found, then no more in"
-                    f" {idle} waves of walks; lacking {lacks}"
+                    f"{chosen} of {sum(self.wanted.values())} pictures found, then none in {idle}"
+                    f" waves of walks; missing {lacks}"
                 )
 
     def _units(
@@ -200,7 +200,7 @@ class ImageRecipe:
             self.frames += 1
 
     def _table_files(self) -> list[TableFile]:
-        """The files of the table: the rows of a split in random order, so many a file."""
+        """Return the files of the table; each split's rows are in random order."""
         config, rows = self.config, _Provenance(self.start, self.walked, self.config.seed)
         files: list[TableFile] = []
         number = self.shard.first
@@ -244,14 +244,14 @@ class ImageRecipe:
 
 
 class _Stretch(NamedTuple):
-    """Walks wanted for a split and nx, and what they gave so far."""
+    """Walks made for a split and nx, and the frames chosen from them so far."""
 
     walks: int
     chosen: int
 
 
 class _Provenance:
-    """Where chosen frames come from: rows of the table, with their `source`."""
+    """Makes table rows of chosen frames, with their provenance as `source`."""
 
     def __init__(self, start: SeedStates, walked: list[Frames], seed: int) -> None:
         self._start, self._seed = start, seed
@@ -265,7 +265,7 @@ class _Provenance:
         }
 
     def row(self, choice: ChosenFrame, number: int) -> Row:
-        """Row `number` of the table; a walk from a plain loop is a family of its own."""
+        """Return row `number` of the table; a walk from a plain loop is a family of its own."""
         start, walk = self._start, self._walk[choice.frame]
         base = self._base_of[walk]
         alone = int(start.family.max()) + 1 + walk
@@ -287,9 +287,9 @@ class _Provenance:
 def splits_of(
     config: ImagesConfig, start: SeedStates, wanted: set[tuple[str, int]]
 ) -> NDArray[np.str_]:
-    """The split of each seed state, str (n,): that of its family.
+    """Return the split of each seed state's family, str (n,).
 
-    "" for one without crossings, whose walks are families of their own.
+    It is "" for states without crossings, whose walks are families of their own.
     """
     out = np.full(len(start), "", dtype="<U9")
     largest = {
@@ -302,7 +302,7 @@ def splits_of(
             for k in generator(Stream.IMAGE_FAMILIES, config.seed, nx).permutation(len(same))
         ]
         for place, family in enumerate(same):
-            # one family in so many to each of the two, by turns, and the first of all to training
+            # the first family is for training, the next ones for test and test-code
             test = round(config.test_share * len(same)) or int(config.test_share > 0)
             new = round(config.code_share * len(same)) or 1 if ("test-code", nx) in wanted else 0
             if nx > max(config.trained):
@@ -319,7 +319,7 @@ def splits_of(
 def _by_steps(
     config: ImagesConfig, walks: list[Walk], quota_of: dict[int, tuple[str, int]]
 ) -> list[tuple[int, list[Walk]]]:
-    """Walks by the steps they make."""
+    """Group walks by their number of steps."""
     groups: dict[int, list[Walk]] = {}
     for walk in walks:
         nx = quota_of[walk.number][1]
@@ -337,11 +337,12 @@ def _wave(
     wave: int,
     first: int,
 ) -> tuple[list[Walk], dict[int, tuple[str, int]]]:
-    """The walks of a wave and what each is for; `gave` is brought up to date.
+    """Return the walks of a wave and the quota of each; update `gave`.
 
-    A walk for nx crossings sets out from a class of codes with so many, evenly drawn, in its split;
-    where there is none, from the nearest nx that has some.
+    A walk for nx crossings starts from a class of codes with nx crossings in its split, drawn
+    uniformly; if there is none, from the nearest nx that has one.
     """
+    # Request 10 % more walks than the yield so far suggests, smoothed by 1 walk and 4 frames.
     rng = generator(Stream.IMAGE_WAVE, config.seed, wave)
     wanted = {
         key: int(np.ceil(1.1 * count * (gave[key].walks + 1) / (gave[key].chosen + 4)))
@@ -359,8 +360,7 @@ def _wave(
             own = np.flatnonzero((split == key[0]) if key[1] == 0 else (start.nx == 0))
         if not len(own):
             raise NotEnough(
-                f"no family of states is left for {key[0]} with nx {key[1]}; set out from more"
-                " states"
+                f"no family of states is left for {key[0]} with nx {key[1]}; start from more states"
             )
         away = np.abs(start.nx[own] - key[1])
         own = own[away == away.min()]

@@ -1,4 +1,4 @@
-"""What pictures are wanted: the configuration of `knotgym images`, quotas and held-out codes."""
+"""The configuration of `knotgym images`, with its quotas and held-out codes."""
 
 from __future__ import annotations
 
@@ -14,32 +14,31 @@ from knotgym.topology.knots import LISTED_NX
 
 
 class InvalidImagesConfig(KnotgymError, ValueError):
-    """Pictures that can't be made as asked."""
+    """The requested pictures can't be made."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImagesConfig:
-    """What pictures are wanted.
+    """Which pictures to make.
 
     Attributes:
-        nx: crossing numbers, as many pictures of each.
-        count: pictures in all.
-        test_nx: those of nx that only split "test-nx" shows, larger than all others; None for the
+        nx: crossing numbers, with equally many pictures each.
+        count: total number of pictures.
+        test_nx: crossing numbers held out for split "test-nx", larger than all others; None for the
             largest if there are several.
-        test_share: of the other pictures, share of split "test".
-        code_share: likewise of split "test-code", and share of the codes that only it shows; nx
-            with fewer than 4 codes have none.
-        seed: of everything.
-        steps: that a walk makes at most; one for nx crossings makes a third of them at nx 3 and
-            above, two thirds below, all at 0, for the more crossings there are the sooner they are
-            lost.
-        stride: steps from one frame to the next.
-        rows_per_file: pictures in a file of the table.
+        test_share: share of split "test" among the other pictures.
+        code_share: share of split "test-code" among them, and share of Gauss codes held out for it;
+            none for nx with fewer than 4 codes.
+        seed: random seed of the run.
+        steps: maximum steps of a walk. Walks for 3 or more crossings make a third of them, those
+            for 1 or 2 two thirds, because many crossings are lost sooner.
+        stride: steps between frames.
+        rows_per_file: pictures per file of the table.
         walk: how walks are made and which frames are kept.
-        selection: which of them become pictures.
+        selection: which frames become pictures.
         appearance: what varies between pictures.
-        wave: units of walks in a wave, at most.
-        idle: waves without one more picture after which nothing more is expected.
+        wave: maximum number of units of walks in a wave.
+        idle: the run gives up after this many waves without a new picture.
     """
 
     nx: tuple[int, ...] = (0, 1, 2, 3, 4)
@@ -64,7 +63,7 @@ class ImagesConfig:
             or len(set(self.nx)) != len(self.nx)
         ):
             raise InvalidImagesConfig(
-                f"nx takes different numbers of crossings from 0 to {LISTED_NX}, got"
+                f"nx takes distinct numbers of crossings from 0 to {LISTED_NX}, got"
                 f" {', '.join(map(str, self.nx)) or 'none'}"
             )
         if self.test_nx is None:
@@ -76,7 +75,7 @@ class ImagesConfig:
             or min(self.held_nx, default=LISTED_NX + 1) <= max(rest)
         ):
             raise InvalidImagesConfig(
-                f"test-nx takes the largest of the nx asked for, {sorted(self.nx)}, and not all of"
+                f"test-nx takes the largest of the requested nx, {sorted(self.nx)}, but not all of"
                 f" them; got {sorted(self.held_nx)}"
             )
         for name in ("count", "steps", "stride", "rows_per_file", "wave", "idle"):
@@ -103,15 +102,15 @@ class ImagesConfig:
 
     @property
     def trained(self) -> tuple[int, ...]:
-        """The others."""
+        """The crossing numbers of the other splits."""
         return tuple(nx for nx in self.nx if nx not in self.held_nx)
 
 
 def quotas(config: ImagesConfig, codes: dict[int, int]) -> dict[tuple[str, int], int]:
-    """(split, nx) -> pictures; `codes` says how many codes each nx has."""
+    """Return (split, nx) -> number of pictures; `codes` is the number of codes of each nx."""
     out: dict[tuple[str, int], int] = {}
-    for place, nx in enumerate(config.nx):
-        here = config.count // len(config.nx) + (place < config.count % len(config.nx))
+    for index, nx in enumerate(config.nx):
+        here = config.count // len(config.nx) + (index < config.count % len(config.nx))
         if nx in config.held_nx:
             out["test-nx", nx] = here
             continue
@@ -122,7 +121,7 @@ def quotas(config: ImagesConfig, codes: dict[int, int]) -> dict[tuple[str, int],
 
 
 def held_out(config: ImagesConfig, codes: dict[int, list[GaussCode]]) -> frozenset[GaussCode]:
-    """The codes, without chirality, that only split "test-code" shows."""
+    """Return the codes, without chirality, held out for split "test-code"."""
     out: list[GaussCode] = []
     for nx in config.trained:
         if len(codes[nx]) >= 4 and config.code_share > 0:

@@ -1,11 +1,9 @@
-"""Seed states: those that walks for pictures set out from, grouped into families.
+"""Seed states: the start states of walks for pictures, grouped into families.
 
-They are an archive's elites or curated states.
-
-States that are near-duplicates of each other, or of each other's mirror images, reversals or
-renumberings, are one family; a family belongs to one split, with everything that is made from it.
-The plain loop is the exception: every state comes from it, so each walk that sets out from a state
-without crossings is a family of its own.
+They are the elites of an archive or the states of a state file. States that are near-duplicates,
+up to mirror images, reversal and renumbering, form a family. A family and all pictures made from it
+belong to one split. The exception is the plain loop, from which every state comes: each walk from a
+state without crossings is a family of its own.
 """
 
 from __future__ import annotations
@@ -29,21 +27,21 @@ from knotgym.topology.symmetry import canonical_form
 
 
 class NoSeedStates(KnotgymError, ValueError):
-    """There is nothing to set out from."""
+    """There are no states to start from."""
 
 
 @dataclass(frozen=True, eq=False)
 class SeedStates:
-    """n states, at most as many families.
+    """Start states for walks.
 
     Attributes:
         states: float64 (n, nstate), integration states.
         points: float64 (n, beads, 3), metres.
-        nx: int64 (n,), crossings.
-        kind: int64 (n,), number of the class of codes under the rope's symmetries.
-        family: int64 (n,).
-        knots: knot types among them.
-        source: what they were read from: kind, name and SHA-256 of the file.
+        nx: int64 (n,), numbers of crossings.
+        kind: int64 (n,), index of the class of codes under the rope's symmetries.
+        family: int64 (n,), index of the family.
+        knots: knot types of the states.
+        source: kind, name and SHA-256 of the file that they were read from.
     """
 
     states: Array
@@ -61,27 +59,27 @@ class SeedStates:
 def seed_states(
     nx: tuple[int, ...], archive: Path | None = None, states: Path | None = None
 ) -> SeedStates:
-    """Read the states with at most as many crossings as are wanted.
+    """Read the states that have at most max(nx) crossings.
 
     Args:
-        nx: crossings wanted.
-        archive: of a search.
-        states: curated ones; those that ship if neither is given.
+        nx: requested numbers of crossings.
+        archive: an archive of play.
+        states: a state file; if neither is given, the included states are used.
 
     Raises:
-        NoSeedStates: both files were given, or nothing in them will do.
-        FileNotFoundError, InvalidArchive, InvalidStates: of a file.
+        NoSeedStates: both files were given, or there is no suitable state.
+        FileNotFoundError, InvalidArchive, InvalidStates: a file can't be read.
     """
     if archive and states:
         raise NoSeedStates(
-            "set out from an archive or from states, not from both: give --archive or --states"
+            "walks start from an archive or from states, not both: give --archive or --states"
         )
     simulation = Simulation(1, Rope())
     path = archive or states or shipped()
     read = _archived if archive else _curated
     found = read(path, max(nx), simulation)
     if not found:
-        raise NoSeedStates(f"{path} holds no state with at most {max(nx)} crossings")
+        raise NoSeedStates(f"{path} contains no state with at most {max(nx)} crossings")
     points = []
     for state in found:
         simulation.restore(state[None])
@@ -106,7 +104,7 @@ def seed_states(
 
 
 def _archived(path: Path, max_nx: int, simulation: Simulation) -> list[Array]:
-    """The integration states of an archive's elites, each once."""
+    """Return the distinct integration states of an archive's elites."""
     niches = Archive.load(path).niches
     elites = [elite for niche, elites in niches.items() if niche.nx <= max_nx for elite in elites]
     found = list({elite.state.tobytes(): elite.state for elite in elites}.values())
@@ -120,7 +118,7 @@ def _archived(path: Path, max_nx: int, simulation: Simulation) -> list[Array]:
 
 
 def _curated(path: Path, max_nx: int, simulation: Simulation) -> list[Array]:
-    """The integration states of curated states, laid at rest."""
+    """Return the integration states of a state file's states, at rest."""
     table, rope = read_states(path, images=False), simulation.rope.config.fingerprint
     if table.attributes.get("rope") != rope:
         raise NoSeedStates(

@@ -1,12 +1,12 @@
-"""Selection: which frames become pictures, with which symmetry, in which split.
+"""Choose frames for pictures, with a symmetry for each.
 
-Pictures are even over codes. No two are near-duplicates as they lie, and no two of different splits
-at any symmetry of the rope.
+Codes are balanced. No two pictures are near-duplicates up to rotation, and none of different splits
+up to any symmetry of the rope.
 
-A frame may be reflected, switched, walked the other way and renumbered to start at any bead: for a
-picture all of these are exact. So a frame with n crossings can show up to 8n codes (without
-chirality); it is made to show the one that its split has fewest of. Everything depends on the
-frames and their order alone.
+A frame may be reflected, switched (over and under exchanged), reversed and renumbered from any
+bead; all of these are exact for a picture. So a frame with n crossings can show up to 8n codes
+without chirality; it is made to show the code that is rarest in its split so far. The choice
+depends only on the frames and their order.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from knotgym.topology.crossings import Crossings, find_crossings
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry
 
-_BLOCK = 2048  # configurations compared at once
+_BLOCK = 2048  # initial capacity for the spectra of chosen configurations
 
 
 @dataclass(frozen=True, kw_only=True)
 class SelectionConfig:
-    """What is selected.
+    """Settings of the selection.
 
     Attributes:
-        extreme: share of each quota that may be graded "extreme", the base bead left out (see
+        extreme: maximum share of each quota with grade "extreme", without the base bead (see
             `difficulty`).
     """
 
@@ -46,14 +46,14 @@ class SelectionConfig:
 
 
 class ChosenFrame(NamedTuple):
-    """A frame chosen.
+    """A chosen frame.
 
     Attributes:
-        points: float64 (beads, 3), metres: the configuration as it will be stored.
-        code: what it shows, with chirality.
-        split: of datasets.images.SPLITS.
-        symmetry: that took the frame there.
-        frame: its number among all frames.
+        points: float64 (beads, 3), metres, the configuration to store.
+        code: its Gauss code with chirality.
+        split: one of IMAGE_SPLITS.
+        symmetry: transformation from the frame to `points`.
+        frame: index among all frames.
     """
 
     points: Array
@@ -65,7 +65,7 @@ class ChosenFrame(NamedTuple):
 
 @dataclass(frozen=True)
 class _Option:
-    """Start the walk in gap `gap` between two visits: what is `shown` then."""
+    """The code `shown` if it is read from gap `gap` between two visits, with these symmetries."""
 
     gap: int
     reverse: bool
@@ -77,9 +77,9 @@ class Chooser:
     """Fills quotas, frame by frame.
 
     Attributes:
-        quota: (split, nx) -> pictures wanted.
-        chosen: so far.
-        refused: reason -> frames.
+        quota: (split, nx) -> requested pictures.
+        chosen: the chosen frames so far.
+        refused: reason -> number of refused frames.
     """
 
     def __init__(
@@ -90,14 +90,14 @@ class Chooser:
         config: SelectionConfig,
         limits: LabelLimits,
     ) -> None:
-        """Begin with nothing.
+        """Start without chosen frames.
 
         Args:
-            quota: as above.
-            held_out: codes, without chirality, that only split "test-code" may show.
-            beads: of the rope.
-            config: what is selected.
-            limits: what a configuration keeps to.
+            quota: see the attribute.
+            held_out: codes, without chirality, allowed only in split "test-code".
+            beads: number of beads of the rope.
+            config: settings of the selection.
+            limits: limits that make a code unambiguous.
         """
         self.quota, self.chosen, self.refused = quota, list[ChosenFrame](), Counter[str]()
         self._held_out, self._config, self._limits = held_out, config, limits
@@ -108,7 +108,7 @@ class Chooser:
         self._known = Spectra(waves, waves.copy(), np.empty(_BLOCK))  # as many rows as are chosen
 
     def lacking(self) -> dict[tuple[str, int], int]:
-        """(split, nx) -> pictures still wanted, where there are any."""
+        """Return (split, nx) -> missing pictures, without full quotas."""
         return {
             key: quota - self._have[key]
             for key, quota in self.quota.items()
@@ -118,7 +118,7 @@ class Chooser:
     def consider(
         self, points: Array, split: str, ease: float, frame: int, rng: np.random.Generator
     ) -> bool:
-        """Choose a frame (beads, 3) of a family that belongs to `split`, or not; say which."""
+        """Choose or refuse a frame (beads, 3) of a family in `split`; return True if chosen."""
         crossings = find_crossings(points)
         key = split, crossings.nx
         if self.quota.get(key, 0) <= self._have[key]:
@@ -153,7 +153,7 @@ class Chooser:
     def _symmetry(
         self, crossings: Crossings, beads: int, split: str, rng: np.random.Generator
     ) -> Symmetry | None:
-        """The symmetry that shows the code rarest so far, at a bead drawn from those that do."""
+        """Return the symmetry that shows the rarest code so far, with a random base bead."""
         reflect, draws = bool(rng.random() < 0.5), rng.random(3)
         if crossings.nx == 0:
             return Symmetry(
@@ -186,7 +186,7 @@ class Chooser:
         )
 
     def _apart(self, points: Array, split: str) -> bool:
-        """Whether nothing chosen is a near-duplicate; remembers the points if so."""
+        """Whether no chosen frame is a near-duplicate; if so, remember the points."""
         n, own = len(self.chosen), Spectra.of(points[None])
         # root mean square sizes of near-duplicates differ by less than NEAR
         larger = np.abs(np.sqrt(self._known.square[:n]) - np.sqrt(own.square))
@@ -206,9 +206,9 @@ class Chooser:
 
 
 def _inside(before: float, after: float, beads: int, base: float) -> list[int]:
-    """Beads that lie, all of them, at least `base` after one visit and before the next.
+    """Return the beads between two visits with a distance of at least `base` to both.
 
-    The gap may lie over bead 0.
+    The gap may include bead 0.
     """
     if after <= before:
         after += beads
@@ -218,7 +218,7 @@ def _inside(before: float, after: float, beads: int, base: float) -> list[int]:
 
 @lru_cache(maxsize=100_000)
 def _options(code: GaussCode) -> tuple[_Option, ...]:
-    """What a diagram can be made to show; gap k lies just before visit k."""
+    """List the codes that symmetries can make of a diagram; gap k is just before visit k."""
     options = []
     for gap in range(2 * code.nx):
         forwards = code.plain.rebased(gap)

@@ -1,4 +1,4 @@
-"""Units of walks as files of the staging folder, which a run that was killed goes on from."""
+"""Files of the staging folder with units of walks, from which a killed run is resumed."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _DTYPES = {
     "beads": "<i2",
     "forces": "<f4",
 }
-# what NumPy and zipfile say to what isn't a whole archive of theirs
+# errors of NumPy and zipfile for a file that isn't a complete archive
 _FOREIGN = (
     OSError,
     ValueError,
@@ -44,18 +44,18 @@ _FOREIGN = (
 
 
 class SpoiltUnit(KnotgymError, ValueError):
-    """A file that holds no unit of walks."""
+    """The file doesn't contain a unit of walks, or is corrupted."""
 
 
 class UnitFile(NamedTuple):
-    """A unit of walks, and the file that it is kept in."""
+    """A unit of walks and its file."""
 
     path: Path
     unit: Unit
 
 
 def walked(work: UnitFile) -> Path:
-    """Make a unit's walks and keep them in a file, unless it is there, unspoilt."""
+    """Make a unit's walks and write them to its file, unless an intact one exists."""
     try:
         load_frames(work.path)  # the file has checksums
     except (SpoiltUnit, OSError):
@@ -66,10 +66,10 @@ def walked(work: UnitFile) -> Path:
 
 
 def load_frames(path: Path) -> Frames:
-    """What `walked` kept.
+    """Read a file of `walked`.
 
     Raises:
-        SpoiltUnit: the file isn't whole, or isn't one of ours.
+        SpoiltUnit: the file is truncated, corrupted or of another kind.
         OSError: it can't be read.
     """
     require_regular(path, "walks", SpoiltUnit)

@@ -1,9 +1,8 @@
-"""Walks: seed states moved about in the simulator, through configurations of many codes.
+"""Walks: move seed states through configurations with many codes in the simulator.
 
-Most walks move single beads aside, which as a rule keeps the code; the others are led through
-macro-actions that pass strands over each other, as the search's are. Of the frames met, those are
-kept whose label is beyond doubt and whose picture shows it: as they are, relaxed a little, and
-relaxed much.
+Most walks move single beads aside, which usually keeps the code; the others use macro-actions that
+pass strands over each other, as in play. Frames are kept, unrelaxed and with several degrees of
+relaxation, if their Gauss code is unambiguous and visible in the picture.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ from knotgym.rope.simulation_pool import simulation_of
 from knotgym.topology.crossings import count_crossings, find_crossings
 from knotgym.topology.reference_labeller import pyknotid_code
 
-WALKS = 32  # in a unit
+WALKS = 32  # per unit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,13 +41,13 @@ class WalkConfig:
     """How walks are made and which frames are kept.
 
     Attributes:
-        gentle: share of walks that move beads aside; the others are led through any macro-actions.
-        spread: share of a gentle walk's macro-actions that lead outwards; the others lead anywhere.
-        relaxations: rounds of relaxation, from and to, for each picture that is made of a frame
-            beside the frame as it is: a little, much, very much.
-        limits: what a frame keeps to.
-        relaxation: what a round does.
-        macro_actions: how they are drawn and carried out.
+        gentle: share of walks that move beads aside; the others use all macro-actions.
+        spread: share of a gentle walk's macro-actions that pull outwards; the others pull anywhere.
+        relaxations: minimum and maximum rounds of each relaxed copy of a frame, made besides the
+            frame itself.
+        limits: limits of kept frames.
+        relaxation: settings of a round of relaxation.
+        macro_actions: how macro-actions are drawn and executed.
     """
 
     gentle: float = 0.7
@@ -68,7 +67,7 @@ class WalkConfig:
 
 
 class Walk(NamedTuple):
-    """One to be made: from row `base` of the seed states, drawing from stream IMAGE_WALK."""
+    """A walk from row `base` of the seed states; it draws from stream IMAGE_WALK, `number`."""
 
     number: int
     base: int
@@ -79,13 +78,13 @@ class Unit:
     """Up to WALKS walks.
 
     Attributes:
-        walks: which.
-        states: float64 (walks, nstate), where they begin.
-        seed: of the run.
-        steps: that a walk takes.
-        stride: steps from one frame looked at to the next.
-        max_nx: crossings above which a frame is dropped.
-        config: how they are made.
+        walks: the walks.
+        states: float64 (walks, nstate), their start states.
+        seed: random seed of the run.
+        steps: steps per walk.
+        stride: steps between examined frames.
+        max_nx: frames with more crossings are dropped.
+        config: how walks are made.
     """
 
     walks: tuple[Walk, ...]
@@ -99,18 +98,18 @@ class Unit:
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """What a unit met, walk by walk, and how.
+    """The m kept frames of a unit of w walks, by walk, and how to reproduce them.
 
     Attributes:
         points: float64 (m, beads, 3), metres.
         walk: int64 (m,), number of the walk.
-        steps: int64 (m,), after how many steps.
-        rounds: int64 (m,), of `relaxation.relaxed` then; 0 for the frame as it was.
-        ease: float64 (m,), see `difficulty.ease`, the base bead left out.
-        numbers, bases: int64 (w,), of all walks of the unit.
-        beads: int16 (w, steps), that each step moves.
-        forces: float32 (w, steps, 3), in units of the largest force.
-        dropped: reason -> frames.
+        steps: int64 (m,), steps before the frame.
+        rounds: int64 (m,), rounds of `relaxation.relaxed`; 0 for an unrelaxed frame.
+        ease: float64 (m,), see `difficulty.ease`, without the base bead.
+        numbers, bases: int64 (w,), fields of the unit's walks.
+        beads: int16 (w, steps), bead pulled at each step.
+        forces: float32 (w, steps, 3), relative to the largest force.
+        dropped: reason -> number of dropped frames.
     """
 
     points: Array
@@ -126,7 +125,7 @@ class Frames:
 
 
 class _Met(NamedTuple):
-    """A frame worth keeping: of which walk of the unit, after how many steps and rounds."""
+    """A kept frame of walk `row` of the unit, after some steps and rounds of relaxation."""
 
     row: int
     steps: int
@@ -187,7 +186,7 @@ def make_walks(unit: Unit) -> Frames:
 
 
 def _gentle_action(points: Array, rng: np.random.Generator, config: WalkConfig) -> MacroAction:
-    """A macro-action that moves a bead aside, which as a rule keeps the code."""
+    """Draw a macro-action that moves a bead aside, which usually keeps the code."""
     kind = "spread" if rng.random() < config.spread else "shift"
     bead, side = int(rng.integers(len(points))), int(rng.choice((-1, 1)))
     return move_aside(points, kind, bead, side, rng, config.macro_actions)
@@ -198,12 +197,12 @@ def _any_action(points: Array, rng: np.random.Generator, config: WalkConfig) -> 
 
 
 def _rounds(rng: np.random.Generator, config: WalkConfig) -> list[int]:
-    """Rounds of relaxation for each picture of a frame; the first shows it as it is."""
+    """Draw the rounds of relaxation for each copy of a frame; the first is unrelaxed."""
     return [0, *(int(rng.integers(least, most + 1)) for least, most in config.relaxations)]
 
 
 def _shown(frame: Array, rounds: int, rope: Rope, config: WalkConfig) -> tuple[str, float, Array]:
-    """A frame relaxed: what is wrong with it, "" for nothing, its ease, and the points."""
+    """Relax a frame; return its fault ("" for none), its ease, and the points."""
     points = relaxed(frame, rounds, rope, config.relaxation) if rounds else frame
     if points is None:
         return "can't be relaxed", 0.0, frame
@@ -211,9 +210,9 @@ def _shown(frame: Array, rounds: int, rope: Rope, config: WalkConfig) -> tuple[s
 
 
 def judged(points: Array, limits: LabelLimits) -> tuple[str, float]:
-    """Why a configuration (beads, 3) can't be shown with its label, "" if it can; and its ease.
+    """Return why a configuration's picture may not show its code ("" if it does), and its ease.
 
-    The base bead, chosen later, is left out.
+    The base bead is chosen later, so its limits don't count here.
     """
     crossings = find_crossings(points)
     if visits_too_close(crossings, len(points), limits):

@@ -1,10 +1,10 @@
-"""The archive of the search: for every class of Gauss codes its shortest and best-looking states.
+"""The archive of play: the states with the shortest sequences and best legibility, by Gauss code.
 
-Quality-diversity search in the line of MAP-Elites (niches) and Go-Explore (return, then explore). A
-niche is a class of codes, chirality kept, under the symmetries that carry rope motions over exactly
-(`symmetry.mirror_images`): what is found for one code is found for all of its class. A state fills
-a niche for each sub-chain that the walk may start at, and for each direction of the walk; those
-other than its own hold nearly, until the search has led a rope there.
+This is quality-diversity search like MAP-Elites (niches) and Go-Explore (return, then explore). A
+niche is a class of codes with chirality under the symmetries that transform rope motions exactly
+(`symmetry.mirror_images`), so a sequence to one code gives sequences to its whole class. A state
+fills one niche for each base vertex and direction of reading. Those readings other than the normal
+one are only approximate, until a replay with renumbered beads has confirmed them.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _COLUMNS = (
 
 
 class InvalidArchive(KnotgymError, ValueError):
-    """A file that isn't an archive this version can read."""
+    """The file is not an archive, or not one that this version can read."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,8 +53,9 @@ class ArchiveConfig:
     """Which elites are kept.
 
     Attributes:
-        kept: elites of a class kept for their short sequence, and as many for their looks.
-        fair: actions that 1 of objective is worth when looks are compared.
+        kept: number of elites per class with the shortest sequences, and as many with the best
+            legibility.
+        fair: when legibility is compared, this many actions count as much as 1 of objective.
     """
 
     kept: int = 2
@@ -66,16 +67,15 @@ class ArchiveConfig:
 
 @dataclass(frozen=True, eq=False)
 class Elite:
-    """A state the search has been in.
+    """A state reached by play, with one reading of its code.
 
     Attributes:
-        code: what it shows, with chirality, walked from vertex `base_shift`, the other way if
-            `reverse`.
-        base_shift: a vertex where a sub-chain starts.
-        reverse: the walk runs towards falling index.
-        sequence: of actions from the plain loop at rest, beads numbered as there.
+        code: its code with chirality, read from vertex `base_shift`, backwards if `reverse`.
+        base_shift: the base vertex, the start of a sub-chain.
+        reverse: whether the code is read towards falling bead indices.
+        sequence: actions from the start at rest, in the rope's own numbering of beads.
         state: MuJoCo integration state at the end of the sequence, float64.
-        objective: how far from legible, see `Limits.objective`.
+        objective: distance from the limits of legibility, see `Limits.objective`.
     """
 
     code: GaussCode
@@ -87,20 +87,20 @@ class Elite:
 
     @property
     def exact(self) -> bool:
-        """Whether the code is that of the rope as it is numbered."""
+        """Whether the code is read normally, from bead 0 forwards."""
         return self.base_shift == 0 and not self.reverse
 
 
 @dataclass
 class Archive:
-    """Elites by class, and how they came to be.
+    """Elites by class, and the history of the search.
 
     Attributes:
         niches: class -> elites, the shortest sequence first.
-        visits: class -> how often the search set out from it.
-        growth: one row a round: actions taken so far, classes known by then.
-        settings: of the search that began it, JSON-able.
-        transitions: what the macro-actions of the search did to codes.
+        visits: class -> how often a rope started from it.
+        growth: one row per round: total actions and known classes.
+        settings: settings of the search that created it, as JSON.
+        transitions: changes of code caused by macro-actions.
     """
 
     niches: dict[GaussCode, list[Elite]] = field(default_factory=dict)
@@ -110,9 +110,9 @@ class Archive:
     transitions: TransitionCounts = field(default_factory=TransitionCounts)
 
     def offer(self, elite: Elite, config: ArchiveConfig) -> bool:
-        """Keep an elite if it is among the shortest or best-looking of its class.
+        """Keep an elite if it is among the shortest or most legible of its class.
 
-        Looks are paid for with actions, as the configuration says.
+        Legibility is compared together with length, see `ArchiveConfig.fair`.
 
         Returns:
             Whether the class is new.
@@ -127,46 +127,39 @@ class Archive:
         niche = mirror_images(elite.code)[0]
         is_new = niche not in self.niches
         rivals = [*self.niches.get(niche, []), elite]
-        # what holds for this very base bead beats what holds nearly
+        # exact readings replace approximate ones
         rivals = [rival for rival in rivals if rival.exact] or rivals
         short = sorted(rivals, key=by_length)[: config.kept]
         good_looking = sorted(rivals, key=by_looks)[: config.kept]
-        # elites are the same only if they are one object
+        # `in` compares identity, since Elite has eq=False
         self.niches[niche] = short + [elite for elite in good_looking if elite not in short]
         return is_new
 
     def codes(self, nx: int) -> list[GaussCode]:
-        """Every code with nx crossings, without chirality, of the classes known; in order."""
+        """Return the known codes with nx crossings, without chirality, sorted by visits."""
         niches = [niche for niche in self.niches if niche.nx == nx]
         known = {image.plain for niche in niches for image in mirror_images(niche)}
         return sorted(known, key=lambda code: code.visits)
 
     def known_chiralities(self, code: GaussCode) -> list[GaussCode]:
-        """The codes with chirality that show the visits of `code` and are known."""
+        """Return the known codes with chirality that have the visits of `code`."""
         chiral = [GaussCode(code.visits, letters) for letters in chiralities(code)]
         return [code for code in chiral if mirror_images(code)[0] in self.niches]
 
-    def sure(self, code: GaussCode, longest: float = float("inf")) -> bool:
-        """Whether an elite shows a mirror image of `code` as the rope is numbered.
-
-        Args:
-            code: with chirality.
-            longest: sequence that the elite may have.
-        """
-        return any(
-            elite.exact and len(elite.sequence) <= longest for elite in self.leading_to(code)
-        )
+    def sure(self, code: GaussCode) -> bool:
+        """Whether `code`, which has chirality, or a mirror image of it has an exact elite."""
+        return any(elite.exact for elite in self.leading_to(code))
 
     def leading_to(self, code: GaussCode) -> list[Elite]:
-        """Elites whose mirror images show `code`, given with chirality."""
+        """Return the elites of the class of `code`, which has chirality."""
         return list(self.niches.get(mirror_images(code)[0], []))
 
     def save(self, path: str | os.PathLike[str], compress: bool = True) -> None:
-        """Write the archive; it appears whole or not at all."""
+        """Write the archive atomically."""
         elites = list(self._elites())
         with atomic_write(path) as temporary, new_hdf5(temporary) as file:
             file.attrs["format"], file.attrs["format_version"] = FORMAT, FORMAT_VERSION
-            # datasets: an attribute holds 64 kB at most
+            # stored as datasets, because an HDF5 attribute is limited to 64 kB
             file["settings"] = json.dumps(self.settings)
             file["growth"] = json.dumps(self.growth)
             file["visits"] = json.dumps(
@@ -191,8 +184,8 @@ class Archive:
         """Read an archive.
 
         Raises:
-            MissingFile: there is none.
-            InvalidArchive: the file is foreign, truncated, or of an unknown format.
+            MissingFile: there is no such file.
+            InvalidArchive: the file is not an archive, truncated, or of an unknown version.
         """
         with opened_hdf5(
             path,
@@ -215,7 +208,7 @@ class Archive:
             ends = np.cumsum(read["length"])
             beads, forces = read["beads"], read["forces"]
             if not len(ends) or len(beads) != int(ends[-1]):
-                raise InvalidArchive(f"{path} isn't a whole archive: its sequences are cut short")
+                raise InvalidArchive(f"{path} isn't a whole archive: its sequences are truncated")
             rows = zip(
                 *(read[name] for name in ("code", "base_shift", "reverse", "objective", "state")),
                 np.concatenate([[0], ends[:-1]]),
@@ -237,7 +230,7 @@ class Archive:
 
 
 def _json(file: h5py.File, name: str, kind: type) -> Any:
-    """A text of the file read as JSON."""
+    """Read a text dataset as JSON of the given type."""
     read = json.loads(str(read_column(file, Column(name, "text", ()), {})))
     if not isinstance(read, kind):
         raise InvalidArchive(f"{file.filename}: {name} should be {kind.__name__}")

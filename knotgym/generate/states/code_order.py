@@ -1,4 +1,4 @@
-"""Which codes a run makes states of, and in which order."""
+"""The codes for which a run makes states, and their order."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from knotgym.topology.knot_table import based_diagrams, diagram_of, type_of
 from knotgym.topology.knots import LISTED_NX, codes_of, shows
 from knotgym.topology.uniform_codes import uniform_code
 
-_RARE = 20_000  # codes drawn at random, one of which should be of the knot
+_RARE = 20_000  # random codes to try until one shows the knot
 
 
 class CodeOrder:
-    """The codes of one nx by index, and the order in which a shard makes states of them.
+    """The codes with one nx, by index, and the order in which a shard makes states of them.
 
-    A *slot* is one state of a code, (index, copy).
+    A *slot* (index, copy) stands for one state of a code.
 
     Attributes:
-        listed: all the codes there are; None where there are too many. Of a knot with more than
-            LISTED_NX crossings they are the table's diagram from every base point.
-        existing: how many codes of the nx show the knot; None if nobody counted.
-        wanted: states in all.
+        listed: all codes; None if there are too many to list. For a knot whose crossing number
+            exceeds LISTED_NX: the diagram of the knot table from every base point.
+        existing: number of codes with this nx that show the knot; None if unknown.
+        wanted: number of states to make.
     """
 
     def __init__(self, config: GenerateConfig, knot: str, shard: Shard, nx: int) -> None:
@@ -50,7 +50,7 @@ class CodeOrder:
             raise InvalidGenerateConfig(f"no diagram of {config.knot} has {nx} crossings")
         order = generator(Stream.CODE_ORDER, config.seed, nx).permutation(len(self.listed))
         each = config.every_code or -(-config.count // len(self.listed))
-        # every code once before any a second time, dealt to the shards in turn
+        # first copies of all codes come before second copies; shards take slots in turn
         slots = list(itertools.product(range(each), order.tolist()))
         self._slots = [(index, copy) for copy, index in shard.dealt(slots)]
         count = len(slots) if config.every_code else config.count
@@ -58,11 +58,11 @@ class CodeOrder:
         self._shares = Counter(index for index, _ in self._slots)
 
     def share(self, index: int) -> int:
-        """States wanted of a code at most."""
+        """Return the number of states requested for a code."""
         return 1 if self.listed is None else self._shares[index]
 
     def slots(self) -> Iterator[tuple[int, int]]:
-        """All slots of the shard in their order; without end where codes aren't listed."""
+        """Yield the slots of the shard in order; endless if codes aren't listed."""
         if self.listed is not None:
             yield from self._slots
             return
@@ -77,11 +77,11 @@ class CodeOrder:
         return list(self._drawn)[index]
 
     def _next(self) -> GaussCode:
-        """The next code of the knot, drawn at random."""
+        """Draw the next random code that shows the knot."""
         for _ in range(_RARE):
             code = uniform_code(self._nx, self._rng)
             if shows(code, self._knot):
                 return code
         raise InvalidGenerateConfig(
-            f"of {_RARE} codes with {self._nx} crossings drawn at random none shows {self._knot}"
+            f"none of {_RARE} random codes with {self._nx} crossings shows {self._knot}"
         )

@@ -1,4 +1,4 @@
-"""Where action sequences begin: the plain loop, the least diagram of a knot, or a user's curve."""
+"""Starts of action sequences: the plain loop, a knot's minimal diagram, or a user's curve."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import UNKNOT, UnknownKnot, diagram_of, type_of
 from knotgym.topology.knots import UNKNOWN, knot_type, shows
 
-# Drawings tried for a start: of the 249 prime knots all but 10_26 can be laid within _DRAWINGS.
-# After _ENOUGH the most legible one so far will do.
+# Maximum drawings for a start. All of the 249 prime knots but 10_26 can be placed within _DRAWINGS.
+# After _ENOUGH drawings, the most legible one so far is used.
 _DRAWINGS, _ENOUGH = 400, 40
 
 
 class InvalidCurveFile(KnotgymError, ValueError):
-    """A file that holds no closed curve of a known knot."""
+    """The file doesn't contain a closed curve of a known knot."""
 
 
 class Start(NamedTuple):
-    """Where action sequences begin.
+    """The state from which action sequences start.
 
     Attributes:
-        knot: its name in the knot table, hand included.
+        knot: name in the knot table, including handedness.
         points: float64 (beads, 3), metres.
-        code: that it shows, with chirality.
+        code: its Gauss code with chirality.
     """
 
     knot: str
@@ -43,16 +43,16 @@ class Start(NamedTuple):
 
 
 def start_of(knot: str) -> Start:
-    """Where the action sequences of a knot begin; the same in every run, whatever its seed.
+    """Return the start for a knot; it doesn't depend on the seed of the run.
 
     Args:
-        knot: a name of the table ("8_19", "m3_1", "3_1#4_1"), or a file with a closed curve: .npy,
-            or text with three numbers a line.
+        knot: a name of the knot table ("8_19", "m3_1", "3_1#4_1"), or a file with a closed curve:
+            .npy, or text with three numbers per line.
 
     Raises:
-        UnknownKnot: neither a name of the table nor a file.
-        InvalidCurveFile, InvalidCurve: the file can't be a rope of a known knot.
-        UndrawnCode: no drawing of the knot could be laid.
+        InvalidCurveFile, InvalidCurve: `knot` is neither in the table nor a file, or the file
+            doesn't contain a rope of a known knot.
+        UndrawnCode: no drawing of the knot could be placed.
     """
     rope = Rope()
     try:
@@ -88,7 +88,7 @@ def start_of(knot: str) -> Start:
 
 
 def _name_of(code: GaussCode, path: Path) -> str:
-    """The table's name of the knot that a curve's code shows."""
+    """Return the name in the knot table of the knot that a curve's code shows."""
     kind = knot_type(code)
     if kind == UNKNOWN:
         raise InvalidCurveFile(
@@ -99,11 +99,11 @@ def _name_of(code: GaussCode, path: Path) -> str:
         name = "#".join(map("".join, zip(hands, summands, strict=True)))
         if shows(code, name):
             return name
-    raise InvalidCurveFile(f"the hand of {kind}, the knot of {path}, can't be told")
+    raise InvalidCurveFile(f"the handedness of {kind}, the knot of {path}, can't be determined")
 
 
 def _curve_in(path: Path) -> Array:
-    """The closed curve in a file, float64 (n, 3)."""
+    """Read the closed curve in a file, float64 (n, 3)."""
     try:
         with warnings.catch_warnings(action="error"):  # NumPy only warns of a text without numbers
             if path.suffix == ".npy":

@@ -1,10 +1,10 @@
-"""Demonstrations: action sequences that play found, followed again from the start to a code.
+"""Demonstrations: action sequences of the archive, replayed from the start to a code.
 
-The rope is laid at the start, turned about z by a random angle and mirrored where only the mirror
-image of the code is known: symmetries carry a sequence over (`topology.symmetry`), but for rounding
-in the last digit, which some sequences don't survive. A demonstration ends where it first shows the
-code. A sequence that ends in a legible state goes on to its end and rests there; if that state
-keeps all limits, it is a state of the set.
+The start is rotated about z by a random angle, and mirrored if only the mirror image of the code is
+known. Symmetries transform a sequence exactly (`topology.symmetry`) except for rounding errors,
+which make some sequences fail. A demonstration ends when the rope first shows the code. If the
+sequence ends in a legible state, it is replayed to its end and left to rest; if that state keeps
+all limits, it becomes a state of the set.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from knotgym.topology.knots import shows
 from knotgym.topology.symmetry import Symmetry, mirrorings
 
 POLICY = "demonstrations"
-TRIES = 6  # sequences followed for one demonstration
-TURNED = 4  # of them, those from a start that is turned; the others are laid as the archive's
+TRIES = 6  # replays per demonstration, at most
+TURNED = 4  # the first replays have a rotated start; the others start like the archive's
 
 
 class DemonstrationTask(NamedTuple):
@@ -45,12 +45,12 @@ class DemonstrationTask(NamedTuple):
 
     Attributes:
         config: of the run.
-        knot: of the rope, its name in the knot table.
-        code: to end in, without chirality.
-        which: of the code among those of its nx.
-        start: configuration (beads, 3) where the sequences begin.
-        elites: whose sequences lead to the code or its mirror image.
-        seed: key of the stream that it draws from.
+        knot: name of the rope's knot in the knot table.
+        code: goal, without chirality.
+        which: index of the code among those of its nx.
+        start: start configuration (beads, 3) of the sequences.
+        elites: their sequences lead to the code or its mirror image.
+        seed: key of the random stream.
     """
 
     config: GenerateConfig
@@ -64,13 +64,14 @@ class DemonstrationTask(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Demonstration:
-    """T actions from the start, the last state of which shows a code.
+    """T actions from the start to a state with a given code.
 
     Attributes:
-        start_qpos: float64 (nq,), laid at rest.
+        start_qpos: float64 (nq,), the start, at rest.
         actions: float32 (T, 6).
         points: float64 (T + 1, beads, 3), metres, before and after each action.
-        shares: float64 (T + 1,), the share of its force that each action applied; 1 first.
+        shares: float64 (T + 1,), the fraction of its force that each action applied; the first
+            value is 1.
     """
 
     start_qpos: Array
@@ -82,7 +83,7 @@ class Demonstration:
         return len(self.actions)
 
     def until(self, steps: int) -> Demonstration:
-        """The first `steps` actions."""
+        """Return the demonstration cut after `steps` actions."""
         return Demonstration(
             self.start_qpos,
             self.actions[:steps],
@@ -91,7 +92,7 @@ class Demonstration:
         )
 
     def episode(self, goal_points: Array, goal: GaussCode) -> Episode:
-        """The episode of the task to reach `goal`, shown by `goal_points` (beads, 3)."""
+        """Return the episode with goal code `goal`, shown by `goal_points` (beads, 3)."""
         codes = label_many(self.points)
         shown = np.array([code.matches(goal) for code in codes])
         beads, forces = steps_taken(self.actions, self.points, RopeConfig())
@@ -119,12 +120,12 @@ class Demonstration:
 
 
 class Demonstrated(NamedTuple):
-    """What came of a task.
+    """Result of a DemonstrationTask.
 
     Attributes:
-        demonstration: None if no sequence led to the code.
-        state: its end, where that can be a state of the set.
-        spent: simulated actions.
+        demonstration: None if no replay reached the code.
+        state: its final state if that is accepted for the set, otherwise None.
+        spent: number of simulated actions.
     """
 
     demonstration: Demonstration | None
@@ -163,7 +164,7 @@ def followed(
     sequence: ActionSequence,
     symmetry: Symmetry,
 ) -> Demonstration:
-    """Lead rope 0 through a sequence moved by a symmetry, up to where the simulation fails."""
+    """Replay a sequence, transformed by a symmetry, on rope 0 until it ends or fails."""
     forces = symmetry.vectors(sequence.forces.astype(np.float64)).astype(np.float32)
     pulls = zip(sequence.beads, forces, strict=True)
     return _recorded(
@@ -176,7 +177,7 @@ def followed(
 def acted_out(
     simulation: Simulation, start_qpos: Array, actions: NDArray[np.float32]
 ) -> Demonstration:
-    """Lead rope 0 through actions (T, 6)."""
+    """Replay actions (T, 6) on rope 0 until they end or the simulation fails."""
     steps = ((action[None], simulation.act(action[None], ONE)) for action in actions)
     return _recorded(simulation, start_qpos, steps)
 
@@ -186,7 +187,7 @@ def _recorded(
     start_qpos: Array,
     steps: Iterable[tuple[NDArray[np.float32], NDArray[np.bool_]]],
 ) -> Demonstration:
-    """Lay rope 0 and record what steps do to it; each is taken as it is asked for."""
+    """Place rope 0 at the start and record its steps; iterating over `steps` advances the rope."""
     simulation.lay(start_qpos[None], ONE)
     actions, points, shares = [], [simulation.points[0].copy()], [1.0]
     for action, held in steps:
@@ -200,7 +201,7 @@ def _recorded(
 
 
 def carried_over(elite: Elite, code: GaussCode, knot: str) -> list[Symmetry]:
-    """The mirrorings that make an elite's rope show a code, given without chirality, of a knot."""
+    """Return the reflections that make an elite show a code without chirality as a given knot."""
     return [
         symmetry
         for shown, symmetry in mirrorings(elite.code)
@@ -211,27 +212,29 @@ def carried_over(elite: Elite, code: GaussCode, knot: str) -> list[Symmetry]:
 def _symmetry(
     elite: Elite, task: DemonstrationTask, turned: bool, rng: np.random.Generator
 ) -> Symmetry:
-    """One that makes the elite's rope show the code; none at all where that will do and the rope
-    isn't to be turned: the sequence then ends where it did, bit for bit.
+    """Return a symmetry that makes the elite show the code.
+
+    If `turned` is false and no reflection is needed, it is the identity, with which the sequence
+    ends in the elite's state bit for bit.
     """
     fitting = carried_over(elite, task.code, task.knot)
     if not turned:
-        return fitting[0]  # `mirrorings` begins with the one that moves nothing
+        return fitting[0]  # `mirrorings` starts with the identity
     chosen = fitting[int(rng.integers(len(fitting)))]
     return Symmetry(chosen.reflect, chosen.switch, turn=float(rng.uniform(-np.pi, np.pi)))
 
 
 def _is_legible(elite: Elite, simulation: Simulation, task: DemonstrationTask) -> bool:
-    """Whether the state that an elite ends in, still in motion, keeps the limits."""
+    """Whether an elite's state, still in motion, keeps the limits."""
     simulation.restore(elite.state[None], ONE)
     points = simulation.points[0].copy()
     return not task.config.limits.faults(measure(points, quick=True), task.code.nx)
 
 
 def _is_longest_last(shown: list[bool]) -> bool:
-    """Whether the code is shown for longer at the end than ever before.
+    """Whether the final run of steps that show the code is longer than any before.
 
-    An episode that ends once the code was held for so long would otherwise end earlier.
+    Otherwise an episode whose `hold` is that length would already have ended earlier.
     """
     runs = consecutive(shown)
     return not (runs[: len(runs) - int(runs[-1])] >= runs[-1]).any()
@@ -240,7 +243,7 @@ def _is_longest_last(shown: list[bool]) -> bool:
 def _state(
     made: Demonstration, simulation: Simulation, task: DemonstrationTask, rng: np.random.Generator
 ) -> MadeState | None:
-    """The end of a demonstration as a state of the set, if it can be one."""
+    """Return the final state of a demonstration as a state of the set; None if it is rejected."""
     points, qpos = made.points[-1], simulation.qpos(ONE)[0]
     code = label(points)
     quality, faults = judged(points, code, task.config.limits, rng)

@@ -1,7 +1,7 @@
-"""States drawn from codes: the work on one code.
+"""Draw states from their Gauss codes: the work on one code.
 
-A code is drawn (`drawing.drawn_curve`), the curve is laid in the simulator, stirred a little, left
-to rest and judged. Each drawing differs, so this is repeated until one is accepted.
+A curve with the code is drawn (`drawing.drawn_curve`), placed in the simulator, stirred a little,
+left to rest and judged. Drawings are random, so this is repeated until one is accepted.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ ONE = np.array([0])
 
 
 class DrawnUnit(NamedTuple):
-    """Some drawings of one code.
+    """A few drawings of one code.
 
     Attributes:
-        config: how.
-        knot: its name in the knot table.
-        code: with chirality, or without for any.
-        which: of the code among those of its nx.
+        config: of the run.
+        knot: name of the rope's knot in the knot table.
+        code: with chirality, or without for any chirality.
+        which: index of the code among those of its nx.
         first: number of the first drawing.
-        drawings: to be made at most.
-        wanted: states after which to stop.
+        drawings: maximum number of drawings.
+        wanted: stop after this many states.
     """
 
     config: GenerateConfig
@@ -58,18 +58,18 @@ class DrawnUnit(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class MadeState:
-    """An accepted state, with what makes it again.
+    """An accepted state and how to reproduce it.
 
     Attributes:
         policy: "drawing", or "play" for the end of an action sequence.
         code: with chirality.
-        index: of the code among those of its nx.
+        index: index of the code among those of its nx.
         seed: key of its random stream.
-        start_qpos: float64 (nq,), where the rope is laid.
-        actions: float32 (T, 6), from there.
-        qpos: float64 (nq,), after the last.
-        points: float64 (beads, 3), metres, of qpos.
-        quality: all measures.
+        start_qpos: float64 (nq,), the configuration before the actions, at rest.
+        actions: float32 (T, 6), applied from there.
+        qpos: float64 (nq,), after the last action.
+        points: float64 (beads, 3), metres, bead positions of qpos.
+        quality: all quality measures.
     """
 
     policy: str
@@ -85,7 +85,7 @@ class MadeState:
 
 @dataclass(eq=False)
 class DrawnOnes:
-    """What came of a unit: states, drawings made, and reason -> drawings rejected."""
+    """Result of a unit: states, number of drawings, and reason -> number of rejected drawings."""
 
     states: list[MadeState] = field(default_factory=list)
     drawings: int = 0
@@ -93,13 +93,13 @@ class DrawnOnes:
 
 
 def draw_states(unit: DrawnUnit) -> DrawnOnes:
-    """Draw a unit's code until it is wanted no more; the same unit gives the same bytes."""
+    """Draw a unit's code until enough states are accepted; the same unit gives the same bytes."""
     simulation = simulation_of(1, RopeConfig())
     own, made = unit.code.chirality, DrawnOnes()
     letters = _letters(unit.code, unit.knot) if own is None else (own,)
     for number in range(unit.first, unit.first + unit.drawings):
         made.drawings += 1
-        # every chirality in turn, not all codes beginning with the same
+        # Cycle through the chiralities; `which` keeps codes from all starting with the same one.
         code = GaussCode(unit.code.visits, letters[(unit.which + number) % len(letters)])
         state = _drawn(unit, code, number, simulation, made.rejected)
         if state is not None:
@@ -111,7 +111,7 @@ def draw_states(unit: DrawnUnit) -> DrawnOnes:
 
 @lru_cache(maxsize=4096)
 def _letters(code: GaussCode, knot: str) -> tuple[str, ...]:
-    """The chiralities with which a code shows the knot."""
+    """Return the chiralities with which a code shows the knot."""
     patterns = chiralities(code)
     if type_of(knot) == UNKNOT:
         return patterns
@@ -125,7 +125,7 @@ def _drawn(
     simulation: Simulation,
     rejected: Counter[str],
 ) -> MadeState | None:
-    """One drawing, or None if it is rejected; the reasons are counted."""
+    """Make one state; return None if it is rejected, and count the reasons in `rejected`."""
     config, rope = unit.config, simulation.rope
     seed = key(Stream.DRAWING, config.seed, code.nx, unit.which, number)
     rng = generator_of(seed)
@@ -186,7 +186,11 @@ def judged(
 def _stirred(
     simulation: Simulation, config: GenerateConfig, code: GaussCode, rng: np.random.Generator
 ) -> NDArray[np.float32] | None:
-    """Stir rope 0 and let it rest: the actions; None if it fails, or shows another code then."""
+    """Stir rope 0 with random pulls and let it rest.
+
+    Returns:
+        The actions, or None if the simulation fails or the rope shows another code afterwards.
+    """
     most = config.stir if code.nx else config.loop_stir
     force = config.force if code.nx else (config.force[0], 1.0)
     actions = []

@@ -1,4 +1,4 @@
-"""The configuration of `knotgym generate`: which rope states are wanted, and how they are made."""
+"""The configuration of `knotgym generate`."""
 
 from __future__ import annotations
 
@@ -17,54 +17,54 @@ from knotgym.topology.knots import LISTED_NX
 
 
 class InvalidGenerateConfig(KnotgymError, ValueError):
-    """States that cannot be made as asked."""
+    """The requested states can't be made."""
 
 
 def check_nx(nx: tuple[int, ...], most: int) -> None:
-    """Refuse crossing numbers that repeat or lie outside [0, most].
+    """Require distinct crossing numbers in [0, most].
 
     Raises:
-        InvalidGenerateConfig: they do, or there are none.
+        InvalidGenerateConfig: they are not, or there are none.
     """
     if not nx or any(not 0 <= one <= most for one in nx) or len(set(nx)) != len(nx):
         raise InvalidGenerateConfig(
-            f"nx takes different numbers of crossings from 0 to {most}, got"
+            f"nx takes distinct numbers of crossings from 0 to {most}, got"
             f" {', '.join(map(str, nx)) or 'none'}"
         )
 
 
 @dataclass(frozen=True, kw_only=True)
 class GenerateConfig:
-    """Which states are wanted, and how they are made.
+    """Which states to make, and how.
 
     Attributes:
         nx: crossing numbers.
-        codes: Gauss codes to make instead of all those of `knot`, with or without chirality; `nx`
+        codes: Gauss codes to use instead of all those of `knot`, with or without chirality; `nx`
             must list their crossing numbers.
-        count: states for each crossing number, of as many distinct codes as there are.
-        every_code: states of every code, instead of count; 0 for count.
+        count: states per crossing number, spread over as many Gauss codes as possible.
+        every_code: number of states for every code, instead of `count`; 0 to use `count`.
         split_by: "state", or "code" for splits that share no code.
-        train_share: share of the states (or codes) that are for training.
+        train_share: share of states (or codes) in the train split.
         knot: the rope's knot: a name of `topology.knot_table.diagram_of`, or a file with a curve.
-        demonstrations: find an action sequence to every code and write the demonstrations.
-        seed: of everything.
-        attempts: drawings for each state wanted of a code before the code is passed over.
-        searches: planner searches for a code before it is passed over; each may simulate twice as
-            many actions as the one before, the first `planner.budget`.
-        cycles: waves of work after which the run ends with what it has; 0 for no limit.
-        wave: codes worked on between two checkpoints.
-        planned: codes that one wave of the planner searches for.
-        batch: drawings of a code in a wave.
-        stalled: play ends once a round adds fewer codes than this, and the planner takes over; 0 to
-            play on until all are known.
-        search: how play searches for codes.
-        planner: how the planner searches for the codes that play has not met.
-        drawing: how codes are drawn.
-        stir: most actions with which a drawing is stirred.
-        loop_stir: the same for plain loops, which are all drawn alike.
-        force: of such an action, from and to, in units of the largest force.
-        rest: actions of no force at the end.
-        limits: that accepted states keep.
+        demonstrations: whether to find an action sequence to every code and write demonstrations.
+        seed: random seed of the run.
+        attempts: drawings per requested state of a code before the code is skipped.
+        searches: planner searches for a code before it is skipped; the first has the budget
+            `planner.budget`, each further one twice that of the one before.
+        cycles: waves of work after which the run ends with the states it has; 0 for no limit.
+        wave: maximum number of units of work in a wave.
+        planned: codes that the planner searches for in one wave.
+        batch: drawings of a code in one wave.
+        stalled: play ends after a round that adds fewer codes than this, and the planner takes
+            over; 0 to play until all codes are known.
+        search: settings of play.
+        planner: settings of the planner.
+        drawing: settings of the drawings.
+        stir: maximum number of random actions that stir a drawing.
+        loop_stir: the same for plain loops, whose drawings are all alike.
+        force: minimum and maximum force of these actions, relative to the largest force.
+        rest: number of actions without force at the end.
+        limits: quality limits of accepted states.
     """
 
     nx: tuple[int, ...] = (3,)
@@ -108,18 +108,18 @@ class GenerateConfig:
             )
         if self.every_code and max(self.nx) > LISTED_NX and not self.codes:
             raise InvalidGenerateConfig(
-                f"the codes of {max(self.nx)} crossings are too many to be listed, so every_code"
-                f" takes nx to {LISTED_NX}; give a count"
+                f"there are too many codes with {max(self.nx)} crossings to list, so every_code"
+                f" takes nx up to {LISTED_NX}; give a count"
             )
         for code in self.parsed:
             if not is_planar(code):
                 raise NotPlanar(code)
             if code.nx not in self.nx:
                 raise InvalidGenerateConfig(
-                    f"nx must name the crossings of all codes, got {self.nx} and {str(code)!r}"
+                    f"nx must include the crossings of all codes, got {self.nx} and {str(code)!r}"
                 )
 
     @property
     def parsed(self) -> list[GaussCode]:
-        """The codes asked for by name."""
+        """The requested codes, parsed."""
         return [GaussCode.parse(text) for text in self.codes]

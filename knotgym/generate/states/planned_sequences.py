@@ -1,6 +1,6 @@
-"""Planned sequences: the planner leads a rope to a code that play has not met.
+"""Planned sequences: the planner finds action sequences to codes that play has not reached.
 
-It sets out from the nearest state that is known by then, so what leads there comes first.
+It starts from the nearest known state, so a sequence is that state's sequence and the plan.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from knotgym.rope.simulation import Simulation
 from knotgym.rope.simulation_pool import simulation_of
 from knotgym.topology.gauss import GaussCode
 
-PACE = 7  # actions that a change of code may take; the more searches, the more
+PACE = 7  # actions allowed per change of code on the way to the goal
 
 
 class Target(NamedTuple):
     """A code to find an action sequence to.
 
     Attributes:
-        search: which sequences the archive takes.
-        planner: of the first search; each further one may simulate twice as many actions.
-        elites: states to set out from.
-        goal: without chirality.
-        mirrored: a sequence to the mirror image will do.
-        wanted: codes, without chirality, to keep as well where the planner meets them.
-        number: earlier searches for this code; decides where this one sets out.
-        seed: key of the stream that it draws from.
+        search: settings of play, for the length limit and the rope.
+        planner: settings of the first search; every further search has twice the budget.
+        elites: possible start states.
+        goal: the code, without chirality.
+        mirrored: whether a sequence to the mirror image also counts.
+        wanted: other codes, without chirality, to keep if the planner reaches them.
+        number: earlier searches for this code; search n starts from the nth nearest elite.
+        seed: key of the random stream.
     """
 
     search: SearchConfig
@@ -51,11 +51,11 @@ class Target(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What came of a target.
+    """Result of a search for a target.
 
     Attributes:
-        elites: states for the archive; of the goal none if the planner failed.
-        spent: simulated actions.
+        elites: states for the archive; none has the goal code if the planner failed.
+        spent: number of simulated actions.
     """
 
     elites: tuple[Elite, ...]
@@ -63,18 +63,19 @@ class Found(NamedTuple):
 
 
 class _Way(NamedTuple):
-    """A sequence from the start, and the integration state that it ends in."""
+    """A sequence from the start, and the integration state at its end."""
 
     sequence: ActionSequence
     state: Array
 
 
 def reach(target: Target) -> Found:
-    """Plan a sequence to a target, and act out what the planner met of the codes wanted."""
+    """Plan a sequence to a target; return elites of the goal and of other requested codes."""
     simulation = simulation_of(target.planner.batch_size, target.search.rope)
     graph = shipped_transition_graph(target.planner.graph)
     distances = graph.distances(target.goal)
-    # A mirror image of the goal is as far from an elite as the goal is from its mirror image.
+    # The distance from an elite to the mirrored goal is that from the mirrored elite to the goal,
+    # so one distance table serves both.
     near = [(elite, elite.code, target.goal) for elite in target.elites]
     if target.mirrored:
         goal = target.goal.mirrored()
@@ -82,9 +83,10 @@ def reach(target: Target) -> Found:
     near.sort(key=lambda one: distances(one[1]) + len(one[0].sequence))
     elite, shown, goal = near[min(target.number, len(near) - 1)]
     hops = distances.hops.get(shown, target.planner.unknown_hops)
+    # Every further search for a code may be longer, by the actions of one change of code.
     steps = min(target.search.longest - len(elite.sequence), PACE * (hops + target.number))
     begin = _Way(elite.sequence, elite.state)
-    met: dict[GaussCode, Node] = {}  # the first that shows a code
+    met: dict[GaussCode, Node] = {}  # first node with each code
     planned = plan(
         simulation,
         begin.state,
@@ -107,7 +109,7 @@ def reach(target: Target) -> Found:
 
 
 def _act_out(simulation: Simulation, node: Node, begin: _Way, ways: dict[Node, _Way]) -> _Way:
-    """Lead a rope to a state that the planner met, by bead and force; `ways` holds those known."""
+    """Replay the plan up to a node with beads and forces; `ways` caches nodes already replayed."""
     if node.before is None:
         return begin
     if node not in ways:

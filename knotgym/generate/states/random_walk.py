@@ -1,10 +1,9 @@
-"""Random walks: states as random play meets them, the published regime.
+"""Random walks: states reached by uniform random actions, as in the published benchmark.
 
-A rope begins as a coil, the shape in which the published model has its own, and takes uniform
-actions until nothing remembers the start (`benchmarks/stationary.py`: walks from the coil and from
-the plain loop meet); from then on a configuration is looked at every so many actions. Nothing is
-opened up. What is kept of a state is its generalized positions, laid at rest: an episode begins
-without the motion that the walk had there.
+A rope starts as a coil, as in the published model, and takes uniform actions until its distribution
+no longer depends on the start (`benchmarks/stationary.py`: walks from the coil and from the plain
+loop converge). From then on, every few actions a configuration is examined. States are not made
+more legible. Only positions are kept, at rest: an episode starts without the velocity of the walk.
 """
 
 from __future__ import annotations
@@ -29,19 +28,19 @@ from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import LISTED_NX, is_unknot
 from knotgym.topology.reference_labeller import pyknotid_code
 
-RESET_NOISE = 0.015  # of the environments
+RESET_NOISE = 0.015  # default of the environments
 
 
 @dataclass(frozen=True, kw_only=True)
 class TwistLimits:
-    """What a state of a random walk keeps to; legibility is not asked for.
+    """Limits of accepted states of a random walk; legibility is not required.
 
     Attributes:
-        excess_crossing_number: at most; see `quality_limits.Quality`. Turns of the rope about
-            itself that the picture doesn't show.
-        total_curvature: at most, turns.
-        noise_survival: at least; of the twenty draws that a reset makes at full scale one keeps
-            the code then, but for 3 resets in 1,000.
+        excess_crossing_number: maximum, see `quality.measures.Quality`; it counts turns of the rope
+            about itself that the picture doesn't show.
+        total_curvature: maximum, in turns.
+        noise_survival: minimum; a reset draws noise up to twenty times at full scale, so at 0.25
+            all draws lose the code in only 3 of 1,000 resets.
     """
 
     excess_crossing_number: float = 4.0
@@ -67,23 +66,23 @@ class TwistLimits:
 
 @dataclass(frozen=True, kw_only=True)
 class RandomWalkConfig:
-    """What states of random walks are wanted.
+    """Which states of random walks to make.
 
     Attributes:
         nx: crossing numbers.
-        count: states for each of them, one a rope at most.
-        loops: the same for plain loops, which are rare; 0 for as many as of the others.
-        train_share: of the ropes, and so of the states, that are for training; no two splits have
-            states of one rope.
-        seed: of everything; rope i takes the actions of stream RANDOM_WALK, seed, i.
-        start: what ropes begin as, "coil" or "circle".
-        burn_in: actions before the first configuration is looked at.
-        every: actions from one configuration that is looked at to the next.
+        count: states per crossing number, at most one per rope and crossing number.
+        loops: the same for plain loops, which are rare; 0 to use `count`.
+        train_share: share of the ropes, and so of the states, in the train split; splits share no
+            rope.
+        seed: random seed; rope i takes the actions of stream RANDOM_WALK, seed, i.
+        start: start configuration of the ropes, "coil" or "circle".
+        burn_in: actions before the first configuration is examined.
+        every: actions between examined configurations.
         longest: actions of a walk.
-        attempts: ropes walked, for each state wanted of a crossing number, before giving up.
-        batch: ropes stepped side by side, a unit of work.
-        wave: units after which the run is saved, and ended if all wanted is there.
-        limits: of accepted states.
+        attempts: walks per requested state of a crossing number before the run gives up.
+        batch: ropes simulated together, one unit of work.
+        wave: units between checkpoints; the run can end after each.
+        limits: limits of accepted states.
     """
 
     nx: tuple[int, ...] = (3,)
@@ -117,13 +116,13 @@ class RandomWalkConfig:
             )
 
     def wanted(self, nx: int, split: str) -> int:
-        """States asked for with nx crossings in a split."""
+        """Return the number of states requested with nx crossings in a split."""
         count = self.loops or self.count if nx == 0 else self.count
         train = int(np.floor(count * self.train_share + 0.5))
         return train if split == STATE_SPLITS[0] else count - train
 
     def split(self, rope: int) -> str:
-        """The split that a rope's states belong to; ropes are dealt out as evenly as can be."""
+        """Return the split of a rope's states; ropes alternate to match `train_share`."""
         before, after = (int(np.floor(k * self.train_share + 0.5)) for k in (rope, rope + 1))
         return STATE_SPLITS[0] if after > before else STATE_SPLITS[1]
 
@@ -137,11 +136,11 @@ class WalkUnit(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class WalkState:
-    """A state that a rope came to.
+    """A state reached by a random walk.
 
     Attributes:
-        rope: its number.
-        step: actions taken by then.
+        rope: number of the rope.
+        step: number of actions before it.
         code: with chirality.
         qpos: float64 (nq,).
         points: float64 (beads, 3), metres.
@@ -158,8 +157,8 @@ class WalkState:
 
 @dataclass(frozen=True, eq=False)
 class Walked:
-    """What came of a unit: of every rope its first good state of each crossing number, by rope and
-    step; and nx -> reason -> configurations rejected.
+    """Result of a unit: each rope's first accepted state per crossing number, by rope and step; and
+    nx -> reason -> number of rejected configurations.
     """
 
     states: list[WalkState]
@@ -167,7 +166,7 @@ class Walked:
 
 
 def coil(rope: Rope) -> Array:
-    """A coil of two turns, one crossing, 0.11 m in radius of gyration: float64 (beads, 3)."""
+    """Return a coil of two turns, one crossing, radius of gyration 0.11 m: float64 (beads, 3)."""
     at = np.linspace(0, 2 * np.pi, 400, endpoint=False)
     radius = 1 + 0.25 * np.cos(at)
     curve = [radius * np.cos(2 * at), radius * np.sin(2 * at), 0.25 * np.sin(at)]
@@ -178,7 +177,7 @@ STARTS = {"coil": coil, "circle": Rope.loop}
 
 
 def key_of(config: RandomWalkConfig, rope: int) -> tuple[int, ...]:
-    """The key of the stream that a rope's actions are drawn from."""
+    """Return the key of the random stream of a rope's actions."""
     return key(Stream.RANDOM_WALK, config.seed, rope)
 
 
@@ -219,7 +218,7 @@ def walk(unit: WalkUnit) -> Walked:
 
 
 def _doubts(points: NDArray[np.float64], code: GaussCode) -> list[str]:
-    """What speaks against a code, or against the rope's being an unknot."""
+    """List doubts that a configuration has this code or that its rope is an unknot."""
     if pyknotid_code(points) != code:
         return ["labellers disagree"]
     return [] if is_unknot(code) else ["not certified an unknot"]

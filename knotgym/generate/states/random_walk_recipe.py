@@ -1,6 +1,6 @@
-"""The recipe of states as random play meets them: a run of `random_walk`, saved after every wave.
+"""The recipe of `knotgym generate --source random-walk`, with a checkpoint after every wave.
 
-In the staging folder stand, until it is finished,
+Until the run is finished, the staging folder contains
 
     walks.json     counters, and the checksum of the file below; written last
     accepted.npz   the accepted states, column by column
@@ -52,25 +52,25 @@ _RUN, _ACCEPTED = "walks.json", "accepted.npz"
 def walk_states(
     config: RandomWalkConfig, out: Path, options: RunOptions, *, progress: Progress | None = None
 ) -> Path:
-    """Make states as random play meets them in the new folder `out`, and return it.
+    """Make states of random walks in the new folder `out`, and return it.
 
     Args:
-        config: what is wanted.
+        config: which states to make.
         out: the folder.
-        options: how it is done; there are no shards of it.
-        progress: to show it on.
+        options: how to execute the run; shards are not supported.
+        progress: where to show progress; a new display by default.
 
     Raises:
-        Occupied, InvalidRun: as of `runs.engine.run`.
-        NotEnough: the attempts allowed were spent.
+        Occupied, InvalidRun: as in `runs.engine.run`.
+        NotEnough: `config.attempts` were used up.
     """
     if not options.shard.is_whole:
-        raise InvalidRun("random walks are made in one run: leave out --shard")
+        raise InvalidRun("--source random-walk doesn't support --shard: leave it out")
     return run(RandomWalkRecipe(config), out, options, progress)
 
 
 class RandomWalkRecipe:
-    """States of random walks, see `runs.engine.Recipe`."""
+    """Recipe for states of random walks, see `runs.engine.Recipe`."""
 
     flexible: tuple[str, ...] = ("attempts",)
 
@@ -92,8 +92,8 @@ class RandomWalkRecipe:
         while not self.done():
             if self.walked >= most:
                 raise NotEnough(
-                    f"{self.walked} ropes walked, and of {self._lacking()} there are too few; allow"
-                    " more --attempts"
+                    f"states are missing for {self._lacking()} after {self.walked} walks; give more"
+                    " --attempts"
                 )
             yield Batch(
                 work=walk,
@@ -106,7 +106,7 @@ class RandomWalkRecipe:
             yield CHECKPOINT
 
     def done(self) -> bool:
-        """Whether everything asked for is there."""
+        """Whether all requested states are made."""
         return not self._lacking()
 
     def save(self, folder: Path) -> None:
@@ -176,7 +176,7 @@ class RandomWalkRecipe:
         return f"{len(self.accepted)} states of {codes} codes"
 
     def report(self) -> dict[str, Any]:
-        """What the run did, JSON-able and the same for the same configuration."""
+        """Return the run's counts as JSON; the same configuration gives the same report."""
         rejected = {str(nx): dict(sorted(each.items())) for nx, each in self.rejected.items()}
         return {
             "version": knotgym.__version__,
@@ -190,7 +190,7 @@ class RandomWalkRecipe:
         }
 
     def _absorb(self, unit: WalkUnit, walked: Walked) -> None:
-        """Take what is still wanted, in the order of the ropes."""
+        """Accept the states that are still needed, in the order of the ropes."""
         self.walked = unit.first + self.config.batch
         for nx, reasons in walked.rejected.items():
             self.rejected[nx].update(reasons)
@@ -206,8 +206,9 @@ class RandomWalkRecipe:
             self.accepted.append(state)
 
     def _is_near(self, points: Array) -> bool:
-        """Whether a symmetry brings a configuration near an accepted one, of whatever split: a
-        rope's split is settled before it walks.
+        """Whether a configuration is a near-duplicate, up to symmetry, of an accepted one.
+
+        Both splits count, since a rope's split is fixed before it walks.
         """
         accepted = [one.points for one in self.accepted]
         return bool(accepted) and bool(pairs_within(points[None], np.stack(accepted)))
@@ -216,7 +217,7 @@ class RandomWalkRecipe:
         return Counter((one.code.nx, self.config.split(one.rope)) for one in self.accepted)
 
     def _lacking(self) -> str:
-        """The crossing numbers and splits of which states are still wanted; "" if none are."""
+        """Name the crossing numbers and splits with missing states; "" if none."""
         have = self._have()
         return ", ".join(
             f"nx {nx} {split}"
@@ -227,8 +228,8 @@ class RandomWalkRecipe:
 
 
 def states_of(config: RandomWalkConfig, accepted: list[WalkState]) -> States:
-    """The accepted states as rows, by nx and then by rope."""
-    order = {nx: place for place, nx in enumerate(config.nx)}
+    """Return the accepted states as rows, sorted by nx and then by rope."""
+    order = {nx: index for index, nx in enumerate(config.nx)}
     rows = sorted(accepted, key=lambda one: (order[one.code.nx], one.rope))
     points, rope = np.stack([one.points for one in rows]), Rope()
     start = rope.qpos(STARTS[config.start](rope))

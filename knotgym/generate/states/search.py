@@ -1,10 +1,9 @@
-"""Search of the space of Gauss codes, round by round.
+"""Play: a search of the space of Gauss codes by random macro-actions, in rounds.
 
-A round sets out from states in the archive, one for each rope of a batch, and leads the ropes
-through random macro-actions for a fixed number of steps; every state that shows few enough
-crossings is offered to the archive, in the order of the batch. What a rope does depends on the
-archive at the start of the round, the seed, the round and the rope's index alone: rounds come out
-the same on any workers.
+A round starts a batch of ropes from states in the archive and applies random macro-actions for a
+fixed number of steps. Every state with few enough crossings is offered to the archive, in the order
+of the batch. A rope's motion depends only on the archive at the start of the round, the seed, the
+round and the rope's index, so the result doesn't depend on the workers.
 """
 
 from __future__ import annotations
@@ -35,19 +34,21 @@ from knotgym.topology.symmetry import Symmetry, mirror_images, shifted_base
 
 @dataclass(frozen=True, kw_only=True)
 class SearchSettings:
-    """How codes are searched for.
+    """Settings of play.
 
     Attributes:
-        batch_size: ropes in a round.
-        steps: that a rope takes in a round.
-        longest: actions of a sequence that leads to an elite, at most.
-        room: actions that must be left up to there for a round to set out from an elite.
-        replay_share: of the batch size, sequences that a round replays for the rope renumbered.
-        jitter: of what is so replayed, at most: the same sequence would miss again (see
-            `ActionSequence.jittered`).
-        most_templates: examples kept of what macro-actions did to codes, for each change.
+        batch_size: ropes per round.
+        steps: actions of each rope per round.
+        longest: maximum length of the action sequence of an elite.
+        room: a round starts only from elites whose sequence is at least this much shorter than
+            `longest`.
+        replay_share: number of sequences that a round replays with renumbered beads, as a fraction
+            of the batch size.
+        jitter: maximum jitter of these replays (see `ActionSequence.jittered`); the unchanged
+            sequence would miss its code again.
+        most_templates: recorded examples of macro-actions, per change of code.
         archive: which elites are kept.
-        macro_actions: how they are drawn and carried out.
+        macro_actions: how macro-actions are drawn and executed.
     """
 
     batch_size: int = 32
@@ -70,19 +71,19 @@ class SearchSettings:
         )
         if self.longest < self.room:
             raise InvalidConfig(
-                f"longest must be at least room, {self.room}, for a round to set out from anywhere;"
-                f" got {self.longest}"
+                f"longest must be at least room ({self.room}), or no round can start; got"
+                f" {self.longest}"
             )
 
 
 @dataclass(frozen=True, kw_only=True)
 class SearchConfig(SearchSettings):
-    """What is searched and how.
+    """Settings of play in one run.
 
     Attributes:
-        max_nx: crossings above which a state isn't kept.
+        max_nx: states with more crossings are not kept.
         seed: rope i of round r draws from stream SEARCH_ROPE with counters (r, i).
-        rope: its physics.
+        rope: physics of the rope.
     """
 
     max_nx: int = 4
@@ -95,7 +96,7 @@ class SearchConfig(SearchSettings):
 
 
 class SearchUnit(NamedTuple):
-    """A share of a round: ropes `indices` of the batch, from states (len(indices), nstate)."""
+    """A part of a round: ropes `indices` of the batch and their states (len(indices), nstate)."""
 
     config: SearchConfig
     round: int
@@ -104,14 +105,14 @@ class SearchUnit(NamedTuple):
 
 
 class Replay(NamedTuple):
-    """Action sequences to follow from the plain loop."""
+    """Action sequences to replay from the plain loop."""
 
     config: SearchConfig
     sequences: tuple[ActionSequence, ...]
 
 
 class Reading(NamedTuple):
-    """What a state shows, walked from a sub-chain, the other way if `reverse`."""
+    """The Gauss code of a state, read from vertex `base_shift`, backwards if `reverse`."""
 
     code: GaussCode
     base_shift: int
@@ -119,12 +120,12 @@ class Reading(NamedTuple):
     objective: float
 
     def elite(self, sequence: ActionSequence, state: Array) -> Elite:
-        """The state with this reading, reached by `sequence`."""
+        """Return an elite for a state with this reading that `sequence` reaches."""
         return Elite(self.code, self.base_shift, self.reverse, sequence, state, self.objective)
 
 
 class Discovery(NamedTuple):
-    """A state met: by which rope of the batch, or sequence of a replay, after how many steps."""
+    """A state reached by rope (or replayed sequence) `batch_index` after `steps` actions."""
 
     batch_index: int
     steps: int
@@ -133,7 +134,7 @@ class Discovery(NamedTuple):
 
 
 def new_archive(config: SearchConfig, start: Array | None = None) -> Archive:
-    """An archive that begins at the plain loop, or at another configuration (beads, 3)."""
+    """Return an archive that starts from the plain loop, or from a configuration (beads, 3)."""
     rope = Rope(config.rope)
     simulation = Simulation(1, rope)
     points = rope.loop() if start is None else start
@@ -160,13 +161,13 @@ def search_round(
     chunk: int = 8,
     wanted: Container[GaussCode] | None = None,
 ) -> Iterator[Batch]:
-    """One round, which grows the archive as its work is absorbed.
+    """Yield the work of one round, which adds to the archive as it is absorbed.
 
     Args:
         archive: changed in place.
         config: the same for every round of an archive.
-        chunk: ropes in a unit; does not change the result.
-        wanted: of `replays`.
+        chunk: ropes per unit of work; doesn't change the result.
+        wanted: passed to `replays`.
     """
     number = len(archive.growth)
     actions = archive.growth[-1]["actions"] if archive.growth else 0
@@ -208,17 +209,18 @@ def replays(
     chunk: int = 8,
     wanted: Container[GaussCode] | None = None,
 ) -> Batch:
-    """Replay sequences to codes that no elite shows as the rope is numbered, the rope renumbered.
+    """Replay sequences with renumbered beads, to make inexact elites exact.
 
-    Such a code is known only with the walk starting at another sub-chain, or running the other way.
-    The sequence so renumbered leads to it in about every second case.
+    An inexact elite shows its code only if it is read from another base vertex or backwards. With
+    its beads renumbered accordingly, the sequence should reach the code as it is read normally;
+    about every second one does.
 
     Args:
         archive: changed as the work is absorbed.
-        config: of the search.
-        round, wave: key the random draws.
-        chunk: ropes in a unit; does not change the result.
-        wanted: codes, without chirality, to replay sequences for; None for all.
+        config: settings of play.
+        round, wave: keys of the random draws.
+        chunk: ropes per unit of work; doesn't change the result.
+        wanted: codes, without chirality, whose sequences to replay; None for all.
     """
     sequences = _unconfirmed(archive, config, (round, wave), wanted)
     units = [
@@ -231,11 +233,11 @@ def replays(
             sequence = replay.sequences[discovery.batch_index]
             archive.offer(discovery.reading.elite(sequence, discovery.state), config.archive)
 
-    return Batch(confirm, units, absorb, "repeating what play found")
+    return Batch(confirm, units, absorb, "replaying sequences with renumbered beads")
 
 
 def confirm(replay: Replay) -> list[Discovery]:
-    """Follow each sequence from the plain loop: what the ropes show at their ends."""
+    """Replay each sequence from the plain loop; return the readings of the final states."""
     sequences, config = replay.sequences, replay.config
     simulation = simulation_of(len(sequences), config.rope)
     rope = simulation.rope
@@ -257,14 +259,14 @@ def confirm(replay: Replay) -> list[Discovery]:
 
 
 class Played(NamedTuple):
-    """What came of a unit.
+    """Result of a SearchUnit.
 
     Attributes:
-        discoveries: by rope and then by step.
-        beads: int16 (ropes, steps), of every step.
-        forces: float32 (ropes, steps, 3), likewise.
-        taken: int (ropes,), steps that each took before it broke.
-        transitions: what the macro-actions did to codes.
+        discoveries: ordered by rope, then by step.
+        beads: int16 (ropes, steps), the bead pulled at each step.
+        forces: float32 (ropes, steps, 3), the force at each step.
+        taken: int (ropes,), steps of each rope before its simulation failed.
+        transitions: changes of code caused by macro-actions.
     """
 
     discoveries: list[Discovery]
@@ -275,7 +277,7 @@ class Played(NamedTuple):
 
 
 def play(unit: SearchUnit) -> Played:
-    """Lead the ropes of a unit through macro-actions."""
+    """Apply random macro-actions to the ropes of a unit."""
     config, count = unit.config, len(unit.indices)
     simulation = simulation_of(count, config.rope)
     simulation.restore(unit.states)
@@ -292,6 +294,7 @@ def play(unit: SearchUnit) -> Played:
         TransitionRecorder(shifts, config.rope.beads, config.most_templates) for _ in unit.indices
     ]
     for step in range(config.steps):
+        # A macro-action may end by itself when its bead has arrived; only then is a new one drawn.
         controller.advance(simulation.points)
         for row in np.flatnonzero(controller.idle).tolist():
             macro_action = propose(simulation.points[row], rngs[row], config.macro_actions)
@@ -301,12 +304,13 @@ def play(unit: SearchUnit) -> Played:
         beads[:, step] = controller.beads
         forces[:, step] = controller.forces(simulation.points)
         _, held = step_ropes(simulation, beads[:, step], forces[:, step])
-        taken[alive & ~held] = step
+        taken[alive & ~held] = step  # the failed action itself doesn't count
         alive &= held
         controller.advance(simulation.points)
         ended = controller.idle | (step == config.steps - 1)
         codes = label_many(simulation.points)
         for row in np.flatnonzero(alive).tolist():
+            # States are offered when the code changes and at the end of every macro-action.
             is_new = codes[row] != last[row]
             if is_new:
                 recorders[row].show(find_crossings(simulation.points[row]))
@@ -317,7 +321,7 @@ def play(unit: SearchUnit) -> Played:
                     for reading in readings(simulation.points[row], Limits(), config.rope)
                 ]
         last = codes
-    discoveries.sort(key=_place)
+    discoveries.sort(key=_place)  # the archive depends on the order of the offers
     transitions = TransitionCounts()
     for recorder in recorders:
         transitions.add(recorder.transitions, config.most_templates)
@@ -325,15 +329,15 @@ def play(unit: SearchUnit) -> Played:
 
 
 def _place(discovery: Discovery) -> tuple[int, int, int, bool]:
-    """What the discoveries of a unit are ordered by."""
+    """Sort key of discoveries."""
     reading = discovery.reading
     return discovery.batch_index, discovery.steps, reading.base_shift, reading.reverse
 
 
 def readings(points: Array, limits: Limits, rope: RopeConfig) -> list[Reading]:
-    """What one state shows, walked from each sub-chain in either direction.
+    """Read the Gauss code of a state from every base vertex, in both directions.
 
-    Of several readings of one code it is the exact one, or the best.
+    Of several readings with the same code, the exact one is kept, otherwise the most legible.
     """
     crossings = find_crossings(points)
     quality = measure(points, crossings, quick=True)
@@ -344,7 +348,7 @@ def readings(points: Array, limits: Limits, rope: RopeConfig) -> list[Reading]:
         objective = limits.objective(seen, code.nx)
         for reverse in (False, True):
             reading = Reading(code.reversed() if reverse else code, base_shift, reverse, objective)
-            known = best.setdefault(reading.code, reading)
+            known = best.setdefault(reading.code, reading)  # the exact reading comes first
             if objective < known.objective and (known.base_shift or known.reverse):
                 best[reading.code] = reading
     return list(best.values())
@@ -356,10 +360,10 @@ def _unconfirmed(
     number: tuple[int, int],
     wanted: Container[GaussCode] | None,
 ) -> list[ActionSequence]:
-    """Sequences for the rope renumbered, to codes that no elite shows as it is numbered.
+    """Return renumbered sequences to codes that have no exact elite.
 
-    Codes of which no chirality is shown so come first. The plain loop, renumbered, is the plain
-    loop again once it is turned back, or seen in a mirror where it is walked the other way.
+    Codes without an exact elite of any chirality come first. Renumbering works because the plain
+    loop with shifted beads is the same loop, rotated; with reversed beads, mirrored.
     """
     if archive.settings["start"] != "loop":
         return []
@@ -388,9 +392,9 @@ def _unconfirmed(
 
 
 def renumbered(elite: Elite, beads: int) -> ActionSequence:
-    """An elite's sequence for the rope numbered as its code is walked, laid as the plain loop.
+    """Return an elite's sequence with beads numbered in the direction in which its code is read.
 
-    It leads there nearly.
+    From the plain loop it leads approximately to the elite's state.
     """
     numbering = Symmetry(
         reverse=elite.reverse,
@@ -404,7 +408,7 @@ def renumbered(elite: Elite, beads: int) -> ActionSequence:
 
 
 def _parents(archive: Archive, config: SearchConfig, number: int) -> list[Elite]:
-    """Draw what the ropes set out from: seldom visited classes first, then any elite with room."""
+    """Draw the elites from which ropes start; rarely visited classes are more likely."""
     rng = generator(Stream.SEARCH_PARENTS, config.seed, number)
     near = {niche: elites for niche, elites in archive.niches.items() if niche.nx <= config.max_nx}
     able = {
@@ -412,6 +416,7 @@ def _parents(archive: Archive, config: SearchConfig, number: int) -> list[Elite]
         for niche, elites in near.items()
     }
     niches = [niche for niche, elites in able.items() if elites]
+    # Weights fall with visits, but slowly, so that well-known classes are still explored further.
     weights = np.array([1 / np.sqrt(1 + archive.visits.get(niche, 0)) for niche in niches])
     picks = rng.choice(len(niches), config.batch_size, p=weights / weights.sum())
     chosen = [niches[pick] for pick in picks]

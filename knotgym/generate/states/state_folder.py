@@ -1,4 +1,4 @@
-"""Write what a finished run leaves: states.h5, demonstrations, gallery, card and manifest."""
+"""Write the output of a finished run: states.h5, demonstrations, gallery, card and manifest."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ HORIZON = 200  # actions, longer than any demonstration
 
 
 def states_of(recipe: StateRecipe) -> States:
-    """The accepted states as rows, by nx and code."""
+    """Return the accepted states as rows, sorted by nx and code."""
     config = recipe.config
     slots = [slot for nx in config.nx for slot in sorted(recipe.states) if slot[0] == nx]
     made = [recipe.states[slot] for slot in slots]
@@ -99,19 +99,19 @@ def states_of(recipe: StateRecipe) -> States:
 def demonstrations_of(
     nx: NDArray[np.int64], splits: NDArray[np.str_], knot: str, demonstrated: Sequence[bool]
 ) -> dict[str, NDArray[Any]]:
-    """The columns that say which demonstration belongs to each state.
+    """Return the columns that locate each state's demonstration.
 
-    Each nx and split has a dataset, its episodes in the order of the states; "" of a state that
-    has none.
+    There is one dataset per nx and split, with episodes in the order of the states.
 
     Args:
-        nx: int64 (n,), of the states.
-        splits: str (n,), of the states.
-        knot: that they all are, its type.
-        demonstrated: n, whether there is a demonstration.
+        nx: int64 (n,), crossing numbers of the states.
+        splits: str (n,), splits of the states.
+        knot: knot type of all states.
+        demonstrated: n values, whether a state has a demonstration.
 
     Returns:
-        "dataset", str (n,), and "trajectory", int64 (n,), the episode there; "" and -1 without.
+        "dataset", str (n,), and "trajectory", int64 (n,), the index of the episode in it; "" and -1
+        for states without a demonstration.
     """
     ids = [
         demonstrations_id(crossings, split, knot) if has else ""
@@ -126,7 +126,7 @@ def demonstrations_of(
 
 
 def write(recipe: StateRecipe, folder: Path, request: dict[str, Any]) -> None:
-    """Write everything the contract lists into a new folder, the manifest last."""
+    """Write the output of a run into a new folder, the manifest last."""
     folder.mkdir(parents=True)
     states = states_of(recipe)
     write_states(folder / "states.h5", states)
@@ -144,8 +144,14 @@ def finish(
     request: dict[str, Any],
     machines: Sequence[dict[str, str]] | None = None,
 ) -> None:
-    """Write gallery, card and manifest into a folder that has the states and the trajectories, made
-    on these machines or on this one.
+    """Write gallery, card and manifest into a folder that has the states and demonstrations.
+
+    Args:
+        folder: the folder of the run.
+        states: as in its states.h5.
+        report: the run's counts.
+        request: the run's request.
+        machines: the machines that made the data; this one by default.
     """
     write_gallery(folder / "gallery.png", states)
     (folder / "README.md").write_text(card(states, report, request["config"]), encoding="utf-8")
@@ -169,8 +175,9 @@ def finish(
 
 
 def write_demonstrations(recipe: StateRecipe, states: States, folder: Path, carried: Path) -> None:
-    """Write one Minari dataset for each nx and split below `folder`, with pixels and states: an
-    episode for each state that has a demonstration, in their order.
+    """Write one Minari dataset per nx and split below `folder`, with pixels and states.
+
+    It has one episode for each state with a demonstration, in the order of the states.
     """
     slots = [slot for nx in recipe.config.nx for slot in sorted(recipe.states) if slot[0] == nx]
     for nx, name in product(recipe.config.nx, STATE_SPLITS):
@@ -189,9 +196,8 @@ def write_demonstrations(recipe: StateRecipe, states: States, folder: Path, carr
 
 
 def demonstration_task(nx: int, split: str, knot: str) -> TaskConfig:
-    """The task that demonstrations for states with nx crossings in a split are episodes of."""
-    # A loop has nothing to tie: its episodes are those of an unknot task whose goal is shown from
-    # the start.
+    """Return the task of the demonstrations for states with nx crossings in a split."""
+    # Plain loops have nothing to tie, so their task is unknot, with the goal reached at the start.
     return TaskConfig(
         task="tie" if nx else "unknot",
         nx=max(1, nx),
@@ -211,10 +217,10 @@ def publish_demonstrations(
     root: Path,
     states: Path,
 ) -> None:
-    """Write `count` demonstrations from the episodes of `sources`, in that order, below `root`.
+    """Publish `count` demonstrations, the episodes of `sources` in that order, below `root`.
 
-    The sources may be of either split: they are dealt out anew. The dataset carries `states`, so
-    that the environment recovered from it resets from the states whose codes they end in.
+    The sources may come from either split. The dataset includes the file `states`, so that the
+    environment recovered from it resets from the states whose codes the episodes reach.
     """
     metadata = MinariMetadata(
         dataset_id=demonstrations_id(nx, split, knot),

@@ -1,19 +1,19 @@
-"""The recipe of `knotgym generate`: play for the action sequences, drawing for the states.
+"""The recipe of `knotgym generate`: play finds action sequences, drawing makes states.
 
-A run goes in waves, each decided by what is there when it begins:
+A run is a series of waves. Each wave does the first of these that has work left:
 
-1. Rounds of play (`search`), while they add enough of the codes wanted to the archive.
-2. The planner searches for the codes that play has not met (`planned_sequences`).
-3. The sequence to every state wanted is followed again (`demonstrations`). Where it ends in a state
-   that keeps all limits, that is the state.
-4. The other states are drawn from their codes (`drawn_states`).
+1. Rounds of play (`search`), as long as they add enough of the requested codes to the archive.
+2. Planner searches for the codes that play has not reached (`planned_sequences`).
+3. Replays of the sequence for each requested state (`demonstrations`). If the replay ends in a
+   state within all limits, that becomes the state.
+4. Drawings of the other states from their codes (`drawn_states`).
 
-A code that no sequence is found to, or no drawing accepted of, is passed over for the next one.
-In the staging folder stand, until the run is finished,
+A code with no sequence found or no drawing accepted is skipped in favour of the next code. Until
+the run is finished, the staging folder contains
 
     run.json            counters, and the names of the files below; written last
     archive-{cycle}.h5  the archive of play
-    wave-{cycle}.npz    the states and demonstrations made since the wave before
+    wave-{cycle}.npz    the states and demonstrations made since the previous wave
 """
 
 from __future__ import annotations
@@ -66,19 +66,21 @@ from knotgym.topology.knots import LISTED_NX, knot_type, shows
 from knotgym.topology.symmetry import mirror_images
 
 _RUN = "run.json"
-FIRST_ROUNDS = 3  # of play, at least: the first ones find what later ones set out from
-CORE_SECONDS = (0.3, 3.0)  # for a state, without its demonstration and with it, up to nx 4
-SEQUENCE_WORTH = 6  # states that take as long as finding and following one action sequence
+FIRST_ROUNDS = 3  # minimum rounds of play: early rounds find the states that later ones start from
+CORE_SECONDS = (0.3, 3.0)  # per state without and with a demonstration, up to nx 4
+SEQUENCE_WORTH = 6  # cost of finding and replaying one action sequence, in drawn states
 
 Slot = tuple[int, int, int]  # nx, index of the code, copy
 
 
 class SpoiltCheckpoint(KnotgymError, ValueError):
-    """What a run left to be resumed from is damaged."""
+    """The checkpoint of a run is corrupted."""
 
     def __init__(self, folder: Path, reason: object) -> None:
         said = " ".join(str(reason).split())
-        super().__init__(f"{folder} can't be resumed, it is damaged ({said}); start with --restart")
+        super().__init__(
+            f"{folder} can't be resumed, it is corrupted ({said}); start with --restart"
+        )
 
 
 def generate(
@@ -89,19 +91,19 @@ def generate(
     archive: Path | None = None,
     progress: Progress | None = None,
 ) -> Path:
-    """Make states in the new folder `out`, or in that of the shard, and return it.
+    """Make states and return the new folder, which for a shard is not `out` but the shard's own.
 
     Args:
-        config: what is wanted.
+        config: which states to make.
         out: the folder of the whole run.
-        options: how it is done.
-        archive: of another run, whose action sequences this one begins with.
-        progress: to show it on.
+        options: how to execute the run.
+        archive: archive of another run, whose action sequences this one starts with.
+        progress: where to show progress; a new display by default.
 
     Raises:
-        Occupied, InvalidRun: as of `runs.engine.run`.
-        InvalidGenerateConfig: nothing of the kind can be made.
-        NotEnough: the attempts allowed were spent.
+        Occupied, InvalidRun: as in `runs.engine.run`.
+        InvalidGenerateConfig: such states can't be made.
+        NotEnough: `config.attempts` or `config.searches` were used up.
     """
     recipe = StateRecipe(config, options.shard, archive)
     if progress is not None:
@@ -111,22 +113,25 @@ def generate(
 
 
 class StateRecipe:
-    """States with their demonstrations, see `runs.engine.Recipe`.
+    """Recipe for states with demonstrations, see `runs.engine.Recipe`.
+
+    A slot (nx, index, copy) stands for one requested state: copy `copy` of code `index`.
 
     Attributes:
         config, shard: of the run.
-        knot: its name in the knot table.
+        knot: name of the rope's knot in the knot table.
         codes: nx -> the codes, by index.
-        archive: of play.
+        archive: the states and sequences found by play and by the planner.
         states: slot -> the accepted state.
         demonstrations: slot -> the demonstration that ends in its code.
-        drawings: (nx, index) -> drawings made.
-        searches: (nx, index) -> planner searches that failed.
-        missed: (nx, index) of codes that no sequence in the archive leads to when followed again.
-        rejected: nx -> reason -> drawings.
-        actions: simulated by the planner and by demonstrations; the archive counts play's.
-        play_over: play adds too little.
-        cycle: waves done.
+        drawings: (nx, index) -> number of drawings made.
+        searches: (nx, index) -> number of failed planner searches.
+        missed: (nx, index) of codes that no sequence in the archive reaches when replayed.
+        rejected: nx -> reason -> number of rejected drawings.
+        actions: actions simulated by the planner and by demonstrations; the archive counts those
+            of play.
+        play_over: whether play has ended because it added too few codes.
+        cycle: number of finished waves.
     """
 
     flexible: tuple[str, ...] = ("attempts", "cycles", "searches")
@@ -147,7 +152,7 @@ class StateRecipe:
         self.wanted = sum(codes.wanted for codes in self.codes.values())
         if not self.wanted:
             raise InvalidGenerateConfig(
-                f"shard {self.shard} has no state to make: cut the run into fewer shards"
+                f"shard {self.shard} has no state to make: split the run into fewer shards"
             )
         self.archive = Archive()
         self.states: dict[Slot, MadeState] = {}
@@ -159,12 +164,12 @@ class StateRecipe:
         self.actions, self.cycle, self.play_over = 0, 0, False
         self.growth: list[dict[str, Any]] = []
         self._files: dict[str, str] = {}  # saved waves -> SHA-256
-        self._saved: set[Slot] = set()  # in them, of states and of demonstrations
-        self._saved_ways: set[Slot] = set()
+        self._saved: set[Slot] = set()  # slots whose state is saved
+        self._saved_ways: set[Slot] = set()  # slots whose demonstration is saved
 
     @property
     def start(self) -> Start:
-        """Where action sequences begin."""
+        """The state from which action sequences start."""
         if self._start is None:
             self._start = start_of(self.config.knot)
         return self._start
@@ -194,13 +199,14 @@ class StateRecipe:
         self.archive = Archive.load(self.given) if self.given else fresh
         if _origin(self.archive) != _origin(fresh):
             raise InvalidGenerateConfig(
-                f"the action sequences of {self.given} begin at another curve or move another rope"
-                f" than those of knot {self.config.knot} here"
+                f"the action sequences of {self.given} start from another curve or move another"
+                f" rope than those of knot {self.config.knot} here"
             )
 
     def has_ways(self, nx: int) -> bool:
-        """Whether states with nx crossings get action sequences from the start: those with as few
-        as the knot can have need none, they are starts themselves.
+        """Whether states with nx crossings need action sequences from the start.
+
+        States with the knot's minimal crossing number don't; they are starts themselves.
         """
         return self.config.demonstrations and nx > self.least
 
@@ -215,16 +221,16 @@ class StateRecipe:
             yield CHECKPOINT
         lacking = {nx: self.codes[nx].wanted - len(self._made(nx)) for nx in self.config.nx}
         if any(lacking.values()) and not self.config.cycles:
-            said = ", ".join(f"{count} with nx = {nx}" for nx, count in lacking.items() if count)
+            missing = ", ".join(f"{count} with nx = {nx}" for nx, count in lacking.items() if count)
             raise NotEnough(
-                f"states lack: {said}; use --resume and more --attempts, or --cycles {self.cycle}"
-                " to keep what there is"
+                f"missing states: {missing}; give --resume with more --attempts, or with --cycles"
+                f" {self.cycle} to keep the states made"
             )
         if not self.states:
-            raise NotEnough(f"no state accepted in {self.cycle} cycles; allow more --cycles")
+            raise NotEnough(f"no state accepted in {self.cycle} cycles; give more --cycles")
 
     def _wave(self) -> Iterator[Batch] | None:
-        """The next wave of work; None if there is nothing left that could be done."""
+        """Return the next wave of work; None if nothing is left to do."""
         known = self._known() if any(map(self.has_ways, self.config.nx)) else {}
         lacking, unknown = list[Slot](), list[Slot]()
         for nx in self.config.nx:
@@ -245,14 +251,14 @@ class StateRecipe:
     def _window(
         self, nx: int, known: Mapping[GaussCode, list[Elite]]
     ) -> tuple[list[Slot], list[Slot]]:
-        """The slots with nx crossings that are worked on, but for those of codes passed over.
+        """Return the slots with nx crossings to work on, without those of skipped codes.
 
-        Of more codes than states are wanted, sequences are looked for to a quarter more: the last
-        few of a fixed choice would take as long as all others.
+        If there are more codes than requested states, sequences are searched for 25 % more codes
+        than needed: the hardest few of a fixed choice would take as long as all others.
 
         Returns:
-            Those that have a state, or need only be followed or drawn, at most as many as states
-            are wanted; and those to whose codes no sequence is known.
+            Slots that have a state or need only a replay or a drawing, at most as many as states
+            are requested; and slots to whose codes no sequence is known.
         """
         codes, ways = self.codes[nx], self.has_ways(nx)
         most = int((1.25 if ways else 1) * codes.wanted)
@@ -272,33 +278,34 @@ class StateRecipe:
         return (made + ready)[: codes.wanted], unknown
 
     def _is_passed_over(self, nx: int, index: int) -> bool:
-        """Whether what may be spent on a code is spent."""
+        """Whether a code has used up its drawings or planner searches."""
         config, code = self.config, (nx, index)
         drawn_out = self.drawings[code] >= config.attempts * self.codes[nx].share(index)
         return drawn_out or self.searches[code] >= config.searches
 
     def _known(self) -> dict[GaussCode, list[Elite]]:
-        """Codes, without chirality, and the elites whose sequences or mirror images lead there."""
+        """Map codes without chirality to elites whose sequence, mirrored or not, reaches them."""
         longest, known = self.config.search.longest, dict[GaussCode, list[Elite]]()
         for niche, elites in self.archive.niches.items():
             exact = [one for one in elites if one.exact and len(one.sequence) <= longest]
             for code in {image.plain for image in mirror_images(niche)} if exact else ():
                 known.setdefault(code, []).extend(exact)
-        if self.knot != UNKNOT:  # the mirror image of a sequence may tie the other hand
+        if self.knot != UNKNOT:  # a mirrored sequence may tie the mirror image of the knot
             for code, elites in known.items():
                 known[code] = [one for one in elites if carried_over(one, code, self.knot)]
         return known
 
     def _ways(self, slot: Slot, known: Mapping[GaussCode, list[Elite]]) -> list[Elite]:
-        """The elites whose sequences lead to the code of a slot."""
+        """Return the elites whose sequences lead to the code of a slot."""
         nx, index, _ = slot
         if (nx, index) in self.missed:
             return []
         return known.get(self.codes[nx][index].plain, [])
 
     def _play(self, unknown: list[tuple[int, int]]) -> Iterator[Batch]:
-        """A round of play, and whether the next is worth it: not if it added fewer codes than the
-        planner finds in the same time.
+        """Play one round, and end play if it reached fewer than `config.stalled` new codes.
+
+        The planner then finds more codes in the same time.
         """
         wanted = {self.codes[nx][index].plain for nx, index in unknown}
         yield from search_round(self.archive, self.search, wanted=wanted)
@@ -307,7 +314,7 @@ class StateRecipe:
         self.play_over = len(self.archive.growth) >= FIRST_ROUNDS and gained < self.config.stalled
 
     def _plan(self, unknown: list[tuple[int, int]]) -> Iterator[Batch]:
-        """Search for the codes searched for least, once each with its mirror image."""
+        """Plan for the codes with the fewest failed searches; a code covers its mirror image."""
         wanted = frozenset(self.codes[nx][index].plain for nx, index in unknown)
         repeated = replays(
             self.archive, self.search, len(self.archive.growth), 1 + self.cycle, wanted=wanted
@@ -354,7 +361,7 @@ class StateRecipe:
     def _demonstrate(
         self, pending: list[Slot], known: Mapping[GaussCode, list[Elite]]
     ) -> Iterator[Batch]:
-        """Follow the sequences to the codes of some slots."""
+        """Replay the sequences to the codes of some slots."""
         tasks = []
         for slot in pending:
             nx, index, copy = slot
@@ -375,10 +382,10 @@ class StateRecipe:
             if made.state is not None and not self._is_near(made.state):
                 self.states[slot] = made.state
 
-        yield Batch(demonstrate, tasks, absorb, "following action sequences")
+        yield Batch(demonstrate, tasks, absorb, "replaying action sequences")
 
     def _draw(self, lacking: list[Slot]) -> Iterator[Batch]:
-        """Draw the first codes that lack states."""
+        """Draw the first codes whose states are missing."""
         config = self.config
         units = []
         for (nx, index), wanted in Counter(slot[:2] for slot in lacking).items():
@@ -406,18 +413,18 @@ class StateRecipe:
         return bool(others) and bool(pairs_within(state.points[None], np.stack(others)))
 
     def _made(self, nx: int) -> dict[Slot, MadeState]:
-        """The accepted states with nx crossings, in the order of their slots."""
+        """Return the accepted states with nx crossings, in the order of their slots."""
         return {slot: self.states[slot] for slot in sorted(self.states) if slot[0] == nx}
 
     def demonstration(self, slot: Slot) -> Demonstration | None:
-        """The demonstration of a slot whose state there is; a plain loop's is its own actions."""
+        """Return the demonstration of a slot with a state; for a plain loop, its own actions."""
         if slot[0] == 0 and self.config.demonstrations:
             state = self.states[slot]
             return acted_out(simulation_of(1, RopeConfig()), state.start_qpos, state.actions)
         return self.demonstrations.get(slot)
 
     def steps(self) -> int:
-        """Actions simulated so far to find and follow action sequences."""
+        """Return the number of actions simulated so far to find and replay action sequences."""
         return self.actions + (self.archive.growth[-1]["actions"] if self.archive.growth else 0)
 
     def _note_growth(self) -> None:
@@ -516,7 +523,7 @@ class StateRecipe:
         return f"{len(self.states)} states of {len(codes)} codes{tied}"
 
     def report(self) -> dict[str, Any]:
-        """What the run did, JSON-able and the same for the same configuration."""
+        """Return the run's counts as JSON; the same configuration gives the same report."""
         return {
             "version": knotgym.__version__,
             "mujoco": mujoco.__version__,
@@ -548,30 +555,31 @@ def _is_tabled(knot: str) -> bool:
 
 
 def _require_possible(config: GenerateConfig, knot: str) -> None:
-    """Refuse crossings and codes that the knot can't show, and sequences that nobody finds."""
+    """Require crossing numbers and codes that the knot can show, and sequences within reach."""
     least = diagram_of(knot).nx
     for nx in config.nx:
         if nx < least:
             raise InvalidGenerateConfig(
-                f"no diagram of {config.knot} has {nx} crossings; it takes {least}"
+                f"no diagram of {config.knot} has {nx} crossings; it has at least {least}"
             )
         if config.demonstrations and nx > max(LISTED_NX, least):
             raise InvalidGenerateConfig(
-                f"action sequences are found to codes of up to {LISTED_NX} crossings, got nx {nx};"
+                f"action sequences are limited to {LISTED_NX} crossings, got nx {nx};"
                 " --no-demonstrations makes states without them"
             )
     for code in config.parsed:
         if not shows(code, knot):
             seen = knot_type(code)
-            other_hand = " of this hand" if seen == type_of(knot) else ""
+            other_hand = " (handedness differs)" if seen == type_of(knot) else ""
             raise InvalidGenerateConfig(
                 f"the code {str(code)!r} shows the knot {seen}, not {config.knot}{other_hand}"
             )
 
 
 def _origin(archive: Archive) -> str:
-    """Where the sequences of an archive begin and what they move, as text: a file has lists where
-    a search has tuples.
+    """Return the start and the rope of an archive's sequences as JSON.
+
+    JSON makes the settings of a file, with lists, comparable to those of a search, with tuples.
     """
     return json.dumps([archive.settings.get("start"), archive.settings.get("rope")], sort_keys=True)
 
@@ -579,9 +587,9 @@ def _origin(archive: Archive) -> str:
 def _columns(
     states: Mapping[Slot, MadeState], ways: Mapping[Slot, Demonstration]
 ) -> dict[str, Any]:
-    """States and demonstrations as arrays by name, those of different lengths one after another.
+    """Return states and demonstrations as named arrays; ragged ones are concatenated.
 
-    Splitting an empty array gives one empty part, so that readers follow the rows of the slots.
+    Readers must zip against the slots: splitting an empty array gives one empty part, not none.
     """
     made, nq, beads = list(states.values()), Rope().nq, len(Rope().loop())
 
@@ -609,7 +617,7 @@ def _columns(
 
 
 def _states_in(columns: Any) -> Iterator[tuple[Slot, MadeState]]:
-    """The states that `_columns` made arrays of."""
+    """Yield the states stored by `_columns`."""
     actions = np.split(columns["actions"], np.cumsum(columns["steps"])[:-1])
     names = ("slot", "policy", "code", "seed", "start_qpos", "qpos", "points", "quality")
     rows = zip(*(columns[name] for name in names), strict=True)
@@ -634,10 +642,10 @@ def _states_in(columns: Any) -> Iterator[tuple[Slot, MadeState]]:
 
 
 def _demonstrations_in(columns: Any) -> Iterator[tuple[Slot, Demonstration]]:
-    """The demonstrations that `_columns` made arrays of."""
+    """Yield the demonstrations stored by `_columns`."""
     ends = np.cumsum(columns["way_steps"])
     actions = np.split(columns["way_actions"], ends[:-1])
-    # T + 1 states around T actions
+    # each demonstration of T actions has T + 1 states
     states = ends + np.arange(1, len(ends) + 1)
     points, shares = (
         np.split(columns[f"way_{name}"], states[:-1]) for name in ("points", "shares")

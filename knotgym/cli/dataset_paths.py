@@ -1,5 +1,6 @@
-"""What a path or an id names: a run's folder, a `minari` folder, a file, a folder of pictures, or a
-Minari dataset, all of them asked for in the same way.
+"""Resolve a path or an id to the datasets that it names.
+
+It may name a run's folder, a `minari` folder, a file, a folder of pictures, or a Minari dataset.
 """
 
 from __future__ import annotations
@@ -15,11 +16,11 @@ from knotgym.states.state_file import SHIPPED, minari_root, shipped
 
 
 class UnknownDataset(KnotgymError, ValueError):
-    """Nothing of ours is at this path."""
+    """This path or id doesn't name a knotgym dataset that the command can use."""
 
 
-class Place(NamedTuple):
-    """A dataset, and where it is.
+class Dataset(NamedTuple):
+    """A dataset and its location.
 
     Attributes:
         kind: "states", "episodes" or "images".
@@ -30,13 +31,14 @@ class Place(NamedTuple):
     path: Path
 
 
-def places(named: str) -> list[Place]:
-    """What a path, an id or a set that ships holds: of a run the states, of a folder of Minari
-    datasets each.
+def resolve_datasets(named: str) -> list[Dataset]:
+    """Find the datasets that a path, a Minari id or the name of an included set stands for.
+
+    A run's folder stands for its states, a folder of Minari datasets for each of them.
 
     Raises:
         MissingFile: there is no such file, folder or id.
-        UnknownDataset: the folder holds nothing of ours.
+        UnknownDataset: the folder holds no knotgym dataset.
     """
     given = Path(named)
     if not given.exists() and named in SHIPPED:
@@ -46,69 +48,71 @@ def places(named: str) -> list[Place]:
         if not given.is_dir():
             raise MissingFile(
                 f"no such file: {named}, nor a Minari dataset of this id under {minari_root()},"
-                f" nor a set that ships ({', '.join(SHIPPED)})"
+                f" nor an included set ({', '.join(SHIPPED)})"
             )
     if is_images(given):
-        return [Place("images", given)]
+        return [Dataset("images", given)]
     if given.is_file():
         kind = "states" if hdf5_format(given) in (STATES_FORMAT, None) else "episodes"
-        return [Place(kind, given)]
+        return [Dataset(kind, given)]
     if any((given / name).is_file() for name in ("states.h5", "manifest.json")):
-        return [Place("states", given)]
+        return [Dataset("states", given)]
     found = _datasets_below(given)
     if not found:
         raise UnknownDataset(
-            f"{named} holds no states.h5, no pictures and no Minari dataset: give what a knotgym"
-            " command made"
+            f"{named} contains no states.h5, no pictures and no Minari dataset: give the output of"
+            " a knotgym command"
         )
     return found
 
 
 def folder_of(named: str) -> Path:
-    """The folder that a path or an id names, of a file the one that it lies in.
+    """Return the folder that a path or an id names; for a file, its parent.
 
     Raises:
-        MissingFile, UnknownDataset: as `places`.
+        MissingFile, UnknownDataset: as in `resolve_datasets`.
     """
-    places(named)
+    resolve_datasets(named)
     given = Path(named) if Path(named).exists() else minari_root() / named
     return given if given.is_dir() else given.parent
 
 
-def place(named: str, *kinds: str) -> Place:
-    """The one dataset that a path or an id names.
+def resolve_dataset(named: str, *kinds: str) -> Dataset:
+    """Return the only dataset that a path or an id names.
 
     Raises:
-        MissingFile: there is nothing.
-        UnknownDataset: there are several, or none of these kinds.
+        MissingFile: there is none.
+        UnknownDataset: there are several, or it is of none of these kinds.
     """
-    found = places(named)
+    found = resolve_datasets(named)
     if len(found) > 1:
         listed = ", ".join(str(one.path) for one in found)
-        raise UnknownDataset(f"{named} holds several datasets, name one of them: {listed}")
+        raise UnknownDataset(f"{named} contains several datasets, give one of them: {listed}")
     if kinds and found[0].kind not in kinds:
-        raise UnknownDataset(f"{named} holds {found[0].kind}, and this is for {' or '.join(kinds)}")
+        raise UnknownDataset(
+            f"{named} contains {found[0].kind}, but this command takes {' or '.join(kinds)}"
+        )
     return found[0]
 
 
-def episodes_at(named: str) -> list[Place]:
-    """The trajectory datasets that a path or an id names; of a run's folder its demonstrations.
+def episodes_at(named: str) -> list[Dataset]:
+    """Return the trajectory datasets that a path or an id names; for a run, its demonstrations.
 
     Raises:
-        MissingFile: there is nothing.
-        UnknownDataset: there are none.
+        MissingFile: there is no such file, folder or id.
+        UnknownDataset: it contains no trajectories.
     """
-    out: list[Place] = []
-    for one in places(named):
+    out: list[Dataset] = []
+    for one in resolve_datasets(named):
         inside = one.path / "minari" if one.kind == "states" else one.path
         out += [one] if one.kind == "episodes" else _datasets_below(inside)
     if not out:
-        raise UnknownDataset(f"{named} holds no trajectories")
+        raise UnknownDataset(f"{named} contains no trajectories")
     return out
 
 
 def name_of(dataset: Path) -> str:
-    """A file name for a dataset: the end of its id.
+    """Return a file name for a dataset: the end of its id.
 
     >>> name_of(Path("minari/knotgym/tie-nx3/demonstrations-v0"))
     'tie-nx3-demonstrations-v0'
@@ -116,8 +120,8 @@ def name_of(dataset: Path) -> str:
     return "-".join(dataset.with_suffix("").parts[-2:])
 
 
-def _datasets_below(folder: Path) -> list[Place]:
+def _datasets_below(folder: Path) -> list[Dataset]:
     if (folder / "main_data.hdf5").is_file() or (folder / "data" / "main_data.hdf5").is_file():
-        return [Place("episodes", folder)]
+        return [Dataset("episodes", folder)]
     files = sorted(folder.glob("**/data/main_data.hdf5"))
-    return [Place("episodes", file.parents[1]) for file in files]
+    return [Dataset("episodes", file.parents[1]) for file in files]
