@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from knotgym.learn.lanes import LANES, any_below, load, put
+from knotgym.chain.simd import LANES, any_below, load, put
 
 pytestmark = pytest.mark.clients  # as what is built on them
 

@@ -1,0 +1,293 @@
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from knotgym.chain.simd import LANES, fma, load, put, where_below
+
+Array = NDArray[np.float64]
+
+# indices of the numbers
+MASS, TUMBLE, SPIN, LENGTH, ACROSS, ALONG, TURN, ROLL, STRETCH = range(9)
+
+
+@njit(nogil=True)
+def tangents(x: Array, v: Array, ahead: Array, tangent: Array) -> None:
+    """Write unit vectors along the edges as they will lie in `ahead` seconds."""
+    n = len(x)
+    h = load(ahead, (0,))
+    for i in range(n):
+        j = i + 1 if i + 1 < n else 0
+        a = fma(h, load(v, (j, 0)) - load(v, (i, 0)), load(x, (j, 0)) - load(x, (i, 0)))
+        b = fma(h, load(v, (j, 1)) - load(v, (i, 1)), load(x, (j, 1)) - load(x, (i, 1)))
+        c = fma(h, load(v, (j, 2)) - load(v, (i, 2)), load(x, (j, 2)) - load(x, (i, 2)))
+        shrink = 1.0 / math.sqrt(fma(a, a, fma(b, b, c * c)))
+        put(tangent, (i, 0), shrink * a)
+        put(tangent, (i, 1), shrink * b)
+        put(tangent, (i, 2), shrink * c)
+
+
+@njit(nogil=True)
+def assemble(
+    tangent: Array,
+    side: Array,
+    v: Array,
+    spin: Array,
+    guess: Array,
+    guess_spin: Array,
+    pull: Array,
+    step: Array,
+    numbers: Array,
+    damping: Array,
+    joint: Array,
+    bead: Array,
+    diag: Array,
+    near: Array,
+    far: Array,
+    arrow: Array,
+    corner: Array,
+    right: Array,
+) -> None:
+    n = len(tangent)
+    length = numbers[LENGTH]
+    rate = 1.0 / load(step, (0,))
+    centre = 0.25 * numbers[MASS] * rate
+    tumble = numbers[TUMBLE] / (length * length) * rate
+    turn = numbers[TURN] / (length * length * length)
+    roll = numbers[SPIN] * rate
+    across, along = 0.5 * numbers[ACROSS], 0.5 * numbers[ALONG]
+    for i in range(n + 1):
+        for c in range(4):
+            put(right, (i, c), 0.0)
+    for i in range(n):
+        h = i - 1 if i > 0 else n - 1
+        j = i + 1 if i + 1 < n else 0
+        tx, ty, tz = load(tangent, (i, 0)), load(tangent, (i, 1)), load(tangent, (i, 2))
+        # joint i, between beads h and i
+        bend, cross = damping[i] / (length * length), damping[i] / length
+        ux, uy, uz = load(tangent, (h, 0)), load(tangent, (h, 1)), load(tangent, (h, 2))
+        cosine = fma(tx, ux, fma(ty, uy, tz * uz))
+        put(joint, (i, 0), bend * fma(-tx, ux, cosine))
+        put(joint, (i, 1), -bend * tx * uy)
+        put(joint, (i, 2), -bend * tx * uz)
+        put(joint, (i, 3), -bend * ty * ux)
+        put(joint, (i, 4), bend * fma(-ty, uy, cosine))
+        put(joint, (i, 5), -bend * ty * uz)
+        put(joint, (i, 6), -bend * tz * ux)
+        put(joint, (i, 7), -bend * tz * uy)
+        put(joint, (i, 8), bend * fma(-tz, uz, cosine))
+        put(joint, (i, 9), cross * fma(ty, uz, -tz * uy))
+        put(joint, (i, 10), cross * fma(tz, ux, -tx * uz))
+        put(joint, (i, 11), cross * fma(tx, uy, -ty * ux))
+        put(joint, (i, 12), damping[i] * cosine)
+        # the medium's drag on bead i, about the guess; axes 1 and 2 across, t along
+        px, py, pz = load(side, (i, 0)), load(side, (i, 1)), load(side, (i, 2))
+        qx, qy, qz = fma(ty, pz, -tz * py), fma(tz, px, -tx * pz), fma(tx, py, -ty * px)
+        gx, gy, gz = load(guess, (i, 0)), load(guess, (i, 1)), load(guess, (i, 2))
+        kx, ky, kz = load(guess, (j, 0)), load(guess, (j, 1)), load(guess, (j, 2))
+        mx, my, mz = 0.5 * (gx + kx), 0.5 * (gy + ky), 0.5 * (gz + kz)
+        one = fma(mx, px, fma(my, py, mz * pz))
+        two = fma(mx, qx, fma(my, qy, mz * qz))
+        fore = fma(mx, tx, fma(my, ty, mz * tz))
+        r1, r2, rt = across * abs(one), across * abs(two), along * abs(fore)
+        o1, o2, ot = r1 * one, r2 * two, rt * fore
+        # relative rotation and its drag
+        ax, ay, az = kx - gx, ky - gy, kz - gz
+        fast = math.sqrt(fma(ax, ax, fma(ay, ay, az * az)))
+        whirl = turn * fast
+        d1, d2, dt = r1 - r2, rt - r2, r2 + centre
+        stiff = numbers[STRETCH]
+        apart = tumble + 2.0 * whirl + (damping[i] + damping[j]) / (length * length)
+        xx, xy, xz = tx * tx, tx * ty, tx * tz
+        yy, yz, zz = ty * ty, ty * tz, tz * tz
+        cxx = fma(d1, px * px, fma(d2, xx, dt))
+        cxy = fma(d1, px * py, d2 * xy)
+        cxz = fma(d1, px * pz, d2 * xz)
+        cyy = fma(d1, py * py, fma(d2, yy, dt))
+        cyz = fma(d1, py * pz, d2 * yz)
+        czz = fma(d1, pz * pz, fma(d2, zz, dt))
+        sxx, sxy, sxz = fma(stiff, xx, apart), stiff * xy, stiff * xz
+        syy, syz, szz = fma(stiff, yy, apart), stiff * yz, fma(stiff, zz, apart)
+        put(bead, (i, 0), cxx + sxx)
+        put(bead, (i, 1), cxy + sxy)
+        put(bead, (i, 2), cyy + syy)
+        put(bead, (i, 3), cxz + sxz)
+        put(bead, (i, 4), cyz + syz)
+        put(bead, (i, 5), czz + szz)
+        put(bead, (i, 6), cxx - sxx)
+        put(bead, (i, 7), cxy - sxy)
+        put(bead, (i, 8), cyy - syy)
+        put(bead, (i, 9), cxz - sxz)
+        put(bead, (i, 10), cyz - syz)
+        put(bead, (i, 11), czz - szz)
+        for c in range(3):
+            p = load(side, (i, c))
+            q = qx if c == 0 else (qy if c == 1 else qz)
+            back = fma(o1, p, fma(o2, q, ot * load(tangent, (i, c))))
+            vi, vj = load(v, (i, c)), load(v, (j, c))
+            back = fma(centre, vi + vj, back)
+            swing = fma(tumble, vj - vi, whirl * (load(guess, (j, c)) - load(guess, (i, c))))
+            put(right, (i, c), load(right, (i, c)) + (back - swing))
+            put(right, (j, c), load(right, (j, c)) + (back + swing))
+        gs = load(guess_spin, (i,))
+        spun = numbers[ROLL] * abs(gs)
+        put(diag, (i, 9), damping[i] + damping[j] + roll + 2.0 * spun)
+        put(right, (i, 3), fma(roll, load(spin, (i,)), spun * gs))
+    for i in range(n):
+        h = i - 1 if i > 0 else n - 1
+        j = i + 1 if i + 1 < n else 0
+        e = 0
+        for a in range(3):
+            for b in range(a + 1):
+                own = load(joint, (i, 3 * a + b)) + load(joint, (i, 3 * b + a))
+                put(diag, (i, e), load(bead, (i, e)) + load(bead, (h, e)) + own)
+                e += 1
+        for a in range(3):
+            put(diag, (i, 6 + a), -load(joint, (i, 9 + a)))
+            for b in range(3):
+                low, up = max(a, b), min(a, b)
+                s = load(bead, (i, 6 + low * (low + 1) // 2 + up))
+                s -= load(joint, (i, 3 * b + a)) + load(joint, (j, 3 * b + a))
+                put(near, (i, 4 * a + b), s)
+                put(far, (i, 4 * a + b), load(joint, (j, 3 * b + a)))
+            turned = load(joint, (j, 9 + a))
+            put(near, (i, 4 * a + 3), -turned)
+            put(near, (i, 12 + a), turned)
+            put(far, (i, 4 * a + 3), turned)
+            put(right, (i, a), load(right, (i, a)) + load(pull, (i, a)))
+        put(near, (i, 15), -load(joint, (j, 12)))
+    _cut(diag, near, far, arrow, corner, right)
+
+
+@njit(nogil=True)
+def _cut(diag: Array, near: Array, far: Array, arrow: Array, corner: Array, right: Array) -> None:
+    """Make vertex 0's velocity the last unknown; its place in block 0 is left empty."""
+    n = len(diag)
+    for k in range(n):
+        for c in range(12):
+            put(arrow, (k, c), 0.0)
+    for e in range(6):
+        put(corner, (e,), load(diag, (0, e)))
+        put(diag, (0, e), 1.0 if e == 0 or e == 2 or e == 5 else 0.0)
+    for a in range(3):
+        put(diag, (0, 6 + a), 0.0)
+        put(right, (n, a), load(right, (0, a)))
+        put(right, (0, a), 0.0)
+        for b in range(4):
+            put(arrow, (1, 4 * a + b), load(near, (0, 4 * b + a)))
+            put(near, (0, 4 * b + a), 0.0)
+            put(arrow, (n - 1, 4 * a + b), load(near, (n - 1, 4 * a + b)))
+            put(arrow, (n - 2, 4 * a + b), load(far, (n - 2, 4 * a + b)))
+            if b < 3:
+                put(arrow, (2, 4 * a + b), load(far, (0, 4 * b + a)))
+                put(far, (0, 4 * b + a), 0.0)
+
+
+@njit(nogil=True)
+def set_lengths(x: Array, length: float, rounds: int) -> None:
+    """Newton's method for the lengths of the edges, moving vertices along them."""
+    n = len(x)
+    edge = np.empty((n, 4, LANES))
+    lower, wing, inverse, share = (
+        np.empty((n, LANES)),
+        np.empty((n, LANES)),
+        np.empty((n, LANES)),
+        np.empty((n, LANES)),
+    )
+    for _ in range(rounds):
+        for i in range(n):
+            j = i + 1 if i + 1 < n else 0
+            a = load(x, (j, 0)) - load(x, (i, 0))
+            b = load(x, (j, 1)) - load(x, (i, 1))
+            c = load(x, (j, 2)) - load(x, (i, 2))
+            far = math.sqrt(fma(a, a, fma(b, b, c * c)))
+            shrink = 1.0 / far
+            put(edge, (i, 0), shrink * a)
+            put(edge, (i, 1), shrink * b)
+            put(edge, (i, 2), shrink * c)
+            put(edge, (i, 3), far - length)
+        # symmetric cyclic tridiagonal: 2 on the diagonal, minus cosines beside it; the last
+        # unknown is eliminated last, `wing` couples it to the others
+        last = load(edge, (n - 1, 3))
+        pivot_last = 2.0 + 0.0 * last
+        for i in range(n - 1):
+            j = i + 1
+            off = -fma(
+                load(edge, (i, 0)),
+                load(edge, (j, 0)),
+                fma(
+                    load(edge, (i, 1)), load(edge, (j, 1)), load(edge, (i, 2)) * load(edge, (j, 2))
+                ),
+            )
+            put(lower, (i,), off)
+        closing = -fma(
+            load(edge, (0, 0)),
+            load(edge, (n - 1, 0)),
+            fma(
+                load(edge, (0, 1)),
+                load(edge, (n - 1, 1)),
+                load(edge, (0, 2)) * load(edge, (n - 1, 2)),
+            ),
+        )
+        put(wing, (0,), closing)
+        put(share, (0,), load(edge, (0, 3)))
+        put(inverse, (0,), 0.5)
+        for i in range(n - 2):
+            inv = load(inverse, (i,))
+            factor = load(lower, (i,)) * inv
+            wide = load(wing, (i,)) * inv
+            put(inverse, (i + 1,), 1.0 / fma(-factor, load(lower, (i,)), 2.0))
+            put(share, (i + 1,), fma(-factor, load(share, (i,)), load(edge, (i + 1, 3))))
+            filled = -factor * load(wing, (i,))
+            if i + 1 == n - 2:
+                filled = filled + load(lower, (n - 2,))
+            put(wing, (i + 1,), filled)
+            pivot_last = fma(-wide, load(wing, (i,)), pivot_last)
+            last = fma(-wide, load(share, (i,)), last)
+        wide = load(wing, (n - 2,)) * load(inverse, (n - 2,))
+        pivot_last = fma(-wide, load(wing, (n - 2,)), pivot_last)
+        last = fma(-wide, load(share, (n - 2,)), last)
+        last = last / pivot_last
+        put(share, (n - 1,), last)
+        after = 0.0 * last
+        for i in range(n - 2, -1, -1):
+            s = fma(-load(wing, (i,)), last, load(share, (i,)))
+            if i < n - 2:
+                s = fma(-load(lower, (i,)), after, s)
+            after = s * load(inverse, (i,))
+            put(share, (i,), after)
+        for i in range(n):
+            h = i - 1 if i > 0 else n - 1
+            here, before = load(share, (i,)), load(share, (h,))
+            for c in range(3):
+                moved = fma(here, load(edge, (i, c)), -before * load(edge, (h, c)))
+                put(x, (i, c), load(x, (i, c)) + moved)
+
+
+@njit(nogil=True)
+def turn_sides(side: Array, old: Array, new: Array, spin: Array, step: Array) -> None:
+    """Turn the beads' first axes across with their edges and spins; old and new unit tangents."""
+    h = load(step, (0,))
+    for i in range(len(side)):
+        px, py, pz = load(side, (i, 0)), load(side, (i, 1)), load(side, (i, 2))
+        tx, ty, tz = load(old, (i, 0)), load(old, (i, 1)), load(old, (i, 2))
+        ux, uy, uz = load(new, (i, 0)), load(new, (i, 1)), load(new, (i, 2))
+        # smallest rotation from t to u, of p across t: p - (p . u) / (1 + t . u) (t + u)
+        k = fma(px, ux, fma(py, uy, pz * uz)) / fma(tx, ux, fma(ty, uy, fma(tz, uz, 1.0)))
+        px, py, pz = fma(-k, tx + ux, px), fma(-k, ty + uy, py), fma(-k, tz + uz, pz)
+        angle = h * load(spin, (i,))
+        px, py, pz = (
+            fma(angle, fma(uy, pz, -uz * py), px),
+            fma(angle, fma(uz, px, -ux * pz), py),
+            fma(angle, fma(ux, py, -uy * px), pz),
+        )
+        fore = fma(px, ux, fma(py, uy, pz * uz))
+        px, py, pz = fma(-fore, ux, px), fma(-fore, uy, py), fma(-fore, uz, pz)
+        shrink = 1.0 / math.sqrt(fma(px, px, fma(py, py, pz * pz)))
+        put(side, (i, 0), shrink * px)
+        put(side, (i, 1), shrink * py)
+        put(side, (i, 2), shrink * pz)
