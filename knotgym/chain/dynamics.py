@@ -1,17 +1,50 @@
+"""The equations of motion of the rope, for one substep: a linear system for the velocities.
+
+The rope is a closed polyline of n edges of length L, the axes of its beads. Unknown are the
+velocity v_i of each vertex and the spin s_i of each bead about its axis t_i; bead i begins at
+vertex i. Its centre moves at u_i = (v_i + v_{i+1}) / 2, and it turns at
+
+    w_i = t_i x a_i / L + s_i t_i,      a_i = v_{i+1} - v_i.
+
+One substep h is the backward Euler step of these, each written as what it adds to the quadratic
+form whose minimum is the solution (so the matrix is symmetric and positive definite, and the step
+stable at any h):
+
+    inertia    m |u_i|^2 / 2h + I |a_i|^2 / (2h L^2) + I' s_i^2 / 2h, against the old velocities;
+               m a bead's mass, I and I' its moments of inertia across and along. In vertices'
+               velocities the mass matrix is constant, and nothing gyroscopic remains.
+    joints     c |w_i - w_{i-1}|^2 / 2, bending and twisting alike, c the joint damping; 0 at the
+               joints where MuJoCo's sub-chains are joined by `connect` equalities
+    chords     STRETCH (t_i . a_i)^2 / 2, a rope that can't be stretched: with a force of 0.2 N
+               edges lengthen by 2e-5 m/s, and `set_lengths` undoes that
+    drag       MuJoCo's `mj_inertiaBoxFluidModel`: a bead resists as the box of equal inertia, along
+               each of its own axes d by itself, -k_d |u . d| (u . d), k_d = density / 2 times the
+               box's face, and -q_d |w . d| (w . d) turning. Made linear about a guess u':
+               |u| u ~ 2 |u'| u - |u'| u'. The axes matter: a force between two of them is up to
+               30 % smaller, so beads carry the direction of their first axis, their *side*.
+
+Directions t_i are those at the middle of the substep, extrapolated with the old velocities; so the
+motion is second order in h but for inertia, which decays within milliseconds.
+
+All numbers are MuJoCo's own, read from the model; none is fitted. As MuJoCo's step and the softness
+of its closures go to zero, MuJoCo comes to this model; `benchmarks/chain.py converge` shows how
+near. All arrays end with an axis of LANES ropes, see `simd`.
+"""
+
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.chain.simd import LANES, fma, load, put, where_below
+from knotgym.chain.simd import LANES, fma, load, put
 
 Array = NDArray[np.float64]
 
-# indices of the numbers
+# Numbers of the model: kg, kg m^2 (across, along), m, N s^2/m^2 (across, along), N m s^2 (across,
+# along), N s/m
 MASS, TUMBLE, SPIN, LENGTH, ACROSS, ALONG, TURN, ROLL, STRETCH = range(9)
 
 
@@ -52,6 +85,19 @@ def assemble(
     corner: Array,
     right: Array,
 ) -> None:
+    """Write the linear system of a substep, as `banded` lays it out.
+
+    Args:
+        tangent, side: (n, 3, LANES), unit vectors along the edges and of the beads' first axes.
+        v, spin: (n, 3, LANES) and (n, LANES), velocities when the substep begins.
+        guess, guess_spin: about which the drag is made linear.
+        pull: (n, 3, LANES), forces on the vertices, newtons.
+        step: (1, LANES), seconds.
+        numbers: of the model, see MASS.
+        damping: (n,), of the joints at the vertices, N m s; 0 at vertex 0.
+        joint, bead: (n, 13, LANES) and (n, 12, LANES), overwritten.
+        diag, near, far, arrow, corner, right: written.
+    """
     n = len(tangent)
     length = numbers[LENGTH]
     rate = 1.0 / load(step, (0,))
@@ -67,7 +113,10 @@ def assemble(
         h = i - 1 if i > 0 else n - 1
         j = i + 1 if i + 1 < n else 0
         tx, ty, tz = load(tangent, (i, 0)), load(tangent, (i, 1)), load(tangent, (i, 2))
-        # joint i, between beads h and i
+        # Joint i, between beads h and i. Of c |w_i - w_h|^2 / 2 the mixed term of a_h and a_i is
+        # -a_h^T X a_i with X = c / L^2 ((t_h . t_i) 1 - t_i t_h^T), as (t x a) . (t' x a') is
+        # (t . t') (a . a') - (t . a') (t' . a). Spins are coupled with a by n = c / L t_i x t_h:
+        # -s_i n . a_h + s_h n . a_i. Numbers 0 to 8 are X, 9 to 11 n, 12 c t_h . t_i.
         bend, cross = damping[i] / (length * length), damping[i] / length
         ux, uy, uz = load(tangent, (h, 0)), load(tangent, (h, 1)), load(tangent, (h, 2))
         cosine = fma(tx, ux, fma(ty, uy, tz * uz))
@@ -84,7 +133,9 @@ def assemble(
         put(joint, (i, 10), cross * fma(tz, ux, -tx * uz))
         put(joint, (i, 11), cross * fma(tx, uy, -ty * ux))
         put(joint, (i, 12), damping[i] * cosine)
-        # the medium's drag on bead i, about the guess; axes 1 and 2 across, t along
+        # Drag on bead i: p is its side, q the third axis. Each vertex takes half of the force
+        # and half of the centre's motion is its own, so k becomes 2 k / 4 in the matrix and k / 2
+        # at the right: `across` and `along` are k / 2.
         px, py, pz = load(side, (i, 0)), load(side, (i, 1)), load(side, (i, 2))
         qx, qy, qz = fma(ty, pz, -tz * py), fma(tz, px, -tx * pz), fma(tx, py, -ty * px)
         gx, gy, gz = load(guess, (i, 0)), load(guess, (i, 1)), load(guess, (i, 2))
@@ -95,12 +146,15 @@ def assemble(
         fore = fma(mx, tx, fma(my, ty, mz * tz))
         r1, r2, rt = across * abs(one), across * abs(two), along * abs(fore)
         o1, o2, ot = r1 * one, r2 * two, rt * fore
-        # relative rotation and its drag
+        # Terms in a_i alone. That a has no part along t is kept by STRETCH, so |t x a|^2 = |a|^2;
+        # what turning resists is small, and taken as equal about both axes across.
         ax, ay, az = kx - gx, ky - gy, kz - gz
         fast = math.sqrt(fma(ax, ax, fma(ay, ay, az * az)))
         whirl = turn * fast
         d1, d2, dt = r1 - r2, rt - r2, r2 + centre
         stiff = numbers[STRETCH]
+        # Numbers 0 to 5 of `bead` are the lower triangle of C + S, 6 to 11 of C - S, where
+        # u^T C u is the part of the centre and a^T S a that of the difference.
         apart = tumble + 2.0 * whirl + (damping[i] + damping[j]) / (length * length)
         xx, xy, xz = tx * tx, tx * ty, tx * tz
         yy, yz, zz = ty * ty, ty * tz, tz * tz
@@ -137,6 +191,8 @@ def assemble(
         spun = numbers[ROLL] * abs(gs)
         put(diag, (i, 9), damping[i] + damping[j] + roll + 2.0 * spun)
         put(right, (i, 3), fma(roll, load(spin, (i,)), spun * gs))
+    # Blocks: with a_h = v_i - v_h and a_i = v_j - v_i, each X of joint i adds X + X^T at (i, i),
+    # -X^T at (j, i) and (i, h), and X^T at (j, h).
     for i in range(n):
         h = i - 1 if i > 0 else n - 1
         j = i + 1 if i + 1 < n else 0
@@ -189,10 +245,16 @@ def _cut(diag: Array, near: Array, far: Array, arrow: Array, corner: Array, righ
 
 @njit(nogil=True)
 def set_lengths(x: Array, length: float, rounds: int) -> None:
-    """Newton's method for the lengths of the edges, moving vertices along them."""
+    """Move vertices a little, in place, so that all edges get their length; Newton's method.
+
+    Vertex i moves by q_i e_i - q_{i-1} e_{i-1}, e being unit vectors along the edges: to first
+    order edge i grows by q_{i+1} e_i . e_{i+1} + q_{i-1} e_i . e_{i-1} - 2 q_i. That is a symmetric
+    cyclic tridiagonal system for q; its last unknown is eliminated last, and `wing` is what couples
+    the others with it.
+    """
     n = len(x)
     edge = np.empty((n, 4, LANES))
-    lower, wing, inverse, share = (
+    beside, wing, inverse, share = (
         np.empty((n, LANES)),
         np.empty((n, LANES)),
         np.empty((n, LANES)),
@@ -210,54 +272,35 @@ def set_lengths(x: Array, length: float, rounds: int) -> None:
             put(edge, (i, 1), shrink * b)
             put(edge, (i, 2), shrink * c)
             put(edge, (i, 3), far - length)
-        # symmetric cyclic tridiagonal: 2 on the diagonal, minus cosines beside it; the last
-        # unknown is eliminated last, `wing` couples it to the others
+        for i in range(n):
+            j = i + 1 if i + 1 < n else 0
+            cosine = load(edge, (i, 2)) * load(edge, (j, 2))
+            cosine = fma(load(edge, (i, 1)), load(edge, (j, 1)), cosine)
+            put(beside, (i,), -fma(load(edge, (i, 0)), load(edge, (j, 0)), cosine))
         last = load(edge, (n - 1, 3))
-        pivot_last = 2.0 + 0.0 * last
-        for i in range(n - 1):
-            j = i + 1
-            off = -fma(
-                load(edge, (i, 0)),
-                load(edge, (j, 0)),
-                fma(
-                    load(edge, (i, 1)), load(edge, (j, 1)), load(edge, (i, 2)) * load(edge, (j, 2))
-                ),
-            )
-            put(lower, (i,), off)
-        closing = -fma(
-            load(edge, (0, 0)),
-            load(edge, (n - 1, 0)),
-            fma(
-                load(edge, (0, 1)),
-                load(edge, (n - 1, 1)),
-                load(edge, (0, 2)) * load(edge, (n - 1, 2)),
-            ),
-        )
-        put(wing, (0,), closing)
+        pivot = 2.0 + 0.0 * last
+        put(wing, (0,), load(beside, (n - 1,)))
         put(share, (0,), load(edge, (0, 3)))
         put(inverse, (0,), 0.5)
-        for i in range(n - 2):
-            inv = load(inverse, (i,))
-            factor = load(lower, (i,)) * inv
-            wide = load(wing, (i,)) * inv
-            put(inverse, (i + 1,), 1.0 / fma(-factor, load(lower, (i,)), 2.0))
-            put(share, (i + 1,), fma(-factor, load(share, (i,)), load(edge, (i + 1, 3))))
-            filled = -factor * load(wing, (i,))
-            if i + 1 == n - 2:
-                filled = filled + load(lower, (n - 2,))
-            put(wing, (i + 1,), filled)
-            pivot_last = fma(-wide, load(wing, (i,)), pivot_last)
+        for i in range(n - 1):
+            ratio = load(beside, (i,)) * load(inverse, (i,))
+            wide = load(wing, (i,)) * load(inverse, (i,))
+            if i + 1 < n - 1:
+                put(inverse, (i + 1,), 1.0 / fma(-ratio, load(beside, (i,)), 2.0))
+                put(share, (i + 1,), fma(-ratio, load(share, (i,)), load(edge, (i + 1, 3))))
+                filled = -ratio * load(wing, (i,))
+                if i + 1 == n - 2:  # the last but one is also its neighbour
+                    filled = filled + load(beside, (n - 2,))
+                put(wing, (i + 1,), filled)
+            pivot = fma(-wide, load(wing, (i,)), pivot)
             last = fma(-wide, load(share, (i,)), last)
-        wide = load(wing, (n - 2,)) * load(inverse, (n - 2,))
-        pivot_last = fma(-wide, load(wing, (n - 2,)), pivot_last)
-        last = fma(-wide, load(share, (n - 2,)), last)
-        last = last / pivot_last
+        last = last / pivot
         put(share, (n - 1,), last)
         after = 0.0 * last
         for i in range(n - 2, -1, -1):
             s = fma(-load(wing, (i,)), last, load(share, (i,)))
             if i < n - 2:
-                s = fma(-load(lower, (i,)), after, s)
+                s = fma(-load(beside, (i,)), after, s)
             after = s * load(inverse, (i,))
             put(share, (i,), after)
         for i in range(n):
@@ -270,7 +313,8 @@ def set_lengths(x: Array, length: float, rounds: int) -> None:
 
 @njit(nogil=True)
 def turn_sides(side: Array, old: Array, new: Array, spin: Array, step: Array) -> None:
-    """Turn the beads' first axes across with their edges and spins; old and new unit tangents."""
+    """Turn the beads' sides, in place, as their edges turned from `old` to `new` and by their spins.
+    """
     h = load(step, (0,))
     for i in range(len(side)):
         px, py, pz = load(side, (i, 0)), load(side, (i, 1)), load(side, (i, 2))

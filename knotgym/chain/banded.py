@@ -1,24 +1,47 @@
-from __future__ import annotations
+"""The linear system of a substep: a symmetric banded matrix with an arrow, factored in place.
 
-import math
-from typing import Any
+The unknowns of a rope of n vertices are grouped in n blocks of four, block k holding the velocity
+of vertex k (x, y, z) and the spin of bead k, which begins there. A joint couples three vertices, so
+block k is coupled with blocks k + 1 and k + 2, round the loop. The loop is cut at vertex 0, whose
+joint must not be damped: the velocity of vertex 0 leaves block 0 and becomes the last unknown, the
+*corner*; what couples it with the others is the *arrow*.
+
+    | D0                      .  |    diag[k]    D_k, lower triangle of 4 x 4 by rows, 10 numbers
+    | N0 D1                   .  |    near[k]    N_k, 4 x 4: rows of block k + 1, columns of k
+    | F0 N1 D2                .  |    far[k]     F_k, 3 x 4: velocity of block k + 2 (a spin is
+    |    F1 N2 D3             .  |               never coupled two blocks back), columns of k
+    |       .  .  .           .  |    arrow[k]   A_k, 3 x 4: rows of the corner, columns of k
+    | A0 A1 A2 .  .        corner|    corner     lower triangle of 3 x 3 by rows, 6 numbers
+
+The factorization is A = L D L^T without pivoting, which is stable as A is positive definite. No
+block is filled in but the arrow. `factor` replaces diag[k] by the inverse pivots and the unit lower
+triangle, and near, far and arrow by their blocks of L: about 330 multiplications a vertex. `fma`
+rounds once on every processor, so results don't depend on how a compiler contracts products.
+
+All arrays end with an axis of LANES ropes, see `simd`.
+"""
+
+from __future__ import annotations
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.chain.simd import LANES, fma, load, put
+from knotgym.chain.simd import fma, load, put
 
 Array = NDArray[np.float64]
-
-DIAG, NEAR, FAR, ARROW = 10, 16, 12, 12
 
 
 @njit(nogil=True)
 def factor(diag: Array, near: Array, far: Array, arrow: Array, corner: Array) -> None:
+    """Factor in place, right-looking: each column, once done, is subtracted from what follows.
+
+    Write S = l d l^T for the pivot block, and M for a block below it. Then y = M l^-T are its rows
+    before they are scaled and z = y d^-1 is the block of L; M S^-1 M'^T = y z'^T.
+    """
     n = len(diag)
-    row = np.empty((10, 4, LANES))  # Y of this column: 4 rows of k + 1, 3 of k + 2, 3 of arrow
     for k in range(n):
+        # pivot block: l_ij below the diagonal, inverse pivots d on it
         d0 = 1.0 / load(diag, (k, 0))
         a10, a20, a30 = load(diag, (k, 1)), load(diag, (k, 3)), load(diag, (k, 6))
         l10, l20, l30 = a10 * d0, a20 * d0, a30 * d0
@@ -40,7 +63,7 @@ def factor(diag: Array, near: Array, far: Array, arrow: Array, corner: Array) ->
         put(diag, (k, 8), l32)
         put(diag, (k, 9), d3)
         if k + 1 < n:
-            for r in range(4):
+            for r in range(4):  # rows of block k + 1
                 y0 = load(near, (k, 4 * r))
                 y1 = fma(-l10, y0, load(near, (k, 4 * r + 1)))
                 y2 = fma(-l21, y1, fma(-l20, y0, load(near, (k, 4 * r + 2))))
@@ -49,7 +72,7 @@ def factor(diag: Array, near: Array, far: Array, arrow: Array, corner: Array) ->
                 put(near, (k, 4 * r + 1), y1 * d1)
                 put(near, (k, 4 * r + 2), y2 * d2)
                 put(near, (k, 4 * r + 3), y3 * d3)
-                # S(k + 1) -= Y Z^T, the lower triangle
+                # D_(k + 1) -= y z^T, the lower triangle: rows of z up to r are done
                 at = r * (r + 1) // 2
                 for c in range(r + 1):
                     s = load(diag, (k + 1, at + c))
@@ -59,7 +82,7 @@ def factor(diag: Array, near: Array, far: Array, arrow: Array, corner: Array) ->
                     s = fma(-y3, load(near, (k, 4 * c + 3)), s)
                     put(diag, (k + 1, at + c), s)
         if k + 2 < n:
-            for r in range(3):
+            for r in range(3):  # rows of block k + 2
                 y0 = load(far, (k, 4 * r))
                 y1 = fma(-l10, y0, load(far, (k, 4 * r + 1)))
                 y2 = fma(-l21, y1, fma(-l20, y0, load(far, (k, 4 * r + 2))))
@@ -83,7 +106,7 @@ def factor(diag: Array, near: Array, far: Array, arrow: Array, corner: Array) ->
                     s = fma(-y2, load(near, (k, 4 * c + 2)), s)
                     s = fma(-y3, load(near, (k, 4 * c + 3)), s)
                     put(near, (k + 1, 4 * r + c), s)
-        for r in range(3):
+        for r in range(3):  # rows of the corner
             y0 = load(arrow, (k, 4 * r))
             y1 = fma(-l10, y0, load(arrow, (k, 4 * r + 1)))
             y2 = fma(-l21, y1, fma(-l20, y0, load(arrow, (k, 4 * r + 2))))
@@ -136,9 +159,12 @@ def factor(diag: Array, near: Array, far: Array, arrow: Array, corner: Array) ->
 def forward(
     diag: Array, near: Array, far: Array, arrow: Array, corner: Array, right: Array, first: int
 ) -> None:
-    """Substitute forwards, in place: right becomes L^-1 right. Blocks before `first` are zero.
+    """Substitute forwards, in place: `right` becomes L^-1 `right`.
 
-    right: (n + 1, 4, LANES), the last block is the corner's.
+    Args:
+        diag, near, far, arrow, corner: as `factor` left them.
+        right: (n + 1, 4, LANES), the corner's last; of that block 3 are used.
+        first: blocks before this one are zero in every lane.
     """
     n = len(diag)
     c0, c1, c2 = load(right, (n, 0)), load(right, (n, 1)), load(right, (n, 2))
