@@ -1,6 +1,8 @@
 """The chain engine beside MuJoCo's: how fast, how near, alike in random play, and safe.
 
-    python benchmarks/chain.py {speed,distance,frontier,converge,play,adversarial} [--out chain.json]
+    python benchmarks/chain.py speed [--out chain.json]
+
+Commands: speed, distance, frontier, converge, play, adversarial.
 
 `speed`: CPU milliseconds an action of either engine on one pinned core, the same ropes and pulls,
 in turn. `distance`: how far beads end from where MuJoCo puts them after 1, 2 and 4 random actions
@@ -252,7 +254,9 @@ def adversarial(args: argparse.Namespace, rng: np.random.Generator) -> dict[str,
                 edges = np.roll(simulation.points, -1, axis=1) - simulation.points
                 off = np.abs(np.linalg.norm(edges, axis=2) / length - 1).max()
                 worst = max(worst, float(off))
-                counted["not finite"] += int((~np.isfinite(simulation.points)).any(axis=(1, 2)).sum())
+                counted["not finite"] += int(
+                    (~np.isfinite(simulation.points)).any(axis=(1, 2)).sum()
+                )
                 if (step + 1) % args.certify == 0:
                     for code in label_many(simulation.points):
                         most = max(most, code.nx)
@@ -269,9 +273,7 @@ def adversarial(args: argparse.Namespace, rng: np.random.Generator) -> dict[str,
     return told
 
 
-COMMANDS = {
-    run.__name__: run for run in (speed, distance, frontier, converge, play, adversarial)
-}
+COMMANDS = {run.__name__: run for run in (speed, distance, frontier, converge, play, adversarial)}
 
 
 def main() -> None:

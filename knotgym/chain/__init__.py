@@ -8,6 +8,6 @@
 | `solver` | the loop over substeps: their lengths, acceptance and rejection |
 | `dynamics` | the equations of motion of one substep |
 | `banded` | their linear system: layout, factorization, substitution |
-| `contact` | pairs of edges that touch, contact forces, the proof that no strands passed each other |
+| `contact` | pairs of edges that touch, contact forces, the proof that no strands passed |
 | `simd` | several float64 as one value in compiled code |
 """

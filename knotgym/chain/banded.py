@@ -30,15 +30,17 @@ from numpy.typing import NDArray
 from knotgym.chain.simd import fma, load, put
 
 Array = NDArray[np.float64]
+System = tuple[Array, Array, Array, Array, Array]  # diag, near, far, arrow, corner
 
 
 @njit(nogil=True)
-def factor(diag: Array, near: Array, far: Array, arrow: Array, corner: Array) -> None:
+def factor(system: System) -> None:
     """Factor in place, right-looking: each column, once done, is subtracted from what follows.
 
     Write S = l d l^T for the pivot block, and M for a block below it. Then y = M l^-T are its rows
     before they are scaled and z = y d^-1 is the block of L; M S^-1 M'^T = y z'^T.
     """
+    diag, near, far, arrow, corner = system
     n = len(diag)
     for k in range(n):
         # pivot block: l_ij below the diagonal, inverse pivots d on it
@@ -156,16 +158,15 @@ def factor(diag: Array, near: Array, far: Array, arrow: Array, corner: Array) ->
 
 
 @njit(nogil=True)
-def forward(
-    diag: Array, near: Array, far: Array, arrow: Array, corner: Array, right: Array, first: int
-) -> None:
+def forward(system: System, right: Array, first: int) -> None:
     """Substitute forwards, in place: `right` becomes L^-1 `right`.
 
     Args:
-        diag, near, far, arrow, corner: as `factor` left them.
+        system: as `factor` left it.
         right: (n + 1, 4, LANES), the corner's last; of that block 3 are used.
         first: blocks before this one are zero in every lane.
     """
+    diag, near, far, arrow, corner = system
     n = len(diag)
     c0, c1, c2 = load(right, (n, 0)), load(right, (n, 1)), load(right, (n, 2))
     for k in range(first, n):
@@ -204,10 +205,9 @@ def forward(
 
 
 @njit(nogil=True)
-def backward(
-    diag: Array, near: Array, far: Array, arrow: Array, corner: Array, right: Array
-) -> None:
+def backward(system: System, right: Array) -> None:
     """Substitute backwards, in place: right = L^-1 b becomes the solution."""
+    diag, near, far, arrow, corner = system
     n = len(diag)
     a2 = load(right, (n, 2)) * load(corner, (5,))
     a1 = fma(load(right, (n, 1)), load(corner, (2,)), -load(corner, (4,)) * a2)

@@ -39,7 +39,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.chain.banded import forward
+from knotgym.chain.banded import System, forward
 from knotgym.chain.simd import LANES, any_below, fma, load, put, where_below
 
 Array = NDArray[np.float64]
@@ -256,11 +256,7 @@ def push_apart(
     v: Array,
     step: Array,
     contact: Array,
-    diag: Array,
-    near: Array,
-    far: Array,
-    arrow: Array,
-    corner: Array,
+    system: System,
     right: Array,
 ) -> None:
     """Add what the contact forces do to `right`, which has been substituted forwards.
@@ -272,10 +268,10 @@ def push_apart(
         rows, found: as of `find_rows`; `most` is the largest of `found`.
         v: velocities without contact.
         step, contact: as of `find_rows`.
-        diag, near, far, arrow, corner: as `banded.factor` left them.
+        system: as `banded.factor` left it.
         right: (n + 1, 4, LANES), changed in place.
     """
-    n = len(v)
+    n, diag, corner = len(v), system[0], system[4]
     column = np.zeros((most, n + 1, 4, LANES))
     scaled = np.zeros((n + 1, 4, LANES))
     weight = np.empty((most, most, LANES))
@@ -295,7 +291,7 @@ def push_apart(
                         own = share * rows[r, 2 + c, lane]
                         column[r, block, c, lane] += own
                         speed[r, lane] += own * v[vertex, c, lane]
-        forward(diag, near, far, arrow, corner, column[r], first)
+        forward(system, column[r], first)
         for i in range(first, n):
             for c, e in enumerate((0, 2, 5, 9)):
                 put(scaled, (i, c), load(column, (r, i, c)) * load(diag, (i, e)))

@@ -39,6 +39,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from knotgym.chain.banded import System
 from knotgym.chain.simd import LANES, fma, load, put
 
 Array = NDArray[np.float64]
@@ -76,13 +77,7 @@ def assemble(
     step: Array,
     numbers: Array,
     damping: Array,
-    joint: Array,
-    bead: Array,
-    diag: Array,
-    near: Array,
-    far: Array,
-    arrow: Array,
-    corner: Array,
+    system: System,
     right: Array,
 ) -> None:
     """Write the linear system of a substep, as `banded` lays it out.
@@ -95,10 +90,12 @@ def assemble(
         step: (1, LANES), seconds.
         numbers: of the model, see MASS.
         damping: (n,), of the joints at the vertices, N m s; 0 at vertex 0.
-        joint, bead: (n, 13, LANES) and (n, 12, LANES), overwritten.
-        diag, near, far, arrow, corner, right: written.
+        system: written, not yet factored.
+        right: (n + 1, 4, LANES), written.
     """
+    diag, near, far, _, _ = system
     n = len(tangent)
+    joint, bead = np.empty((n, 13, LANES)), np.empty((n, 12, LANES))
     length = numbers[LENGTH]
     rate = 1.0 / load(step, (0,))
     centre = 0.25 * numbers[MASS] * rate
@@ -216,12 +213,13 @@ def assemble(
             put(far, (i, 4 * a + 3), turned)
             put(right, (i, a), load(right, (i, a)) + load(pull, (i, a)))
         put(near, (i, 15), -load(joint, (j, 12)))
-    _cut(diag, near, far, arrow, corner, right)
+    _cut(system, right)
 
 
 @njit(nogil=True)
-def _cut(diag: Array, near: Array, far: Array, arrow: Array, corner: Array, right: Array) -> None:
+def _cut(system: System, right: Array) -> None:
     """Make vertex 0's velocity the last unknown; its place in block 0 is left empty."""
+    diag, near, far, arrow, corner = system
     n = len(diag)
     for k in range(n):
         for c in range(12):
@@ -313,8 +311,7 @@ def set_lengths(x: Array, length: float, rounds: int) -> None:
 
 @njit(nogil=True)
 def turn_sides(side: Array, old: Array, new: Array, spin: Array, step: Array) -> None:
-    """Turn the beads' sides, in place, as their edges turned from `old` to `new` and by their spins.
-    """
+    """Turn the beads' sides, in place, with their edges from `old` to `new`, and by their spins."""
     h = load(step, (0,))
     for i in range(len(side)):
         px, py, pz = load(side, (i, 0)), load(side, (i, 1)), load(side, (i, 2))

@@ -2,8 +2,8 @@
 
 `Lanes` are LANES float64 side by side, a SIMD vector where the processor has one. They stand in
 arrays along a last axis of length LANES, `load` and `put` take them out and in. Sums, differences,
-products, quotients, `math.sqrt`, `abs`, `min` and `max` go lane by lane, with plain numbers too; so no
-lane can tell what the others hold.
+products, quotients, `math.sqrt`, `abs`, `min` and `max` go lane by lane, with plain numbers too; so
+no lane can tell what the others hold.
 """
 
 from __future__ import annotations

@@ -16,8 +16,8 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.chain.contact import FLOOR, RADIUS, STIFFNESS
 from knotgym.chain.contact import DAMPING as CONTACT_DAMPING
+from knotgym.chain.contact import FLOOR, RADIUS, STIFFNESS
 from knotgym.chain.dynamics import (
     ACROSS,
     ALONG,
@@ -155,11 +155,11 @@ class ChainSimulation(Simulation):
         firsts = range(0, len(where), sizes) if len(where) else ()
         list((self._pool.map if self._pool else map)(move, firsts))
         self._states[where] = states
-        self.taken_back[where] = counts[:, LOST] > 0
-        self.actions_taken_back += int((counts[:, LOST] > 0).sum())
+        back = counts[:, LOST] > 0
+        self.taken_back[where] = back
+        self.actions_taken_back += int(np.count_nonzero(back))
         self.steps_taken += len(where)
-        whole: NDArray[np.bool_] = np.isfinite(states).all(axis=(1, 2))
-        return whole
+        return np.isfinite(states).reshape(len(where), -1).all(axis=1)
 
 
 def parameters(rope: Rope) -> tuple[Array, Array, Array]:

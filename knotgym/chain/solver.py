@@ -14,6 +14,8 @@ do: a rope moves as it does alone, to the bit. A lane whose action is over takes
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -34,10 +36,14 @@ from knotgym.chain.simd import LANES, any_below, fma, load, put
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Group = tuple[Array, Array, Array, Array]  # x, v, side, spin of LANES ropes
 
 SCHEDULE = (1, 2, 3, 4, 4, 5, 5)  # lengths of the substeps, in shares of an action
 TICKS = 64  # a substep is halved at most until it is a 64th of one share
 STATE = 10  # numbers of a vertex: position, velocity; of the bead that begins there: side, spin
+ROPE, STAGE, LEFT, TICK = range(
+    4
+)  # a lane's clock: rope or -1, stage, its ticks left, next substep
 SUBSTEPS, REJECTED, CONTACTS, LOST = range(4)  # counted for each rope; LOST in ticks
 
 
@@ -67,171 +73,207 @@ def advance(
             ticks of the action that were taken back; written.
     """
     ropes, n = states.shape[0], states.shape[1]
-    vectors = (n, 3, LANES)
-    x, v, side, spin = np.empty(vectors), np.empty(vectors), np.empty(vectors), np.empty((n, LANES))
-    # the same after a substep
-    x1, v1, side1, spin1 = np.empty_like(x), np.empty_like(v), np.empty_like(side), np.empty_like(spin)
-    pull, tangent, tangent1 = np.zeros(vectors), np.empty(vectors), np.empty(vectors)
-    joint, bead = np.empty((n, 13, LANES)), np.empty((n, 12, LANES))
-    diag, near, far = np.empty((n, 10, LANES)), np.empty((n, 16, LANES)), np.empty((n, 12, LANES))
-    arrow, corner = np.empty((n, 12, LANES)), np.empty((6, LANES))
-    right, loaded = np.empty((n + 1, 4, LANES)), np.empty((n + 1, 4, LANES))
-    step, half, zero = np.empty((1, LANES)), np.empty((1, LANES)), np.zeros((1, LANES))
-    middle, motion, listed = np.empty(vectors), np.empty((n, LANES)), np.empty(vectors)
-    start, other = np.empty(n + 1, dtype=np.int64), np.empty(n * n // 2, dtype=np.int64)
-    start_far, other_far = np.empty_like(start), np.empty_like(other)
-    rows, found = np.zeros((ROWS, 8, LANES)), np.zeros(LANES, dtype=np.int64)
-    accepted = np.zeros(LANES, dtype=np.bool_)
-    rope = np.full(LANES, -1)  # whose lane it is; -1 once no rope waits
-    stage = np.zeros(LANES, dtype=np.int64)  # of the schedule
-    left = np.zeros(LANES, dtype=np.int64)  # ticks of the stage
-    tick = np.ones(LANES, dtype=np.int64)  # of the next substep
-    unit = duration / (schedule.sum() * TICKS)
+    group, after, spare = _empty_group(n), _empty_group(n), _empty_scratch(n)
+    pull, step = np.zeros((n, 3, LANES)), np.empty((1, LANES))
+    listed, start, other = (
+        np.empty((n, 3, LANES)),
+        np.empty(n + 1, np.int64),
+        np.empty(n * n // 2, np.int64),
+    )
+    accepted, found = np.zeros(LANES, dtype=np.bool_), np.zeros(LANES, dtype=np.int64)
+    clock = np.ones((4, LANES), dtype=np.int64)
+    clock[ROPE] = -1
+    shares = 0
+    for share in schedule:
+        shares += share
+    unit = duration / (shares * TICKS)
     waiting, stale = 0, True
     counts[:] = 0
     while True:
-        busy = -1
         for lane in range(LANES):
-            if rope[lane] < 0 and waiting < ropes:
-                _take(
-                    states[waiting], beads[waiting], forces[waiting], lane, x, v, side, spin, pull
-                )
-                rope[lane], stage[lane] = waiting, 0
-                left[lane] = tick[lane] = schedule[0] * TICKS
+            if clock[ROPE, lane] < 0 and waiting < ropes:
+                _take(states[waiting], beads[waiting], forces[waiting], lane, group, pull)
+                clock[ROPE, lane], clock[STAGE, lane] = waiting, 0
+                clock[LEFT, lane] = clock[TICK, lane] = schedule[0] * TICKS
                 waiting, stale = waiting + 1, True
-            if rope[lane] >= 0:
-                busy = lane
-        if busy < 0:
+        if not _keep_busy(clock, group, pull):
             break
         for lane in range(LANES):
-            if rope[lane] < 0:  # does what another lane does, and nobody looks
-                _copy(busy, lane, x, v, side, spin)
-                pull[:, :, lane], tick[lane] = pull[:, :, busy], tick[busy]
-            step[0, lane] = tick[lane] * unit
-            half[0, lane] = 0.5 * step[0, lane]
-        middles(x, middle)
-        if stale or _drifted(x, listed):
-            list_pairs(middle, LISTED, start, other)
-            listed[:], stale = x, False
-        # velocities without contact
-        tangents(x, v, zero, tangent)
-        tangents(x, v, half, tangent1)
-        assemble(
-            tangent1,
-            side,
-            v,
-            spin,
-            v,
-            spin,
+            step[0, lane] = clock[TICK, lane] * unit
+        if stale or _drifted(group[0], listed):
+            _list(group[0], spare, listed, start, other)
+            stale = False
+        _substep(
+            group,
+            after,
             pull,
             step,
             numbers,
             damping,
-            joint,
-            bead,
-            diag,
-            near,
-            far,
-            arrow,
-            corner,
-            right,
-        )
-        factor(diag, near, far, arrow, corner)
-        forward(diag, near, far, arrow, corner, right, 0)
-        loaded[:] = right
-        backward(diag, near, far, arrow, corner, right)
-        _read(right, v1, spin1)
-        # contact
-        find_rows(
-            x,
-            v1,
-            tangent,
-            middle,
-            start,
-            other,
-            step,
             contact,
-            numbers[LENGTH],
-            motion,
-            rows,
-            found,
-        )
-        most = found.max()
-        if most > 0:
-            push_apart(
-                rows, found, most, v1, step, contact, diag, near, far, arrow, corner, loaded
-            )
-            backward(diag, near, far, arrow, corner, loaded)
-            _read(loaded, v1, spin1)
-        # positions
-        h = load(step, (0,))
-        for i in range(n):
-            for c in range(3):
-                put(x1, (i, c), fma(h, load(v1, (i, c)), load(x, (i, c))))
-                put(side1, (i, c), load(side, (i, c)))
-        set_lengths(x1, numbers[LENGTH], 2)
-        tangents(x1, v1, zero, tangent1)
-        turn_sides(side1, tangent, tangent1, spin1, step)
-        judge(
-            x,
-            x1,
-            tangent,
-            middle,
-            motion,
             start,
             other,
-            start_far,
-            other_far,
-            numbers[LENGTH],
+            spare,
+            found,
             accepted,
         )
         whole = True
         for lane in range(LANES):
-            whole = whole and (accepted[lane] or rope[lane] < 0)
+            whole = whole and (accepted[lane] or clock[ROPE, lane] < 0)
         if whole:
-            x, v, side, spin, x1, v1, side1, spin1 = x1, v1, side1, spin1, x, v, side, spin
+            group, after = after, group
         for lane in range(LANES):
-            own = rope[lane]
-            if own < 0:
+            if clock[ROPE, lane] < 0:
                 continue
-            if accepted[lane]:
-                if not whole:
-                    x[:, :, lane], v[:, :, lane] = x1[:, :, lane], v1[:, :, lane]
-                    side[:, :, lane], spin[:, lane] = side1[:, :, lane], spin1[:, lane]
-                counts[own, SUBSTEPS] += 1
-                counts[own, CONTACTS] += found[lane]
-                left[lane] -= tick[lane]
-                if left[lane] == 0:
-                    stage[lane] += 1
-                    if stage[lane] < len(schedule):
-                        left[lane] = tick[lane] = schedule[stage[lane]] * TICKS
-                else:
-                    tick[lane] = min(tick[lane], left[lane])
-            else:
-                counts[own, REJECTED] += 1
-                tick[lane] //= 2
-                if tick[lane] == 0:
-                    v[:, :, lane], spin[:, lane] = 0.0, 0.0
-                    counts[own, LOST] = left[lane] + TICKS * schedule[stage[lane] + 1 :].sum()
-                    stage[lane] = len(schedule)
-            if stage[lane] == len(schedule):
-                _give(states[own], lane, x, v, side, spin)
-                rope[lane] = -1
+            if accepted[lane] and not whole:
+                _copy(after, lane, group, lane)
+            own = counts[clock[ROPE, lane]]
+            own[CONTACTS] += found[lane]
+            if _next(clock, lane, accepted[lane], schedule, own):
+                if own[LOST]:
+                    _stop(group, lane)
+                _give(states[clock[ROPE, lane]], lane, group)
+                clock[ROPE, lane] = -1
 
 
 @njit(nogil=True)
-def _take(
-    state: Array,
-    bead: int,
-    force: Array,
-    lane: int,
-    x: Array,
-    v: Array,
-    side: Array,
-    spin: Array,
+def _empty_group(n: int) -> Group:
+    vectors = (n, 3, LANES)
+    return np.empty(vectors), np.empty(vectors), np.empty(vectors), np.empty((n, LANES))
+
+
+@njit(nogil=True)
+def _empty_scratch(n: int) -> tuple[Any, ...]:
+    """What a substep overwrites: the system, two right sides, directions and contacts."""
+    system = (
+        np.empty((n, 10, LANES)),
+        np.empty((n, 16, LANES)),
+        np.empty((n, 12, LANES)),
+        np.empty((n, 12, LANES)),
+        np.empty((6, LANES)),
+    )
+    rights = np.empty((n + 1, 4, LANES)), np.empty((n + 1, 4, LANES))
+    directions = np.empty((n, 3, LANES)), np.empty((n, 3, LANES))
+    middle, motion, rows = np.empty((n, 3, LANES)), np.empty((n, LANES)), np.zeros((ROWS, 8, LANES))
+    far = np.empty(n + 1, np.int64), np.empty(n * n // 2, np.int64)
+    return system, rights, directions, middle, motion, rows, far
+
+
+@njit(nogil=True)
+def _substep(
+    group: Group,
+    after: Group,
     pull: Array,
+    step: Array,
+    numbers: Array,
+    damping: Array,
+    contact: Array,
+    start: Ints,
+    other: Ints,
+    spare: tuple[Any, ...],
+    found: Ints,
+    accepted: NDArray[np.bool_],
 ) -> None:
+    """Move LANES ropes from `group` to `after`; write how many contacts each has, and whether what
+    it did may be kept.
+    """
+    x, v, side, spin = group
+    x1, v1, side1, spin1 = after
+    system, (right, loaded), (tangent, tangent1), middle, motion, rows, (start_far, other_far) = (
+        spare
+    )
+    n, length = len(x), numbers[LENGTH]
+    ahead = np.zeros((1, LANES))
+    tangents(x, v, ahead, tangent)
+    put(ahead, (0,), 0.5 * load(step, (0,)))
+    tangents(x, v, ahead, tangent1)
+    # velocities without contact
+    assemble(tangent1, side, v, spin, v, spin, pull, step, numbers, damping, system, right)
+    factor(system)
+    forward(system, right, 0)
+    for i in range(n + 1):
+        for c in range(4):
+            put(loaded, (i, c), load(right, (i, c)))
+    backward(system, right)
+    _read(right, v1, spin1)
+    # with contact
+    middles(x, middle)
+    find_rows(x, v1, tangent, middle, start, other, step, contact, length, motion, rows, found)
+    most = 0
+    for lane in range(LANES):
+        most = max(most, found[lane])
+    if most > 0:
+        push_apart(rows, found, most, v1, step, contact, system, loaded)
+        backward(system, loaded)
+        _read(loaded, v1, spin1)
+    h = load(step, (0,))
+    for i in range(n):
+        for c in range(3):
+            put(x1, (i, c), fma(h, load(v1, (i, c)), load(x, (i, c))))
+            put(side1, (i, c), load(side, (i, c)))
+    set_lengths(x1, length, 2)
+    put(ahead, (0,), 0.0)
+    tangents(x1, v1, ahead, tangent1)
+    turn_sides(side1, tangent, tangent1, spin1, step)
+    judge(x, x1, tangent, middle, motion, start, other, start_far, other_far, length, accepted)
+
+
+@njit(nogil=True)
+def _next(clock: Ints, lane: int, accepted: bool, schedule: Ints, counts: Ints) -> bool:
+    """Set a lane's next substep, after one accepted or not; return whether its action is over."""
+    if accepted:
+        counts[SUBSTEPS] += 1
+        clock[LEFT, lane] -= clock[TICK, lane]
+        if clock[LEFT, lane] == 0:
+            clock[STAGE, lane] += 1
+            if clock[STAGE, lane] == len(schedule):
+                return True
+            clock[LEFT, lane] = clock[TICK, lane] = schedule[clock[STAGE, lane]] * TICKS
+        clock[TICK, lane] = min(clock[TICK, lane], clock[LEFT, lane])
+        return False
+    counts[REJECTED] += 1
+    clock[TICK, lane] //= 2
+    if clock[TICK, lane] > 0:
+        return False
+    counts[LOST] = clock[LEFT, lane]
+    for later in range(clock[STAGE, lane] + 1, len(schedule)):
+        counts[LOST] += TICKS * schedule[later]
+    return True
+
+
+@njit(nogil=True)
+def _keep_busy(clock: Ints, group: Group, pull: Array) -> bool:
+    """Let lanes without a rope do what another does, and nobody looks; return if there is one."""
+    busy = -1
+    for lane in range(LANES):
+        if clock[ROPE, lane] >= 0:
+            busy = lane
+    if busy < 0:
+        return False
+    for lane in range(LANES):
+        if clock[ROPE, lane] < 0:
+            _copy(group, busy, group, lane)
+            for i in range(len(pull)):
+                for c in range(3):
+                    pull[i, c, lane] = pull[i, c, busy]
+            clock[TICK, lane] = clock[TICK, busy]
+    return True
+
+
+@njit(nogil=True)
+def _list(x: Array, spare: tuple[Any, ...], listed: Array, start: Ints, other: Ints) -> None:
+    """List near pairs of edges, and keep where the vertices were."""
+    middles(x, spare[3])
+    list_pairs(spare[3], LISTED, start, other)
+    for i in range(len(x)):
+        for c in range(3):
+            put(listed, (i, c), load(x, (i, c)))
+
+
+@njit(nogil=True)
+def _take(state: Array, bead: int, force: Array, lane: int, group: Group, pull: Array) -> None:
     """Put a rope into a lane. The force on its bead's centre is shared by the bead's vertices."""
+    x, v, side, spin = group
     n = len(state)
     for i in range(n):
         for c in range(3):
@@ -243,8 +285,9 @@ def _take(
 
 
 @njit(nogil=True)
-def _give(state: Array, lane: int, x: Array, v: Array, side: Array, spin: Array) -> None:
+def _give(state: Array, lane: int, group: Group) -> None:
     """Write what a lane holds to a rope's state."""
+    x, v, side, spin = group
     for i in range(len(state)):
         for c in range(3):
             state[i, c], state[i, 3 + c] = x[i, c, lane], v[i, c, lane]
@@ -253,13 +296,23 @@ def _give(state: Array, lane: int, x: Array, v: Array, side: Array, spin: Array)
 
 
 @njit(nogil=True)
-def _copy(source: int, lane: int, x: Array, v: Array, side: Array, spin: Array) -> None:
-    """Copy one lane to another."""
-    for i in range(len(x)):
+def _copy(source: Group, lane: int, target: Group, to: int) -> None:
+    """Copy one lane's rope to a lane."""
+    for i in range(len(source[0])):
         for c in range(3):
-            x[i, c, lane], v[i, c, lane] = x[i, c, source], v[i, c, source]
-            side[i, c, lane] = side[i, c, source]
-        spin[i, lane] = spin[i, source]
+            target[0][i, c, to] = source[0][i, c, lane]
+            target[1][i, c, to] = source[1][i, c, lane]
+            target[2][i, c, to] = source[2][i, c, lane]
+        target[3][i, to] = source[3][i, lane]
+
+
+@njit(nogil=True)
+def _stop(group: Group, lane: int) -> None:
+    """Bring a lane's rope to rest."""
+    for i in range(len(group[0])):
+        for c in range(3):
+            group[1][i, c, lane] = 0.0
+        group[3][i, lane] = 0.0
 
 
 @njit(nogil=True)
