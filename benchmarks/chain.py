@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from knotgym.chain.simulation import ChainSimulation
+from knotgym.chain.chain_simulation import ChainSimulation
 from knotgym.chain.solver import SCHEDULE
 from knotgym.datasets.states import read_states, shipped
 from knotgym.rope import Rope, RopeConfig
@@ -189,12 +189,16 @@ def play(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
                 crossings = np.array([code.nx for code in label_many(points)])
                 centred = points - points.mean(axis=1, keepdims=True)
                 radius = np.sqrt((centred**2).sum(axis=2).mean(axis=1))
-                error = 1.96 / np.sqrt(args.ropes)
                 told[f"{name}, after {step}"] = {
-                    "crossings": [crossings.mean(), error * crossings.std()],
-                    "radius, m": [radius.mean(), error * radius.std()],
+                    "crossings": interval(crossings),
+                    "radius, m": interval(radius),
                 }
     return told
+
+
+def interval(values: NDArray[Any]) -> list[float]:
+    """Mean and half of its 95 % interval."""
+    return [round(float(x), 4) for x in (values.mean(), 1.96 * values.std() / len(values) ** 0.5)]
 
 
 def through(points: Array, rng: np.random.Generator) -> tuple[int, Array]:

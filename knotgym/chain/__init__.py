@@ -1,10 +1,10 @@
 """The chain engine: a fast solver for the closed rope, with the interface of MuJoCo's engine.
 
-`simulation.ChainSimulation` takes the place of `knotgym.simulation.Simulation`.
+`chain_simulation.ChainSimulation` takes the place of `knotgym.simulation.Simulation`.
 
 | module | holds |
 | --- | --- |
-| `simulation` | many ropes stepped at once: states, actions, conversion to and from MuJoCo's qpos |
+| `chain_simulation` | many ropes stepped at once: states, actions, conversion to and from MuJoCo's qpos |
 | `solver` | the loop over substeps: their lengths, acceptance and rejection |
 | `dynamics` | the equations of motion of one substep |
 | `banded` | their linear system: layout, factorization, substitution |

@@ -159,7 +159,7 @@ class ChainSimulation(Simulation):
         self.taken_back[where] = back
         self.actions_taken_back += int(np.count_nonzero(back))
         self.steps_taken += len(where)
-        return np.isfinite(states).reshape(len(where), -1).all(axis=1)
+        return np.asarray(np.isfinite(states).all(axis=(1, 2)), dtype=bool)
 
 
 def parameters(rope: Rope) -> tuple[Array, Array, Array]:
