@@ -4,7 +4,7 @@
 
 | module | holds |
 | --- | --- |
-| `chain_simulation` | many ropes stepped at once: states, actions, conversion to and from MuJoCo's qpos |
+| `chain_simulation` | many ropes stepped at once; to and from MuJoCo's qpos |
 | `solver` | the loop over substeps: their lengths, acceptance and rejection |
 | `dynamics` | the equations of motion of one substep |
 | `banded` | their linear system: layout, factorization, substitution |

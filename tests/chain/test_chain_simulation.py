@@ -13,9 +13,9 @@ import pytest
 from numba import njit
 from numpy.typing import NDArray
 
+from knotgym.chain.chain_simulation import ChainSimulation, parameters
 from knotgym.chain.contact import closest
 from knotgym.chain.simd import LANES, put
-from knotgym.chain.chain_simulation import ChainSimulation, parameters
 from knotgym.rope import Rope, RopeConfig, clearance
 from knotgym.simulation import InvalidAction, Simulation
 from knotgym.topology.crossings import find_crossings, label, label_many
