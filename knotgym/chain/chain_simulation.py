@@ -71,7 +71,7 @@ class ChainSimulation(Simulation):
         self._pool = ThreadPoolExecutor(workers) if workers > 1 else None
         self._workers = workers
         self._states: Array = np.empty((count, self.rope.config.beads, STATE))
-        self.points: Array = self._states[:, :, :3]
+        self.points: Array = np.empty((count, self.rope.config.beads, 3))
         self.taken_back: NDArray[np.bool_] = np.zeros(count, dtype=bool)
         self.actions_taken_back = 0
         self.steps_taken = 0
@@ -100,6 +100,7 @@ class ChainSimulation(Simulation):
         """Put ropes back into states that `states` returned, for a rope of the same model."""
         where = self._all(ids)
         self._states[where] = np.reshape(states, (len(where), *self._states.shape[1:]))
+        self.points[where] = self._states[where, :, :3]
         self.taken_back[where] = False
 
     def lay(self, qpos: ArrayLike, ids: Ids = None) -> None:
@@ -154,7 +155,7 @@ class ChainSimulation(Simulation):
 
         firsts = range(0, len(where), sizes) if len(where) else ()
         list((self._pool.map if self._pool else map)(move, firsts))
-        self._states[where] = states
+        self._states[where], self.points[where] = states, states[:, :, :3]
         back = counts[:, LOST] > 0
         self.taken_back[where] = back
         self.actions_taken_back += int(np.count_nonzero(back))
@@ -252,8 +253,26 @@ def _product(a: Array, b: Array) -> Array:
 
 
 def _quaternions(axes: Array) -> Array:
-    """Unit quaternions, w first, of rotation matrices (..., 3, 3)."""
-    flat, quaternions = axes.reshape(-1, 9), np.empty((axes.size // 9, 4))
-    for matrix, quaternion in zip(flat, quaternions, strict=True):
-        mujoco.mju_mat2Quat(quaternion, matrix)
-    return quaternions.reshape(*axes.shape[:-2], 4)
+    """Unit quaternions, w first, of rotation matrices (..., 3, 3).
+
+    Row i of the matrix below is 4 q_i q; the row of the largest q_i is well conditioned.
+    """
+    m = np.moveaxis(axes, (-2, -1), (0, 1))
+    across = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
+    along = m[1, 0] + m[0, 1], m[0, 2] + m[2, 0], m[2, 1] + m[1, 2]
+    square = [
+        1 + m[0, 0] * a + m[1, 1] * b + m[2, 2] * a * b
+        for a, b in ((1, 1), (1, -1), (-1, 1), (-1, -1))
+    ]
+    rows = np.array(
+        [
+            [square[0], *across],
+            [across[0], square[1], along[0], along[1]],
+            [across[1], along[0], square[2], along[2]],
+            [across[2], along[1], along[2], square[3]],
+        ]
+    )
+    best = np.argmax(square, axis=0)
+    found = np.moveaxis(np.take_along_axis(rows, best[None, None], axis=0)[0], 0, -1)
+    unit: Array = found / np.linalg.norm(found, axis=-1, keepdims=True)
+    return unit
