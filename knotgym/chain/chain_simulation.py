@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.chain.contact import DAMPING as CONTACT_DAMPING
-from knotgym.chain.contact import FLOOR, RADIUS, STIFFNESS
+from knotgym.chain.contact import FLOOR, RADIUS, STIFFNESS, longest_edge
 from knotgym.chain.dynamics import (
     ACROSS,
     ALONG,
@@ -63,6 +63,12 @@ class ChainSimulation(Simulation):
         if count < 1:
             raise InvalidSimulation(f"a simulation needs at least 1 rope, got {count}")
         self.rope = rope or Rope()
+        longest = longest_edge(self.rope.config.radius)
+        if self.rope.config.bead_length > longest:
+            raise InvalidSimulation(
+                "the chain engine takes ropes whose beads are at most"
+                f" {1000 * longest:.2f} mm long, got {1000 * self.rope.config.bead_length:.2f} mm"
+            )
         self.count = count
         self._threads = threads
         self._schedule = np.array(schedule, dtype=np.int64)

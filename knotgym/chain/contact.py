@@ -64,6 +64,12 @@ _NEXT = 3  # edges nearer than this along the rope are not in the list
 _STRETCH = 1.01  # no edge is longer than this times its length
 
 
+def longest_edge(radius: float) -> float:
+    """The longest edge, metres, for which the distances above prove what they are meant to."""
+    listed = LISTED - 2.0 * DRIFT - max(2.0 * STROLL, 2.0 * radius + LOOKAHEAD)
+    return min(listed, FAR_APART - 2.0 * LEAP) / _STRETCH
+
+
 @njit(nogil=True)
 def middles(x: Array, middle: Array) -> None:
     """Write the midpoints of the edges."""

@@ -27,8 +27,8 @@ Directions t_i are those at the middle of the substep, extrapolated with the old
 them edges keep their length to second order, and turn by second-order steps. Inertia and drag are
 first order: velocities settle within 20 ms of a change of force, and are steady afterwards.
 
-All numbers are MuJoCo's own, read from the model; none is fitted. Left out is that MuJoCo's closures
-are soft, about 77 N/m and 3 N s/m each, so that its rope opens there by a millimetre. As MuJoCo's
+All numbers are MuJoCo's own, read from the model; none is fitted. Left out is the softness of
+MuJoCo's closures, about 77 N/m and 3 N s/m each: its rope opens there by a millimetre. As MuJoCo's
 step and that softness go to zero, MuJoCo comes to this model: `benchmarks/chain.py converge`. All
 arrays end with an axis of LANES ropes, see `simd`.
 """

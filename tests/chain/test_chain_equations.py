@@ -64,7 +64,8 @@ def dense(
     for i in range(N):
         add(turning[i] - turning[i - 1], damping[i])
     right.reshape(N, 4)[:, :3] += pull
-    found = np.linalg.solve(matrix, right).reshape(N, 4)
+    found = np.empty((N, 4))
+    found.reshape(-1)[:] = np.linalg.solve(matrix, right)
     return found[:, :3], found[:, 3]
 
 

@@ -216,6 +216,14 @@ def test_actions_are_read_as_in_mujocos_engine(rope: Rope) -> None:
         ChainSimulation(0)
 
 
+def test_a_rope_that_the_proof_does_not_cover_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"at most 13.* mm long, got 26.60 mm"):
+        ChainSimulation(1, Rope(RopeConfig(beads=50)))
+    shorter = ChainSimulation(1, Rope(RopeConfig(beads=110)))
+    shorter.act(np.full((1, 6), 0.5))
+    assert np.abs(lengths(shorter.points) / (1.33 / 110) - 1).max() < 1e-3
+
+
 def test_edges_are_as_far_apart_as_numpy_says() -> None:
     rng = np.random.default_rng(0)
     x = rng.normal(size=(200, 3, LANES))
