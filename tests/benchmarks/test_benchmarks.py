@@ -374,3 +374,22 @@ def test_drawings_of_random_codes_and_of_knots_are_counted(tmp_path: Path) -> No
     (tmp_path / "drawn.json").unlink()
     knots = figures("drawn", tmp_path, "knots", "--knots", "3_1", "--drawings", 3)["rows"]
     assert knots["3_1"]["laid"]
+
+
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [
+        ("speed", ("--ropes", 4, "--repeats", 1)),
+        ("distance", ("--states", 1)),
+        ("play", ("--ropes", 2)),
+        ("adversarial", ("--ropes", 10, "--actions", 20, "--steps", 2, "--certify", 2)),
+    ],
+)
+def test_the_chain_engine_is_measured_beside_mujocos(
+    command: str, words: tuple[object, ...], tmp_path: Path
+) -> None:
+    results = figures("chain", tmp_path, command, *words)["results"]
+    if command == "distance":
+        assert results["apart, mm"]["after 1"] < 1.2 and results["apart, mm"]["after 4"] < 5
+    if command == "adversarial":
+        assert all(found["knotted"] == 0 for found in results.values())

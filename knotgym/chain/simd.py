@@ -2,8 +2,8 @@
 
 `Lanes` are LANES float64 side by side, a SIMD vector where the processor has one. They stand in
 arrays along a last axis of length LANES, `load` and `put` take them out and in. Sums, differences,
-products, quotients, `math.sqrt`, `abs` and `max` go lane by lane, with plain numbers too; so no
-lane can tell what the others hold.
+products, quotients, `math.sqrt`, `abs`, `min` and `max` go lane by lane, with plain numbers too; so
+no lane can tell what the others hold.
 """
 
 from __future__ import annotations
@@ -86,6 +86,10 @@ def _larger(builder: Any, one: Any, other: Any) -> Any:
     return builder.select(builder.fcmp_ordered(">", other, one), other, one)
 
 
+def _smaller(builder: Any, one: Any, other: Any) -> Any:
+    return builder.select(builder.fcmp_ordered("<", other, one), other, one)
+
+
 for _function, _emit in (
     (operator.add, ir.IRBuilder.fadd),
     (operator.iadd, ir.IRBuilder.fadd),
@@ -95,6 +99,7 @@ for _function, _emit in (
     (operator.imul, ir.IRBuilder.fmul),
     (operator.truediv, ir.IRBuilder.fdiv),
     (max, _larger),
+    (min, _smaller),
 ):
     _teach(_function, 2, _emit)
 _teach(operator.neg, 1, ir.IRBuilder.fneg)
@@ -137,6 +142,28 @@ def put(typing: Any, array: Any, place: Any, value: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(array, _at(array, place), _LANES), emit
+
+
+@intrinsic
+def fma(typing: Any, one: Any, other: Any, added: Any) -> Any:
+    """Return one * other + added, rounded once: the same on every processor."""
+
+    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        kind = ir.FunctionType(_VECTOR, [_VECTOR] * 3)
+        function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.fma.v{LANES}f64")
+        return builder.call(function, args)
+
+    return _LANES(_LANES, _LANES, _LANES), emit
+
+
+@intrinsic
+def where_below(typing: Any, value: Any, bound: Any, below: Any, otherwise: Any) -> Any:
+    """Take lanes of `below` where value < bound, of `otherwise` elsewhere (also at a NaN)."""
+
+    def emit(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.select(builder.fcmp_ordered("<", args[0], args[1]), args[2], args[3])
+
+    return _LANES(_LANES, _LANES, _LANES, _LANES), emit
 
 
 @intrinsic

@@ -5,12 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import pytest
 from numba import njit
 
-from knotgym.learn.lanes import LANES, any_below, load, put
-
-pytestmark = pytest.mark.clients  # as what is built on them
+from knotgym.chain.simd import LANES, any_below, fma, load, put, where_below
 
 
 @njit
@@ -45,3 +42,21 @@ def test_a_number_goes_into_every_lane() -> None:
     array = np.zeros((2, LANES))
     fill(array)
     assert array.tolist() == [[0.0] * LANES, [7.0] * LANES]
+
+
+@njit
+def chosen(one: np.ndarray, other: np.ndarray, out: np.ndarray) -> None:
+    x, y = load(one, (0,)), load(other, (0,))
+    put(out, (0,), where_below(x, y, 1, -1))
+    put(out, (1,), min(x, y))
+    put(out, (2,), fma(x, y, -x * y))
+
+
+def test_lanes_choose_and_round_once() -> None:
+    one, other = np.full((1, LANES), 1 / 3), np.full((1, LANES), 3.0)
+    one[0, 0], other[0, 1] = 5.0, np.nan
+    out = np.empty((3, LANES))
+    chosen(one, other, out)
+    assert out[0].tolist() == [-1.0, -1.0, *[1.0] * (LANES - 2)]
+    assert out[1, 0] == 3.0 and (out[1, 2:] == 1 / 3).all()
+    assert out[2, 2] == -(2.0**-54)  # what the product's rounding to 1 left out

@@ -1,0 +1,315 @@
+"""The chain engine beside MuJoCo's: how fast, how near, alike in random play, and safe.
+
+    python benchmarks/chain.py speed [--out chain.json]
+
+Commands: speed, distance, frontier, converge, play, adversarial.
+
+`speed`: CPU milliseconds an action of either engine on one pinned core, the same ropes and pulls,
+in turn. `distance`: how far beads end from where MuJoCo puts them after 1, 2 and 4 random actions
+of full force, from shipped states of 0 to 4 crossings, mean over beads and states; and how often
+both show the same Gauss code. `frontier`: both for other schedules of substeps. `converge`: the
+distance with ever more substeps, from MuJoCo as it is and from MuJoCo with 16 times the steps and
+stiff closures. `play`: crossings and radius of gyration after random actions on either engine.
+`adversarial`: full force on one bead again and again, neighbours pulled apart, a strand pulled
+through the one it crosses, and a bead towed; counts changes of knot type (by `is_unknot`), of ropes
+that are not finite, the largest error of an edge's length and actions taken back. The certificate
+looks from a random direction.
+"""
+
+import argparse
+import json
+import os
+import resource
+import statistics
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+from knotgym.chain.chain_simulation import ChainSimulation
+from knotgym.chain.solver import SCHEDULE
+from knotgym.datasets.states import read_states, shipped
+from knotgym.rope import Rope, RopeConfig
+from knotgym.simulation import Simulation
+from knotgym.topology.crossings import find_crossings, label_many
+from knotgym.topology.knots import UndecidedKnot, is_unknot
+
+Array = NDArray[np.float64]
+SETS = ("readable", "random-walk")
+FORCE = RopeConfig().max_force
+SCHEDULES = ((1, 2, 4, 5, 6, 6), (1, 2, 3, 4, 4, 5, 5), (1, 1, 2, 2, 4, 4, 5, 5), (1,) * 24)
+FINE = replace(
+    RopeConfig(),
+    timestep=0.0005,
+    frame_skip=384,
+    closure_solref=(0.003, 1.0),
+    closure_solimp=(0.99, 0.99, 0.001, 0.5, 2.0),
+)
+
+
+def starts(each: int, rng: np.random.Generator) -> Array:
+    """qpos of `each` states of every crossing number of every set."""
+    found = []
+    for name in SETS:
+        states = read_states(shipped(name), images=False)
+        for nx in range(5):
+            rows = rng.permutation(np.flatnonzero(states.nx == nx))[:each]
+            found.append(states.qpos[rows])
+    return np.concatenate(found)
+
+
+def pulls(count: int, steps: int, rng: np.random.Generator) -> list[tuple[Any, Array]]:
+    return [
+        (rng.integers(100, size=count), FORCE * rng.uniform(-1, 1, (count, 3)))
+        for _ in range(steps)
+    ]
+
+
+def timed(simulation: Simulation, actions: list[tuple[Any, Array]]) -> float:
+    """CPU milliseconds an action of one rope."""
+    began = time.process_time()
+    for beads, forces in actions:
+        simulation.step(beads, forces)
+    return 1e3 * (time.process_time() - began) / len(actions) / simulation.count
+
+
+def traced(simulation: Simulation, qpos: Array, actions: list[tuple[Any, Array]]) -> Array:
+    """Points after each action: (actions, ropes, beads, 3)."""
+    simulation.lay(qpos)
+    after = []
+    for beads, forces in actions:
+        simulation.step(beads, forces)
+        after.append(simulation.points.copy())
+    return np.stack(after)
+
+
+def apart(one: Array, other: Array) -> dict[str, float]:
+    """Mean distance of beads, millimetres, after 1, 2 and 4 actions."""
+    far = 1e3 * np.linalg.norm(one - other, axis=-1).mean(axis=(1, 2))
+    return {f"after {k}": round(float(far[k - 1]), 3) for k in (1, 2, 4)}
+
+
+def speed(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
+    qpos = read_states(shipped("random-walk"), images=False).qpos[: args.ropes]
+    engines = [Simulation(len(qpos)), ChainSimulation(len(qpos))]
+    for engine in engines:
+        engine.lay(qpos)
+        timed(engine, pulls(len(qpos), 1, rng))
+    spent = []
+    for _ in range(args.repeats):
+        actions = pulls(len(qpos), 20, rng)
+        spent.append((timed(engines[0], actions[:3]), timed(engines[1], actions)))
+    medians = [statistics.median(column) for column in zip(*spent, strict=True)]
+    return {
+        "MuJoCo, ms an action": medians[0],
+        "chain, ms an action": medians[1],
+        "times as fast": statistics.median(slow / fast for slow, fast in spent),
+        "chain, seconds of rope a second": 192 / medians[1],
+    }
+
+
+def distance(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
+    qpos = starts(args.states, rng)
+    actions = pulls(len(qpos), 4, rng)
+    truth = traced(Simulation(len(qpos)), qpos, actions)
+    found = traced(ChainSimulation(len(qpos)), qpos, actions)
+    same = [
+        statistics.mean(a == b for a, b in zip(label_many(one), label_many(other), strict=True))
+        for one, other in zip(truth, found, strict=True)
+    ]
+    rope, half = Rope(), len(qpos) // 2
+    moved = 1e3 * np.linalg.norm(truth[0] - rope.points(qpos), axis=-1).mean()
+    return {
+        "states": len(qpos),
+        "beads move in the first action, mm": round(float(moved), 2),
+        "apart, mm": apart(truth, found),
+        "readable": apart(truth[:, :half], found[:, :half]),
+        "random-walk": apart(truth[:, half:], found[:, half:]),
+        "same code after 1, 2, 3, 4": [round(share, 3) for share in same],
+        "laid with the state's code": statistics.mean(
+            a == b
+            for a, b in zip(
+                label_many(rope.points(qpos)), label_many(laid(qpos).points), strict=True
+            )
+        ),
+    }
+
+
+def laid(qpos: Array) -> ChainSimulation:
+    simulation = ChainSimulation(len(qpos))
+    simulation.lay(qpos)
+    return simulation
+
+
+def frontier(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
+    qpos = starts(args.states, rng)
+    actions = pulls(len(qpos), 4, rng)
+    reference = Simulation(len(qpos))
+    truth, told = traced(reference, qpos, actions), {}
+    for schedule in SCHEDULES:
+        chain = ChainSimulation(len(qpos), schedule=schedule)
+        far = apart(truth, traced(chain, qpos, actions))
+        rates = []
+        for _ in range(args.repeats):
+            slow = timed(reference, pulls(len(qpos), 1, rng))
+            rates.append(slow / timed(chain, pulls(len(qpos), 10, rng)))
+        told[str(schedule)] = far | {"times as fast": round(statistics.median(rates), 1)}
+    return told
+
+
+def converge(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
+    qpos = starts(args.states, rng)
+    actions = pulls(len(qpos), 4, rng)
+    truth = traced(Simulation(len(qpos)), qpos, actions)
+    fine = traced(Simulation(len(qpos), Rope(FINE)), qpos, actions)
+    told: dict[str, Any] = {"fine MuJoCo from MuJoCo": apart(fine, truth)}
+    for schedule in (SCHEDULE, (1,) * 24, (1,) * 96):
+        chain = traced(ChainSimulation(len(qpos), schedule=schedule), qpos, actions)
+        name = f"{len(schedule)} substeps"
+        told[f"{name}, from MuJoCo"] = apart(chain, truth)
+        told[f"{name}, from fine MuJoCo"] = apart(chain, fine)
+    return told
+
+
+def play(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
+    qpos = read_states(shipped("random-walk"), images=False).qpos
+    qpos = qpos[rng.integers(len(qpos), size=args.ropes)]
+    actions = [rng.uniform(-1, 1, (args.ropes, 6)) for _ in range(50)]
+    told: dict[str, Any] = {}
+    for name, engine in (("MuJoCo", Simulation), ("chain", ChainSimulation)):
+        simulation = engine(args.ropes)
+        simulation.lay(qpos)
+        for step, action in enumerate(actions, 1):
+            simulation.act(action)
+            if step in (10, 50):
+                points = simulation.points
+                crossings = np.array([code.nx for code in label_many(points)])
+                centred = points - points.mean(axis=1, keepdims=True)
+                radius = np.sqrt((centred**2).sum(axis=2).mean(axis=1))
+                told[f"{name}, after {step}"] = {
+                    "crossings": interval(crossings),
+                    "radius, m": interval(radius),
+                }
+    return told
+
+
+def interval(values: NDArray[Any]) -> list[float]:
+    """Mean and half of its 95 % interval."""
+    return [round(float(x), 4) for x in (values.mean(), 1.96 * values.std() / len(values) ** 0.5)]
+
+
+def through(points: Array, rng: np.random.Generator) -> tuple[int, Array]:
+    """The bead of a crossing's upper strand, and full force towards the lower one."""
+    crossings = find_crossings(points)
+    if not crossings.nx:
+        return int(rng.integers(len(points))), FORCE * rng.choice([-1.0, 1.0], 3)
+    at = int(rng.integers(crossings.nx))
+    down = np.array([*rng.uniform(-0.3, 0.3, 2), -1.0])
+    if rng.random() < 0.5:
+        return int(crossings.over_place[at]) % len(points), FORCE * down
+    return int(crossings.under_place[at]) % len(points), -FORCE * down
+
+
+def turned(rng: np.random.Generator) -> Array:
+    """A random rotation."""
+    matrix: Array = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    return matrix * np.sign(np.linalg.det(matrix))
+
+
+Adversary = Callable[[Array, int, NDArray[np.int64], Array, np.random.Generator], Any]
+
+
+def adversaries() -> dict[str, Adversary]:
+    """What pulls: functions of the points, the step, a bead and a direction of each rope."""
+
+    def full(points: Array, step: int, beads: Any, ways: Array, rng: Any) -> Any:
+        return beads, FORCE * np.sign(ways)
+
+    def neighbours(points: Array, step: int, beads: Any, ways: Array, rng: Any) -> Any:
+        return (beads + step % 2 * 2) % 100, FORCE * np.sign(ways) * (-1) ** step
+
+    def crossing(points: Array, step: int, beads: Any, ways: Array, rng: Any) -> Any:
+        found = [through(rope, rng) for rope in points]
+        return np.array([bead for bead, _ in found]), np.stack([force for _, force in found])
+
+    def tow(points: Array, step: int, beads: Any, ways: Array, rng: Any) -> Any:
+        # towards the other side of the rope, so that it is drawn through itself
+        rows = np.arange(len(points))
+        way = points[rows, (beads + 50) % 100] - points[rows, beads]
+        return beads, FORCE * way / np.abs(way).max(axis=1, keepdims=True)
+
+    return {"full": full, "neighbours": neighbours, "crossing": crossing, "tow": tow}
+
+
+def adversarial(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
+    told: dict[str, Any] = {}
+    length = RopeConfig().bead_length
+    for name, adversary in adversaries().items():
+        counted = dict.fromkeys(("actions", "knotted", "undecided", "not finite"), 0)
+        simulation, worst, most = ChainSimulation(args.ropes), 0.0, 0
+        while counted["actions"] < args.actions:
+            qpos = starts(args.ropes // 10, rng)
+            simulation.lay(qpos[rng.integers(len(qpos), size=args.ropes)])
+            beads = rng.integers(100, size=args.ropes)
+            ways = rng.normal(size=(args.ropes, 3))
+            for step in range(args.steps):
+                if step % args.hold == 0:
+                    beads = rng.integers(100, size=args.ropes)
+                    ways = rng.normal(size=(args.ropes, 3))
+                simulation.step(*adversary(simulation.points, step, beads, ways, rng))
+                counted["actions"] += args.ropes
+                edges = np.roll(simulation.points, -1, axis=1) - simulation.points
+                off = np.abs(np.linalg.norm(edges, axis=2) / length - 1).max()
+                worst = max(worst, float(off))
+                counted["not finite"] += int(
+                    (~np.isfinite(simulation.points)).any(axis=(1, 2)).sum()
+                )
+                if (step + 1) % args.certify == 0:
+                    for code in label_many(simulation.points @ turned(rng)):
+                        most = max(most, code.nx)
+                        try:
+                            counted["knotted"] += not is_unknot(code)
+                        except UndecidedKnot:
+                            counted["undecided"] += 1
+        told[name] = counted | {
+            "taken back": simulation.actions_taken_back,
+            "edge length off at most": worst,
+            "crossings at most": most,
+            "memory at most, MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024,
+        }
+        Console().print(name, told[name])
+    return told
+
+
+COMMANDS = {run.__name__: run for run in (speed, distance, frontier, converge, play, adversarial)}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("command", choices=COMMANDS)
+    parser.add_argument("--out", type=Path, default=Path("chain.json"))
+    parser.add_argument("--ropes", type=int, default=64)
+    parser.add_argument("--states", type=int, default=20, help="of each crossing number and set")
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--actions", type=int, default=250_000, help="of each adversary")
+    parser.add_argument("--steps", type=int, default=60, help="actions from one start")
+    parser.add_argument("--hold", type=int, default=20, help="actions on one bead")
+    parser.add_argument("--certify", type=int, default=10, help="actions between two certificates")
+    parser.add_argument("--seed", type=int, default=0)
+    args = parser.parse_args()
+    if hasattr(os, "sched_setaffinity") and args.command in ("speed", "frontier"):
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+    told = COMMANDS[args.command](args, np.random.default_rng(args.seed))
+    args.out.write_text(json.dumps({"results": told}, indent=2) + "\n", encoding="utf-8")
+    Console().print(told)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,13 @@
+"""The chain engine: a fast solver for the closed rope, with the interface of MuJoCo's engine.
+
+`chain_simulation.ChainSimulation` takes the place of `knotgym.simulation.Simulation`.
+
+| module | holds |
+| --- | --- |
+| `chain_simulation` | many ropes stepped at once; to and from MuJoCo's qpos |
+| `solver` | the loop over substeps: their lengths, acceptance and rejection |
+| `dynamics` | the equations of motion of one substep |
+| `banded` | their linear system: layout, factorization, substitution |
+| `contact` | pairs of edges that touch, contact forces, the proof that no strands passed |
+| `simd` | several float64 as one value in compiled code |
+"""

@@ -1,0 +1,251 @@
+"""The linear system of a substep: a symmetric banded matrix with an arrow, factored in place.
+
+The unknowns of a rope of n vertices are grouped in n blocks of four, block k holding the velocity
+of vertex k (x, y, z) and the spin of bead k, which begins there. A joint couples three vertices, so
+block k is coupled with blocks k + 1 and k + 2, round the loop. The loop is cut at vertex 0, whose
+joint must not be damped: the velocity of vertex 0 leaves block 0 and becomes the last unknown, the
+*corner*; what couples it with the others is the *arrow*.
+
+    | D0                      .  |    diag[k]    D_k, lower triangle of 4 x 4 by rows, 10 numbers
+    | N0 D1                   .  |    near[k]    N_k, 4 x 4: rows of block k + 1, columns of k
+    | F0 N1 D2                .  |    far[k]     F_k, 3 x 4: velocity of block k + 2 (a spin is
+    |    F1 N2 D3             .  |               never coupled two blocks back), columns of k
+    |       .  .  .           .  |    arrow[k]   A_k, 3 x 4: rows of the corner, columns of k
+    | A0 A1 A2 .  .        corner|    corner     lower triangle of 3 x 3 by rows, 6 numbers
+
+The factorization is A = L D L^T without pivoting, which is stable as A is positive definite. No
+block is filled in but the arrow. `factor` replaces diag[k] by the inverse pivots and the unit lower
+triangle, and near, far and arrow by their blocks of L: about 330 multiplications a vertex. `fma`
+rounds once on every processor, so results don't depend on how a compiler contracts products.
+
+All arrays end with an axis of LANES ropes, see `simd`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from knotgym.chain.simd import fma, load, put
+
+Array = NDArray[np.float64]
+System = tuple[Array, Array, Array, Array, Array]  # diag, near, far, arrow, corner
+
+
+@njit(nogil=True)
+def factor(system: System) -> None:
+    """Factor in place, right-looking: each column, once done, is subtracted from what follows.
+
+    Write S = l d l^T for the pivot block, and M for a block below it. Then y = M l^-T are its rows
+    before they are scaled and z = y d^-1 is the block of L; M S^-1 M'^T = y z'^T.
+    """
+    diag, near, far, arrow, corner = system
+    n = len(diag)
+    for k in range(n):
+        # pivot block: l_ij below the diagonal, inverse pivots d on it
+        d0 = 1.0 / load(diag, (k, 0))
+        a10, a20, a30 = load(diag, (k, 1)), load(diag, (k, 3)), load(diag, (k, 6))
+        l10, l20, l30 = a10 * d0, a20 * d0, a30 * d0
+        d1 = 1.0 / fma(-a10, l10, load(diag, (k, 2)))
+        a21, a31 = fma(-a20, l10, load(diag, (k, 4))), fma(-a30, l10, load(diag, (k, 7)))
+        l21, l31 = a21 * d1, a31 * d1
+        d2 = 1.0 / fma(-a21, l21, fma(-a20, l20, load(diag, (k, 5))))
+        a32 = fma(-a31, l21, fma(-a30, l20, load(diag, (k, 8))))
+        l32 = a32 * d2
+        d3 = 1.0 / fma(-a32, l32, fma(-a31, l31, fma(-a30, l30, load(diag, (k, 9)))))
+        put(diag, (k, 0), d0)
+        put(diag, (k, 1), l10)
+        put(diag, (k, 2), d1)
+        put(diag, (k, 3), l20)
+        put(diag, (k, 4), l21)
+        put(diag, (k, 5), d2)
+        put(diag, (k, 6), l30)
+        put(diag, (k, 7), l31)
+        put(diag, (k, 8), l32)
+        put(diag, (k, 9), d3)
+        if k + 1 < n:
+            for r in range(4):  # rows of block k + 1
+                y0 = load(near, (k, 4 * r))
+                y1 = fma(-l10, y0, load(near, (k, 4 * r + 1)))
+                y2 = fma(-l21, y1, fma(-l20, y0, load(near, (k, 4 * r + 2))))
+                y3 = fma(-l32, y2, fma(-l31, y1, fma(-l30, y0, load(near, (k, 4 * r + 3)))))
+                put(near, (k, 4 * r), y0 * d0)
+                put(near, (k, 4 * r + 1), y1 * d1)
+                put(near, (k, 4 * r + 2), y2 * d2)
+                put(near, (k, 4 * r + 3), y3 * d3)
+                # D_(k + 1) -= y z^T, the lower triangle: rows of z up to r are done
+                at = r * (r + 1) // 2
+                for c in range(r + 1):
+                    s = load(diag, (k + 1, at + c))
+                    s = fma(-y0, load(near, (k, 4 * c)), s)
+                    s = fma(-y1, load(near, (k, 4 * c + 1)), s)
+                    s = fma(-y2, load(near, (k, 4 * c + 2)), s)
+                    s = fma(-y3, load(near, (k, 4 * c + 3)), s)
+                    put(diag, (k + 1, at + c), s)
+        if k + 2 < n:
+            for r in range(3):  # rows of block k + 2
+                y0 = load(far, (k, 4 * r))
+                y1 = fma(-l10, y0, load(far, (k, 4 * r + 1)))
+                y2 = fma(-l21, y1, fma(-l20, y0, load(far, (k, 4 * r + 2))))
+                y3 = fma(-l32, y2, fma(-l31, y1, fma(-l30, y0, load(far, (k, 4 * r + 3)))))
+                put(far, (k, 4 * r), y0 * d0)
+                put(far, (k, 4 * r + 1), y1 * d1)
+                put(far, (k, 4 * r + 2), y2 * d2)
+                put(far, (k, 4 * r + 3), y3 * d3)
+                at = r * (r + 1) // 2
+                for c in range(r + 1):
+                    s = load(diag, (k + 2, at + c))
+                    s = fma(-y0, load(far, (k, 4 * c)), s)
+                    s = fma(-y1, load(far, (k, 4 * c + 1)), s)
+                    s = fma(-y2, load(far, (k, 4 * c + 2)), s)
+                    s = fma(-y3, load(far, (k, 4 * c + 3)), s)
+                    put(diag, (k + 2, at + c), s)
+                for c in range(4):
+                    s = load(near, (k + 1, 4 * r + c))
+                    s = fma(-y0, load(near, (k, 4 * c)), s)
+                    s = fma(-y1, load(near, (k, 4 * c + 1)), s)
+                    s = fma(-y2, load(near, (k, 4 * c + 2)), s)
+                    s = fma(-y3, load(near, (k, 4 * c + 3)), s)
+                    put(near, (k + 1, 4 * r + c), s)
+        for r in range(3):  # rows of the corner
+            y0 = load(arrow, (k, 4 * r))
+            y1 = fma(-l10, y0, load(arrow, (k, 4 * r + 1)))
+            y2 = fma(-l21, y1, fma(-l20, y0, load(arrow, (k, 4 * r + 2))))
+            y3 = fma(-l32, y2, fma(-l31, y1, fma(-l30, y0, load(arrow, (k, 4 * r + 3)))))
+            put(arrow, (k, 4 * r), y0 * d0)
+            put(arrow, (k, 4 * r + 1), y1 * d1)
+            put(arrow, (k, 4 * r + 2), y2 * d2)
+            put(arrow, (k, 4 * r + 3), y3 * d3)
+            at = r * (r + 1) // 2
+            for c in range(r + 1):
+                s = load(corner, (at + c,))
+                s = fma(-y0, load(arrow, (k, 4 * c)), s)
+                s = fma(-y1, load(arrow, (k, 4 * c + 1)), s)
+                s = fma(-y2, load(arrow, (k, 4 * c + 2)), s)
+                s = fma(-y3, load(arrow, (k, 4 * c + 3)), s)
+                put(corner, (at + c,), s)
+            if k + 1 < n:
+                for c in range(4):
+                    s = load(arrow, (k + 1, 4 * r + c))
+                    s = fma(-y0, load(near, (k, 4 * c)), s)
+                    s = fma(-y1, load(near, (k, 4 * c + 1)), s)
+                    s = fma(-y2, load(near, (k, 4 * c + 2)), s)
+                    s = fma(-y3, load(near, (k, 4 * c + 3)), s)
+                    put(arrow, (k + 1, 4 * r + c), s)
+            if k + 2 < n:
+                for c in range(3):
+                    s = load(arrow, (k + 2, 4 * r + c))
+                    s = fma(-y0, load(far, (k, 4 * c)), s)
+                    s = fma(-y1, load(far, (k, 4 * c + 1)), s)
+                    s = fma(-y2, load(far, (k, 4 * c + 2)), s)
+                    s = fma(-y3, load(far, (k, 4 * c + 3)), s)
+                    put(arrow, (k + 2, 4 * r + c), s)
+    # the corner, 3 x 3
+    d0 = 1.0 / load(corner, (0,))
+    a10, a20 = load(corner, (1,)), load(corner, (3,))
+    l10, l20 = a10 * d0, a20 * d0
+    d1 = 1.0 / fma(-a10, l10, load(corner, (2,)))
+    a21 = fma(-a20, l10, load(corner, (4,)))
+    l21 = a21 * d1
+    d2 = 1.0 / fma(-a21, l21, fma(-a20, l20, load(corner, (5,))))
+    put(corner, (0,), d0)
+    put(corner, (1,), l10)
+    put(corner, (2,), d1)
+    put(corner, (3,), l20)
+    put(corner, (4,), l21)
+    put(corner, (5,), d2)
+
+
+@njit(nogil=True)
+def forward(system: System, right: Array, first: int) -> None:
+    """Substitute forwards, in place: `right` becomes L^-1 `right`.
+
+    Args:
+        system: as `factor` left it.
+        right: (n + 1, 4, LANES), the corner's last; of that block 3 are used.
+        first: blocks before this one are zero in every lane.
+    """
+    diag, near, far, arrow, corner = system
+    n = len(diag)
+    c0, c1, c2 = load(right, (n, 0)), load(right, (n, 1)), load(right, (n, 2))
+    for k in range(first, n):
+        y0 = load(right, (k, 0))
+        y1 = fma(-load(diag, (k, 1)), y0, load(right, (k, 1)))
+        y2 = fma(-load(diag, (k, 4)), y1, fma(-load(diag, (k, 3)), y0, load(right, (k, 2))))
+        y3 = fma(-load(diag, (k, 7)), y1, fma(-load(diag, (k, 6)), y0, load(right, (k, 3))))
+        y3 = fma(-load(diag, (k, 8)), y2, y3)
+        put(right, (k, 1), y1)
+        put(right, (k, 2), y2)
+        put(right, (k, 3), y3)
+        if k + 1 < n:
+            for r in range(4):
+                s = fma(-load(near, (k, 4 * r)), y0, load(right, (k + 1, r)))
+                s = fma(-load(near, (k, 4 * r + 1)), y1, s)
+                s = fma(-load(near, (k, 4 * r + 2)), y2, s)
+                put(right, (k + 1, r), fma(-load(near, (k, 4 * r + 3)), y3, s))
+        if k + 2 < n:
+            for r in range(3):
+                s = fma(-load(far, (k, 4 * r)), y0, load(right, (k + 2, r)))
+                s = fma(-load(far, (k, 4 * r + 1)), y1, s)
+                s = fma(-load(far, (k, 4 * r + 2)), y2, s)
+                put(right, (k + 2, r), fma(-load(far, (k, 4 * r + 3)), y3, s))
+        c0 = fma(-load(arrow, (k, 0)), y0, fma(-load(arrow, (k, 1)), y1, c0))
+        c0 = fma(-load(arrow, (k, 2)), y2, fma(-load(arrow, (k, 3)), y3, c0))
+        c1 = fma(-load(arrow, (k, 4)), y0, fma(-load(arrow, (k, 5)), y1, c1))
+        c1 = fma(-load(arrow, (k, 6)), y2, fma(-load(arrow, (k, 7)), y3, c1))
+        c2 = fma(-load(arrow, (k, 8)), y0, fma(-load(arrow, (k, 9)), y1, c2))
+        c2 = fma(-load(arrow, (k, 10)), y2, fma(-load(arrow, (k, 11)), y3, c2))
+    c1 = fma(-load(corner, (1,)), c0, c1)
+    c2 = fma(-load(corner, (3,)), c0, fma(-load(corner, (4,)), c1, c2))
+    put(right, (n, 0), c0)
+    put(right, (n, 1), c1)
+    put(right, (n, 2), c2)
+    put(right, (n, 3), 0.0)
+
+
+@njit(nogil=True)
+def backward(system: System, right: Array) -> None:
+    """Substitute backwards, in place: right = L^-1 b becomes the solution."""
+    diag, near, far, arrow, corner = system
+    n = len(diag)
+    a2 = load(right, (n, 2)) * load(corner, (5,))
+    a1 = fma(load(right, (n, 1)), load(corner, (2,)), -load(corner, (4,)) * a2)
+    a0 = fma(load(right, (n, 0)), load(corner, (0,)), -load(corner, (1,)) * a1)
+    a0 = fma(-load(corner, (3,)), a2, a0)
+    put(right, (n, 0), a0)
+    put(right, (n, 1), a1)
+    put(right, (n, 2), a2)
+    for k in range(n - 1, -1, -1):
+        w0 = load(right, (k, 0)) * load(diag, (k, 0))
+        w1 = load(right, (k, 1)) * load(diag, (k, 2))
+        w2 = load(right, (k, 2)) * load(diag, (k, 5))
+        w3 = load(right, (k, 3)) * load(diag, (k, 9))
+        for r in range(3):
+            x = load(right, (n, r))
+            w0 = fma(-load(arrow, (k, 4 * r)), x, w0)
+            w1 = fma(-load(arrow, (k, 4 * r + 1)), x, w1)
+            w2 = fma(-load(arrow, (k, 4 * r + 2)), x, w2)
+            w3 = fma(-load(arrow, (k, 4 * r + 3)), x, w3)
+        if k + 2 < n:
+            for r in range(3):
+                x = load(right, (k + 2, r))
+                w0 = fma(-load(far, (k, 4 * r)), x, w0)
+                w1 = fma(-load(far, (k, 4 * r + 1)), x, w1)
+                w2 = fma(-load(far, (k, 4 * r + 2)), x, w2)
+                w3 = fma(-load(far, (k, 4 * r + 3)), x, w3)
+        if k + 1 < n:
+            for r in range(4):
+                x = load(right, (k + 1, r))
+                w0 = fma(-load(near, (k, 4 * r)), x, w0)
+                w1 = fma(-load(near, (k, 4 * r + 1)), x, w1)
+                w2 = fma(-load(near, (k, 4 * r + 2)), x, w2)
+                w3 = fma(-load(near, (k, 4 * r + 3)), x, w3)
+        w2 = fma(-load(diag, (k, 8)), w3, w2)
+        w1 = fma(-load(diag, (k, 4)), w2, fma(-load(diag, (k, 7)), w3, w1))
+        w0 = fma(-load(diag, (k, 1)), w1, fma(-load(diag, (k, 3)), w2, w0))
+        w0 = fma(-load(diag, (k, 6)), w3, w0)
+        put(right, (k, 0), w0)
+        put(right, (k, 1), w1)
+        put(right, (k, 2), w2)
+        put(right, (k, 3), w3)

@@ -1,0 +1,284 @@
+"""Many ropes stepped at once by the chain engine, with the interface of MuJoCo's `Simulation`.
+
+A rope's *state* holds, for each vertex, its position and velocity and the side and spin of the bead
+that begins there (`dynamics`). A restored rope goes on bit for bit, at any number of threads and in
+any company. MuJoCo's qpos become states and states qpos, the beads' twist included; velocities
+don't.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from os import cpu_count
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from knotgym.chain.contact import DAMPING as CONTACT_DAMPING
+from knotgym.chain.contact import FLOOR, RADIUS, STIFFNESS, longest_edge
+from knotgym.chain.dynamics import (
+    ACROSS,
+    ALONG,
+    LENGTH,
+    MASS,
+    ROLL,
+    SPIN,
+    STRETCH,
+    TUMBLE,
+    TURN,
+    set_lengths,
+)
+from knotgym.chain.simd import LANES
+from knotgym.chain.solver import LOST, SCHEDULE, STATE, advance
+from knotgym.rope import Array, Rope, sub_chains
+from knotgym.simulation import Ids, InvalidSimulation, Simulation
+
+_STIFF = 1e4  # N s/m, what an edge resists being stretched with
+_FLOOR = 0.25  # distance that contact keeps at any force, in diameters
+
+
+class ChainSimulation(Simulation):
+    """A fixed number of independent ropes, stepped together by the chain engine.
+
+    Attributes:
+        rope, count, points, steps_taken: as of `Simulation`.
+        taken_back: bool (count,): whether part of a rope's last action was taken back, because it
+            could not be proved that no strands pass each other.
+        actions_taken_back: so many, all ropes together.
+    """
+
+    def __init__(
+        self,
+        count: int = 1,
+        rope: Rope | None = None,
+        threads: int = 1,
+        schedule: tuple[int, ...] = SCHEDULE,
+    ) -> None:
+        """Lay `count` plain loops; `threads` 0 takes every core.
+
+        `schedule` are the relative lengths of an action's substeps.
+        """
+        if count < 1:
+            raise InvalidSimulation(f"a simulation needs at least 1 rope, got {count}")
+        self.rope = rope or Rope()
+        longest = longest_edge(self.rope.config.radius)
+        if self.rope.config.bead_length > longest:
+            raise InvalidSimulation(
+                "the chain engine takes ropes whose beads are at most"
+                f" {1000 * longest:.2f} mm long, got {1000 * self.rope.config.bead_length:.2f} mm"
+            )
+        self.count = count
+        self._threads = threads
+        self._schedule = np.array(schedule, dtype=np.int64)
+        self._numbers, self._damping, self._contact = parameters(self.rope)
+        workers = min(threads or cpu_count() or 1, -(-count // LANES))
+        self._pool = ThreadPoolExecutor(workers) if workers > 1 else None
+        self._workers = workers
+        self._states: Array = np.empty((count, self.rope.config.beads, STATE))
+        self.points: Array = np.empty((count, self.rope.config.beads, 3))
+        self.taken_back: NDArray[np.bool_] = np.zeros(count, dtype=bool)
+        self.actions_taken_back = 0
+        self.steps_taken = 0
+        self.lay(np.repeat(self.rope.qpos(self.rope.loop())[None], count, axis=0))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**super().__getstate__(), "schedule": tuple(self._schedule.tolist())}
+
+    def __setstate__(self, saved: dict[str, Any]) -> None:
+        ChainSimulation.__init__(
+            self, saved["count"], Rope(saved["config"]), saved["threads"], saved["schedule"]
+        )
+        self.restore(saved["states"])
+
+    def qpos(self, ids: Ids = None) -> Array:
+        """Generalized positions for MuJoCo: float64 (len(ids), nq)."""
+        states = self._states[self._all(ids)]
+        return to_qpos(self.rope, states[:, :, :3], states[:, :, 6:9])
+
+    def states(self, ids: Ids = None) -> Array:
+        """Copy of the states: float64 (len(ids), beads * STATE)."""
+        where = self._all(ids)
+        return self._states[where].reshape(len(where), -1)
+
+    def restore(self, states: Array, ids: Ids = None) -> None:
+        """Put ropes back into states that `states` returned, for a rope of the same model."""
+        where = self._all(ids)
+        self._states[where] = np.reshape(states, (len(where), *self._states.shape[1:]))
+        self.points[where] = self._states[where, :, :3]
+        self.taken_back[where] = False
+
+    def lay(self, qpos: ArrayLike, ids: Ids = None) -> None:
+        """Lay ropes at rest at generalized positions float64 (len(ids), nq).
+
+        A gap between two sub-chains is closed: vertices near it move by less than the gap.
+        """
+        where = self._all(ids)
+        rows = np.broadcast_to(qpos, (len(where), self.rope.nq))
+        points, lanes = self.rope.points(rows), -(-len(where) // LANES) * LANES
+        closed = np.empty((lanes, *points.shape[1:]))
+        closed[: len(where)], closed[len(where) :] = points, points[:1]
+        for first in range(0, lanes, LANES):
+            group = np.ascontiguousarray(closed[first : first + LANES].transpose(1, 2, 0))
+            set_lengths(group, self.rope.config.bead_length, 6)
+            closed[first : first + LANES] = group.transpose(2, 0, 1)
+        states = np.zeros((len(where), *self._states.shape[1:]))
+        states[:, :, :3] = closed[: len(where)]
+        states[:, :, 6:9] = _sides(self.rope, rows, states[:, :, :3])
+        self.restore(states, where)
+
+    def step(self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None) -> NDArray[np.bool_]:
+        """Apply a force to one bead of each rope for one action.
+
+        Args:
+            beads: int (len(ids),), each acted on at its centre.
+            forces: (len(ids), 3), newtons, world frame.
+            ids: the ropes, in rising order; None for all.
+
+        Returns:
+            bool (len(ids),): False where a rope's state is not finite; it stays as it was.
+        """
+        where = self._all(ids)
+        states, pulled = self._states[where], np.ascontiguousarray(beads, dtype=np.int64)
+        forces = np.ascontiguousarray(forces, dtype=np.float64)
+        counts = np.zeros((len(where), 4), dtype=np.int64)
+        sizes = -(-len(where) // (self._workers * LANES)) * LANES
+
+        def move(first: int) -> None:
+            part = slice(first, first + sizes)
+            advance(
+                states[part],
+                pulled[part],
+                forces[part],
+                self._numbers,
+                self._damping,
+                self._contact,
+                self.rope.config.timestep * self.rope.config.frame_skip,
+                self._schedule,
+                counts[part],
+            )
+
+        firsts = range(0, len(where), sizes) if len(where) else ()
+        list((self._pool.map if self._pool else map)(move, firsts))
+        self._states[where], self.points[where] = states, states[:, :, :3]
+        back = counts[:, LOST] > 0
+        self.taken_back[where] = back
+        self.actions_taken_back += int(np.count_nonzero(back))
+        self.steps_taken += len(where)
+        return np.asarray(np.isfinite(states).all(axis=(1, 2)), dtype=bool)
+
+
+def parameters(rope: Rope) -> tuple[Array, Array, Array]:
+    """What the solver needs to know of a rope, from MuJoCo's compiled model.
+
+    Returns:
+        Numbers of `dynamics`, damping of the joints (beads,), numbers of `contact`.
+    """
+    model, config, body = rope.model, rope.config, int(rope.bodies[0])
+    mass, (tumble, _, spin) = float(model.body_mass[body]), model.body_inertia[body]
+    # the box of equal inertia, as in MuJoCo's documentation ("Fluid forces", inertia model)
+    wide, long = float(np.sqrt(6 * spin / mass)), float(np.sqrt(6 * (2 * tumble - spin) / mass))
+    density = model.opt.density
+    numbers = np.empty(9)
+    numbers[[MASS, TUMBLE, SPIN, LENGTH, STRETCH]] = mass, tumble, spin, config.bead_length, _STIFF
+    numbers[[ACROSS, ALONG]] = 0.5 * density * wide * long, 0.5 * density * wide * wide
+    numbers[TURN] = density * wide * (wide**4 + long**4) / 64
+    numbers[ROLL] = density * long * 2 * wide**4 / 64
+    damping = np.full(config.beads, config.joint_damping)
+    damping[[first for first, _ in sub_chains(config)]] = 0.0
+    # a contact of two beads far from the ends of their sub-chains
+    geom = int(model.body_geomadr[body])
+    constant, impedance = model.geom_solref[geom, 0], model.geom_solimp[geom, 1]
+    weight = 2 * np.median(model.body_invweight0[rope.bodies, 0])
+    soft = (1 - impedance) / impedance * weight
+    contact = np.empty(4)
+    contact[[RADIUS, FLOOR]] = config.radius, _FLOOR * 2 * config.radius
+    contact[STIFFNESS] = 1 / (impedance * constant) ** 2 / soft
+    contact[CONTACT_DAMPING] = 2 / (impedance * constant) / soft
+    return numbers, damping, contact
+
+
+def _sides(rope: Rope, qpos: Array, points: Array) -> Array:
+    """The beads' first axes across: MuJoCo's y axes, made perpendicular to the edges.
+
+    Args:
+        qpos: float64 (ropes, nq).
+        points: float64 (ropes, beads, 3), metres.
+    """
+    data, sides = mujoco.MjData(rope.model), np.empty_like(points)
+    for row, positions in enumerate(qpos):
+        data.qpos[:] = positions
+        mujoco.mj_kinematics(rope.model, data)
+        sides[row] = data.xmat[rope.bodies].reshape(-1, 3, 3)[:, :, 1]
+    along = _along(points)
+    sides -= (sides * along).sum(axis=2, keepdims=True) * along
+    return sides / np.linalg.norm(sides, axis=2, keepdims=True)
+
+
+def to_qpos(rope: Rope, points: Array, sides: Array) -> Array:
+    """Generalized positions of ropes whose beads are turned as given.
+
+    Args:
+        points, sides: float64 (ropes, beads, 3): vertices in metres, the beads' y axes.
+
+    Returns:
+        float64 (ropes, nq).
+    """
+    along, model = _along(points), rope.model
+    world = _quaternions(np.stack([along, sides, np.cross(along, sides)], axis=-1))
+    qpos = np.empty((len(points), rope.nq))
+    bead_of = {int(body): bead for bead, body in enumerate(rope.bodies)}
+    for bead, body in enumerate(rope.bodies):
+        parent = bead_of.get(int(model.body_parentid[body]))
+        at = int(model.jnt_qposadr[model.body_jntadr[body]])
+        if parent is None:
+            qpos[:, at : at + 3], qpos[:, at + 3 : at + 7] = points[:, bead], world[:, bead]
+        else:
+            before = _product(world[:, parent], model.body_quat[body][None])
+            qpos[:, at : at + 4] = _product(before * [1, -1, -1, -1], world[:, bead])
+    return qpos
+
+
+def _along(points: Array) -> Array:
+    edges = np.roll(points, -1, axis=1) - points
+    unit: Array = edges / np.linalg.norm(edges, axis=2, keepdims=True)
+    return unit
+
+
+def _product(a: Array, b: Array) -> Array:
+    """The Hamilton product of quaternions (n, 4), w first."""
+    w, x, y, z = (a[:, i, None] for i in range(4))
+    turned = np.stack([-b[:, 1], b[:, 0], -b[:, 3], b[:, 2]], axis=1)
+    return (
+        w * b
+        + x * turned
+        + y * np.stack([-b[:, 2], b[:, 3], b[:, 0], -b[:, 1]], axis=1)
+        + z * np.stack([-b[:, 3], -b[:, 2], b[:, 1], b[:, 0]], axis=1)
+    )
+
+
+def _quaternions(axes: Array) -> Array:
+    """Unit quaternions, w first, of rotation matrices (..., 3, 3).
+
+    Row i of the matrix below is 4 q_i q; the row of the largest q_i is well conditioned.
+    """
+    m = np.moveaxis(axes, (-2, -1), (0, 1))
+    across = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
+    along = m[1, 0] + m[0, 1], m[0, 2] + m[2, 0], m[2, 1] + m[1, 2]
+    square = [
+        1 + m[0, 0] * a + m[1, 1] * b + m[2, 2] * a * b
+        for a, b in ((1, 1), (1, -1), (-1, 1), (-1, -1))
+    ]
+    rows = np.array(
+        [
+            [square[0], *across],
+            [across[0], square[1], along[0], along[1]],
+            [across[1], along[0], square[2], along[2]],
+            [across[2], along[1], along[2], square[3]],
+        ]
+    )
+    best = np.argmax(square, axis=0)
+    found = np.moveaxis(np.take_along_axis(rows, best[None, None], axis=0)[0], 0, -1)
+    unit: Array = found / np.linalg.norm(found, axis=-1, keepdims=True)
+    return unit

@@ -1,0 +1,337 @@
+"""Ropes moved through an action: the loop over substeps.
+
+An action lasts 0.192 s and its force is constant. `SCHEDULE` cuts it into substeps, short ones
+first, as velocities jump when the force does and settle within 20 ms. Each solves the linear system
+of `dynamics`, adds the contact forces of `contact`, moves the vertices by h v, sets the lengths of
+the edges and turns the beads' sides. If `contact.judge` can't prove that no strands passed each
+other, nothing of that is kept and the substep is tried again with half its length. A rope whose
+shortest substep is rejected stays where it was and comes to rest: the rest of its action is taken
+back, and counted.
+
+LANES ropes are moved at once. Each has its own time and substep, and none can tell what the others
+do: a rope moves as it does alone, to the bit. A lane whose action is over takes the next rope.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from knotgym.chain.banded import backward, factor, forward
+from knotgym.chain.contact import (
+    DRIFT,
+    LISTED,
+    ROWS,
+    find_rows,
+    judge,
+    list_pairs,
+    middles,
+    push_apart,
+)
+from knotgym.chain.dynamics import LENGTH, assemble, set_lengths, tangents, turn_sides
+from knotgym.chain.simd import LANES, any_below, fma, load, put
+
+Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Group = tuple[Array, Array, Array, Array]  # x, v, side, spin of LANES ropes
+
+SCHEDULE = (1, 2, 3, 4, 4, 5, 5)  # lengths of the substeps, in shares of an action
+TICKS = 64  # a substep is halved at most until it is a 64th of one share
+STATE = 10  # numbers of a vertex: position, velocity; of the bead that begins there: side, spin
+ROPE, STAGE, LEFT, TICK = range(
+    4
+)  # a lane's clock: rope or -1, stage, its ticks left, next substep
+SUBSTEPS, REJECTED, CONTACTS, LOST = range(4)  # counted for each rope; LOST in ticks
+
+
+@njit(cache=True, nogil=True)
+def advance(
+    states: Array,
+    beads: Ints,
+    forces: Array,
+    numbers: Array,
+    damping: Array,
+    contact: Array,
+    duration: float,
+    schedule: Ints,
+    counts: Ints,
+) -> None:
+    """Move ropes through one action, in place.
+
+    Args:
+        states: float64 (ropes, n, STATE).
+        beads: int64 (ropes,), pulled at their centres.
+        forces: float64 (ropes, 3), newtons.
+        numbers, damping: of the rope, see `dynamics`.
+        contact: see `contact`.
+        duration: of the action, seconds.
+        schedule: as SCHEDULE.
+        counts: int64 (ropes, 4): substeps taken, substeps rejected, contacts summed over substeps,
+            ticks of the action that were taken back; written.
+    """
+    ropes, n = states.shape[0], states.shape[1]
+    group, after, spare = _empty_group(n), _empty_group(n), _empty_scratch(n)
+    pull, step = np.zeros((n, 3, LANES)), np.empty((1, LANES))
+    listed, start, other = (
+        np.empty((n, 3, LANES)),
+        np.empty(n + 1, np.int64),
+        np.empty(n * n // 2, np.int64),
+    )
+    accepted, found = np.zeros(LANES, dtype=np.bool_), np.zeros(LANES, dtype=np.int64)
+    clock = np.ones((4, LANES), dtype=np.int64)
+    clock[ROPE] = -1
+    shares = 0
+    for share in schedule:
+        shares += share
+    unit = duration / (shares * TICKS)
+    waiting, stale = 0, True
+    counts[:] = 0
+    while True:
+        for lane in range(LANES):
+            if clock[ROPE, lane] < 0 and waiting < ropes:
+                _take(states[waiting], beads[waiting], forces[waiting], lane, group, pull)
+                clock[ROPE, lane], clock[STAGE, lane] = waiting, 0
+                clock[LEFT, lane] = clock[TICK, lane] = schedule[0] * TICKS
+                waiting, stale = waiting + 1, True
+        if not _keep_busy(clock, group, pull):
+            break
+        for lane in range(LANES):
+            step[0, lane] = clock[TICK, lane] * unit
+        if stale or _drifted(group[0], listed):
+            _list(group[0], spare, listed, start, other)
+            stale = False
+        _substep(
+            group,
+            after,
+            pull,
+            step,
+            numbers,
+            damping,
+            contact,
+            start,
+            other,
+            spare,
+            found,
+            accepted,
+        )
+        whole = True
+        for lane in range(LANES):
+            whole = whole and (accepted[lane] or clock[ROPE, lane] < 0)
+        if whole:
+            group, after = after, group
+        for lane in range(LANES):
+            if clock[ROPE, lane] < 0:
+                continue
+            if accepted[lane] and not whole:
+                _copy(after, lane, group, lane)
+            own = counts[clock[ROPE, lane]]
+            own[CONTACTS] += found[lane]
+            if _next(clock, lane, accepted[lane], schedule, own):
+                if own[LOST]:
+                    _stop(group, lane)
+                _give(states[clock[ROPE, lane]], lane, group)
+                clock[ROPE, lane] = -1
+
+
+@njit(nogil=True)
+def _empty_group(n: int) -> Group:
+    vectors = (n, 3, LANES)
+    return np.empty(vectors), np.empty(vectors), np.empty(vectors), np.empty((n, LANES))
+
+
+@njit(nogil=True)
+def _empty_scratch(n: int) -> tuple[Any, ...]:
+    """What a substep overwrites: the system, two right sides, directions and contacts."""
+    system = (
+        np.empty((n, 10, LANES)),
+        np.empty((n, 16, LANES)),
+        np.empty((n, 12, LANES)),
+        np.empty((n, 12, LANES)),
+        np.empty((6, LANES)),
+    )
+    rights = np.empty((n + 1, 4, LANES)), np.empty((n + 1, 4, LANES))
+    directions = np.empty((n, 3, LANES)), np.empty((n, 3, LANES))
+    middle, motion, rows = np.empty((n, 3, LANES)), np.empty((n, LANES)), np.zeros((ROWS, 8, LANES))
+    far = np.empty(n + 1, np.int64), np.empty(n * n // 2, np.int64)
+    return system, rights, directions, middle, motion, rows, far
+
+
+@njit(nogil=True)
+def _substep(
+    group: Group,
+    after: Group,
+    pull: Array,
+    step: Array,
+    numbers: Array,
+    damping: Array,
+    contact: Array,
+    start: Ints,
+    other: Ints,
+    spare: tuple[Any, ...],
+    found: Ints,
+    accepted: NDArray[np.bool_],
+) -> None:
+    """Move LANES ropes from `group` to `after`; write how many contacts each has, and whether what
+    it did may be kept.
+    """
+    x, v, side, spin = group
+    x1, v1, side1, spin1 = after
+    system, (right, loaded), (tangent, tangent1), middle, motion, rows, (start_far, other_far) = (
+        spare
+    )
+    n, length = len(x), numbers[LENGTH]
+    ahead = np.zeros((1, LANES))
+    tangents(x, v, ahead, tangent)
+    put(ahead, (0,), 0.5 * load(step, (0,)))
+    tangents(x, v, ahead, tangent1)
+    # velocities without contact
+    assemble(tangent1, side, v, spin, v, spin, pull, step, numbers, damping, system, right)
+    factor(system)
+    forward(system, right, 0)
+    for i in range(n + 1):
+        for c in range(4):
+            put(loaded, (i, c), load(right, (i, c)))
+    backward(system, right)
+    _read(right, v1, spin1)
+    # with contact
+    middles(x, middle)
+    find_rows(x, v1, tangent, middle, start, other, step, contact, length, motion, rows, found)
+    most = 0
+    for lane in range(LANES):
+        most = max(most, found[lane])
+    if most > 0:
+        push_apart(rows, found, most, v1, step, contact, system, loaded)
+        backward(system, loaded)
+        _read(loaded, v1, spin1)
+    h = load(step, (0,))
+    for i in range(n):
+        for c in range(3):
+            put(x1, (i, c), fma(h, load(v1, (i, c)), load(x, (i, c))))
+            put(side1, (i, c), load(side, (i, c)))
+    set_lengths(x1, length, 2)
+    put(ahead, (0,), 0.0)
+    tangents(x1, v1, ahead, tangent1)
+    turn_sides(side1, tangent, tangent1, spin1, step)
+    judge(x, x1, tangent, middle, motion, start, other, start_far, other_far, length, accepted)
+
+
+@njit(nogil=True)
+def _next(clock: Ints, lane: int, accepted: bool, schedule: Ints, counts: Ints) -> bool:
+    """Set a lane's next substep, after one accepted or not; return whether its action is over."""
+    if accepted:
+        counts[SUBSTEPS] += 1
+        clock[LEFT, lane] -= clock[TICK, lane]
+        if clock[LEFT, lane] == 0:
+            clock[STAGE, lane] += 1
+            if clock[STAGE, lane] == len(schedule):
+                return True
+            clock[LEFT, lane] = clock[TICK, lane] = schedule[clock[STAGE, lane]] * TICKS
+        clock[TICK, lane] = min(clock[TICK, lane], clock[LEFT, lane])
+        return False
+    counts[REJECTED] += 1
+    clock[TICK, lane] //= 2
+    if clock[TICK, lane] > 0:
+        return False
+    counts[LOST] = clock[LEFT, lane]
+    for later in range(clock[STAGE, lane] + 1, len(schedule)):
+        counts[LOST] += TICKS * schedule[later]
+    return True
+
+
+@njit(nogil=True)
+def _keep_busy(clock: Ints, group: Group, pull: Array) -> bool:
+    """Let lanes without a rope do what another does, and nobody looks; return if there is one."""
+    busy = -1
+    for lane in range(LANES):
+        if clock[ROPE, lane] >= 0:
+            busy = lane
+    if busy < 0:
+        return False
+    for lane in range(LANES):
+        if clock[ROPE, lane] < 0:
+            _copy(group, busy, group, lane)
+            for i in range(len(pull)):
+                for c in range(3):
+                    pull[i, c, lane] = pull[i, c, busy]
+            clock[TICK, lane] = clock[TICK, busy]
+    return True
+
+
+@njit(nogil=True)
+def _list(x: Array, spare: tuple[Any, ...], listed: Array, start: Ints, other: Ints) -> None:
+    """List near pairs of edges, and keep where the vertices were."""
+    middles(x, spare[3])
+    list_pairs(spare[3], LISTED, start, other)
+    for i in range(len(x)):
+        for c in range(3):
+            put(listed, (i, c), load(x, (i, c)))
+
+
+@njit(nogil=True)
+def _take(state: Array, bead: int, force: Array, lane: int, group: Group, pull: Array) -> None:
+    """Put a rope into a lane. The force on its bead's centre is shared by the bead's vertices."""
+    x, v, side, spin = group
+    n = len(state)
+    for i in range(n):
+        for c in range(3):
+            x[i, c, lane], v[i, c, lane] = state[i, c], state[i, 3 + c]
+            side[i, c, lane], pull[i, c, lane] = state[i, 6 + c], 0.0
+        spin[i, lane] = state[i, 9]
+    for c in range(3):
+        pull[bead, c, lane] = pull[(bead + 1) % n, c, lane] = 0.5 * force[c]
+
+
+@njit(nogil=True)
+def _give(state: Array, lane: int, group: Group) -> None:
+    """Write what a lane holds to a rope's state."""
+    x, v, side, spin = group
+    for i in range(len(state)):
+        for c in range(3):
+            state[i, c], state[i, 3 + c] = x[i, c, lane], v[i, c, lane]
+            state[i, 6 + c] = side[i, c, lane]
+        state[i, 9] = spin[i, lane]
+
+
+@njit(nogil=True)
+def _copy(source: Group, lane: int, target: Group, to: int) -> None:
+    """Copy one lane's rope to a lane."""
+    for i in range(len(source[0])):
+        for c in range(3):
+            target[0][i, c, to] = source[0][i, c, lane]
+            target[1][i, c, to] = source[1][i, c, lane]
+            target[2][i, c, to] = source[2][i, c, lane]
+        target[3][i, to] = source[3][i, lane]
+
+
+@njit(nogil=True)
+def _stop(group: Group, lane: int) -> None:
+    """Bring a lane's rope to rest."""
+    for i in range(len(group[0])):
+        for c in range(3):
+            group[1][i, c, lane] = 0.0
+        group[3][i, lane] = 0.0
+
+
+@njit(nogil=True)
+def _read(right: Array, v: Array, spin: Array) -> None:
+    """Take velocities and spins out of a solution; the corner holds vertex 0's velocity."""
+    n = len(v)
+    for i in range(n):
+        for c in range(3):
+            put(v, (i, c), load(right, (n if i == 0 else i, c)))
+        put(spin, (i,), load(right, (i, 3)))
+
+
+@njit(nogil=True)
+def _drifted(x: Array, listed: Array) -> bool:
+    """Whether some vertex has moved by DRIFT since pairs were listed."""
+    for i in range(len(x)):
+        a = load(x, (i, 0)) - load(listed, (i, 0))
+        b = load(x, (i, 1)) - load(listed, (i, 1))
+        c = load(x, (i, 2)) - load(listed, (i, 2))
+        if any_below(-fma(a, a, fma(b, b, c * c)), -DRIFT * DRIFT):
+            return True
+    return False

@@ -1,0 +1,265 @@
+"""The chain engine moves ropes as MuJoCo does, to a millimetre, keeps the knot, and repeats
+itself to the bit.
+"""
+
+import os
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numba import njit
+from numpy.typing import NDArray
+
+from knotgym.chain.chain_simulation import ChainSimulation, parameters
+from knotgym.chain.contact import closest
+from knotgym.chain.simd import LANES, put
+from knotgym.rope import Rope, RopeConfig, clearance
+from knotgym.simulation import InvalidAction, Simulation
+from knotgym.topology.crossings import find_crossings, label, label_many
+from knotgym.topology.knots import is_unknot, knot_type
+
+from ..conftest import curled, trefoil
+
+Array = NDArray[np.float64]
+LENGTH = RopeConfig().bead_length
+
+
+@pytest.fixture(scope="module")
+def curls(rope: Rope) -> Array:
+    """qpos of ropes of 0 to 4 curls."""
+    return np.stack([rope.qpos(rope.from_curve(curled(nx))) for nx in range(5)])
+
+
+def pulls(count: int, steps: int, seed: int = 0) -> list[tuple[NDArray[np.int64], Array]]:
+    """The same for rope i among any number."""
+    rngs = [np.random.default_rng([seed, i]) for i in range(count)]
+    return [
+        (
+            np.array([rng.integers(100) for rng in rngs]),
+            np.array([rng.uniform(-0.2, 0.2, 3) for rng in rngs]),
+        )
+        for _ in range(steps)
+    ]
+
+
+def moved(simulation: ChainSimulation, steps: int, seed: int = 0) -> Array:
+    """States after random actions."""
+    for beads, forces in pulls(simulation.count, steps, seed):
+        simulation.step(beads, forces)
+    return simulation.states()
+
+
+def lengths(points: Array) -> Array:
+    return np.linalg.norm(np.roll(points, -1, axis=-2) - points, axis=-1)
+
+
+def test_beads_end_where_mujoco_puts_them(rope: Rope, curls: Array) -> None:
+    chain, mujoco = ChainSimulation(5, rope), Simulation(5, rope)
+    chain.lay(curls)
+    mujoco.lay(curls)
+    for bar, (beads, forces) in zip((1e-3, 2e-3, 3e-3), pulls(5, 3), strict=True):
+        chain.step(beads, forces)
+        mujoco.step(beads, forces)
+        assert np.linalg.norm(chain.points - mujoco.points, axis=2).mean() < bar
+
+
+def test_a_rope_left_alone_stays(rope: Rope, curls: Array) -> None:
+    chain = ChainSimulation(5, rope)
+    chain.lay(curls)
+    before = chain.points.copy()
+    for _ in range(3):
+        chain.step(np.zeros(5, dtype=int), np.zeros((5, 3)))
+    assert np.abs(chain.points - before)[0].max() < 1e-12  # others may push themselves apart
+    assert np.abs(chain.points - before).max() < 1e-3
+
+
+def test_a_turned_rope_moves_alike(rope: Rope) -> None:
+    # MuJoCo's drag depends on the beads' own axes, which a rope laid from points chooses anew
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    chain = ChainSimulation(2, rope)
+    states = chain.states().reshape(2, 100, 10)
+    for at in (0, 3, 6):
+        states[1, :, at : at + 3] = states[0, :, at : at + 3] @ turn.T
+    chain.restore(states)
+    force = np.array([0.05, 0.2, 0.1])
+    for _ in range(4):
+        chain.step([20, 20], np.stack([force, turn @ force]))
+    assert np.abs(chain.points[0] @ turn.T - chain.points[1]).max() < 1e-9
+    assert np.abs(chain.points[0] - rope.loop()).max() > 0.02
+
+
+def test_edges_keep_their_length(rope: Rope, curls: Array) -> None:
+    chain = ChainSimulation(5, rope)
+    chain.lay(curls)
+    for step in range(10):
+        chain.step(np.full(5, 30), np.full((5, 3), 0.2 * (-1) ** step))
+        assert np.abs(lengths(chain.points) / LENGTH - 1).max() < 1e-3
+
+
+def test_the_numbers_are_mujocos_own(rope: Rope) -> None:
+    numbers, damping, contact = parameters(rope)
+    volume = np.pi * 0.005**2 * LENGTH + 4 / 3 * np.pi * 0.005**3
+    assert numbers[0] == pytest.approx(1000 * volume)
+    assert damping.max() == 0.01 and (damping == 0).sum() == 7 and damping[0] == 0
+    assert contact[0] == 0.005
+
+
+def test_strands_pulled_through_each_other_stay_apart(rope: Rope, curls: Array) -> None:
+    """A bead of the upper strand pulled straight down onto the lower one, with full force."""
+    chain = ChainSimulation(1, rope)
+    chain.lay(curls[2:3])
+    for _ in range(12):
+        crossings = find_crossings(chain.points[0])
+        bead = int(crossings.over_place[0]) % 100 if crossings.nx else 0
+        chain.step([bead], np.array([[0.0, 0.0, -0.2]]))
+        assert is_unknot(label(chain.points[0]))
+        assert clearance(chain.points[0]) > 0.002
+
+
+def test_random_play_never_ties_or_unties_a_knot(rope: Rope, curls: Array) -> None:
+    knotted = rope.qpos(rope.from_curve(trefoil()))[None]
+    chain = ChainSimulation(6, rope)
+    chain.lay(np.concatenate([curls, knotted]))
+    for beads, forces in pulls(6, 40, seed=3):
+        chain.step(beads, np.sign(forces) * 0.2)
+        codes = label_many(chain.points)
+        assert all(map(is_unknot, codes[:5])) and knot_type(codes[5]) == "3_1"
+    assert chain.actions_taken_back == 0 and chain.steps_taken == 240
+
+
+def test_a_substep_that_cannot_be_proved_safe_is_taken_back(rope: Rope, curls: Array) -> None:
+    chain = ChainSimulation(2, rope)
+    chain.lay(curls[[0, 2]])
+    states = chain.states().reshape(2, 100, 10)
+    states[1, :, 3:6] = np.random.default_rng(0).normal(0, 1e9, (100, 3))  # m/s
+    chain.restore(states)
+    before = chain.points.copy()
+    assert chain.step([3, 3], np.zeros((2, 3))).tolist() == [True, True]
+    assert chain.taken_back.tolist() == [False, True] and chain.actions_taken_back == 1
+    assert np.abs(chain.points - before).max() < 1e-3
+    chain.step([3, 3], np.full((2, 3), 0.1))
+    assert not chain.taken_back.any()
+
+
+def test_a_state_that_is_not_finite_is_told(rope: Rope) -> None:
+    chain = ChainSimulation(3, rope)
+    states = chain.states()
+    states[1, 0] = np.nan
+    chain.restore(states)
+    assert chain.step([0, 0, 0], np.zeros((3, 3))).tolist() == [True, False, True]
+    assert np.isfinite(chain.points[[0, 2]]).all()
+
+
+@pytest.fixture(scope="module")
+def nine(rope: Rope, curls: Array) -> Array:
+    chain = ChainSimulation(9, rope)
+    chain.lay(curls[np.arange(9) % 5])
+    return moved(chain, 4)
+
+
+@pytest.mark.parametrize(("count", "threads"), [(1, 1), (3, 1), (6, 2), (9, 3), (9, 0)])
+def test_states_are_the_same_bytes_in_any_company_on_any_threads(
+    rope: Rope, curls: Array, nine: Array, count: int, threads: int
+) -> None:
+    chain = ChainSimulation(count, rope, threads)
+    chain.lay(curls[np.arange(count) % 5])
+    assert np.array_equal(moved(chain, 4), nine[:count])
+
+
+def test_a_restored_rope_goes_on_bit_for_bit(rope: Rope, curls: Array) -> None:
+    chain = ChainSimulation(5, rope)
+    chain.lay(curls)
+    saved = moved(chain, 3)
+    again = pickle.loads(pickle.dumps(chain))
+    other = ChainSimulation(2, rope)
+    other.restore(saved[[1, 4]])
+    after = moved(chain, 3, seed=1)
+    assert np.array_equal(moved(again, 3, seed=1), after)
+    for beads, forces in pulls(5, 3, seed=1):
+        other.step(beads[[1, 4]], forces[[1, 4]])
+    assert np.array_equal(other.states(), after[[1, 4]])
+
+
+def test_ropes_not_named_stand_still(rope: Rope, curls: Array) -> None:
+    chain = ChainSimulation(5, rope)
+    chain.lay(curls)
+    before = chain.states()
+    chain.act(np.full((2, 6), 0.5), [1, 3])
+    assert np.array_equal(chain.states([0, 2, 4]), before[[0, 2, 4]])
+    assert not np.array_equal(chain.states([1]), before[[1]]) and chain.steps_taken == 2
+
+
+def test_a_rope_goes_to_mujoco_and_back(rope: Rope, curls: Array) -> None:
+    chain = ChainSimulation(5, rope)
+    chain.lay(curls)
+    moved(chain, 6)
+    qpos = chain.qpos()
+    mujoco = Simulation(5, rope)
+    mujoco.lay(qpos)
+    assert np.abs(mujoco.points - chain.points).max() < 1e-9
+    back = ChainSimulation(5, rope)
+    back.lay(qpos)
+    still = chain.states().reshape(5, 100, 10)[:, :, [0, 1, 2, 6, 7, 8]]
+    assert np.abs(back.states().reshape(5, 100, 10)[:, :, [0, 1, 2, 6, 7, 8]] - still).max() < 1e-6
+
+
+def test_actions_are_read_as_in_mujocos_engine(rope: Rope) -> None:
+    chain = ChainSimulation(2, rope)
+    actions = chain.actions([7, 60], np.full((2, 3), 0.1))
+    assert chain.read_actions(actions)[0].tolist() == [7, 60]
+    with pytest.raises(InvalidAction, match=r"lie in \[-1, 1\]"):
+        chain.act(np.full((2, 6), np.nan))
+    with pytest.raises(ValueError, match="at least 1 rope, got 0"):
+        ChainSimulation(0)
+
+
+def test_a_rope_that_the_proof_does_not_cover_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"at most 13.* mm long, got 26.60 mm"):
+        ChainSimulation(1, Rope(RopeConfig(beads=50)))
+    shorter = ChainSimulation(1, Rope(RopeConfig(beads=110)))
+    shorter.act(np.full((1, 6), 0.5))
+    assert np.abs(lengths(shorter.points) / (1.33 / 110) - 1).max() < 1e-3
+
+
+def test_edges_are_as_far_apart_as_numpy_says() -> None:
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(200, 3, LANES))
+    x[7] = x[6] + x[101] - x[100]  # parallel to edge 100
+    at, found = np.linspace(0, 1, 201)[:, None, None], np.empty((1, LANES))
+    for i, j in [(6, 100), *rng.integers(0, 199, (30, 2)).tolist()]:
+        if abs(i - j) < 2:
+            continue
+        write_distance(x, i, j, found)
+        one, other = x[i] + at * (x[i + 1] - x[i]), x[j] + at * (x[j + 1] - x[j])
+        told = np.sqrt(((one[:, None] - other[None]) ** 2).sum(axis=2)).min(axis=(0, 1))
+        assert np.abs(found - told).max() < 0.02 and (found <= told + 1e-12).all()
+
+
+@njit
+def write_distance(x: Array, i: int, j: int, out: Array) -> None:
+    put(out, (0,), closest(x, i, j)[0])
+
+
+@pytest.mark.slow  # compiles for half a minute
+def test_a_fresh_compilation_moves_ropes_as_a_cached_one_does(tmp_path: Path) -> None:
+    code = (
+        "import hashlib, numpy as np\n"
+        "from knotgym.chain.chain_simulation import ChainSimulation\n"
+        "chain, rng = ChainSimulation(6), np.random.default_rng(0)\n"
+        "for _ in range(5): chain.act(rng.uniform(-1, 1, (6, 6)))\n"
+        "print(hashlib.sha256(chain.states().tobytes()).hexdigest())\n"
+    )
+    told = [
+        subprocess.run(
+            [sys.executable, "-c", code],
+            env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for _ in range(2)
+    ]
+    assert told[0] == told[1] and any(tmp_path.rglob("*.nbc"))
