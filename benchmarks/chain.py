@@ -33,9 +33,9 @@ from rich.console import Console
 
 from knotgym.chain.chain_simulation import ChainSimulation
 from knotgym.chain.solver import SCHEDULE
-from knotgym.datasets.states import read_states, shipped
-from knotgym.rope import Rope, RopeConfig
-from knotgym.simulation import Simulation
+from knotgym.rope.model import Rope, RopeConfig
+from knotgym.rope.simulation import Simulation
+from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.crossings import find_crossings, label_many
 from knotgym.topology.knots import UndecidedKnot, is_unknot
 

@@ -1,6 +1,6 @@
 """The chain engine: a fast solver for the closed rope, with the interface of MuJoCo's engine.
 
-`chain_simulation.ChainSimulation` takes the place of `knotgym.simulation.Simulation`.
+`chain_simulation.ChainSimulation` takes the place of `knotgym.rope.simulation.Simulation`.
 
 | module | holds |
 | --- | --- |

@@ -32,8 +32,8 @@ from knotgym.chain.dynamics import (
 )
 from knotgym.chain.simd import LANES
 from knotgym.chain.solver import LOST, SCHEDULE, STATE, advance
-from knotgym.rope import Array, Rope, sub_chains
-from knotgym.simulation import Ids, InvalidSimulation, Simulation
+from knotgym.rope.model import Array, Rope, sub_chains
+from knotgym.rope.simulation import Ids, InvalidRope, Simulation
 
 _STIFF = 1e4  # N s/m, what an edge resists being stretched with
 _FLOOR = 0.25  # distance that contact keeps at any force, in diameters
@@ -61,11 +61,11 @@ class ChainSimulation(Simulation):
         `schedule` are the relative lengths of an action's substeps.
         """
         if count < 1:
-            raise InvalidSimulation(f"a simulation needs at least 1 rope, got {count}")
+            raise InvalidRope(f"a simulation needs at least 1 rope, got {count}")
         self.rope = rope or Rope()
         longest = longest_edge(self.rope.config.radius)
         if self.rope.config.bead_length > longest:
-            raise InvalidSimulation(
+            raise InvalidRope(
                 "the chain engine takes ropes whose beads are at most"
                 f" {1000 * longest:.2f} mm long, got {1000 * self.rope.config.bead_length:.2f} mm"
             )

@@ -8,7 +8,7 @@ from knotgym.chain.banded import backward, factor, forward
 from knotgym.chain.chain_simulation import ChainSimulation, parameters
 from knotgym.chain.dynamics import assemble, set_lengths
 from knotgym.chain.simd import LANES
-from knotgym.rope import Rope
+from knotgym.rope.model import Rope
 
 Array = NDArray[np.float64]
 N = 100

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from knotgym.chain.chain_simulation import ChainSimulation, parameters
 from knotgym.chain.contact import closest
 from knotgym.chain.simd import LANES, put
-from knotgym.rope import Rope, RopeConfig, clearance
-from knotgym.simulation import InvalidAction, Simulation
+from knotgym.rope.model import Rope, RopeConfig, clearance
+from knotgym.rope.simulation import InvalidAction, Simulation
 from knotgym.topology.crossings import find_crossings, label, label_many
 from knotgym.topology.knots import is_unknot, knot_type
 
