@@ -31,8 +31,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from knotgym.chain.chain_simulation import ChainSimulation
-from knotgym.chain.solver import SCHEDULE
+from knotgym.rope.chain.chain_simulation import ChainSimulation
+from knotgym.rope.chain.solver import SCHEDULE
 from knotgym.rope.model import Rope, RopeConfig
 from knotgym.rope.simulation import Simulation
 from knotgym.states.state_file import read_states, shipped

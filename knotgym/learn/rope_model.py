@@ -19,7 +19,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.chain.simd import LANES, any_below, load, put
+from knotgym.rope.chain.simd import LANES, any_below, load, put
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from knotgym.chain.simd import LANES, any_below, fma, load, put, where_below
+from knotgym.rope.chain.simd import LANES, any_below, fma, load, put, where_below
 
 
 @njit

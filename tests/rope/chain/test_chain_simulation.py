@@ -13,15 +13,15 @@ import pytest
 from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.chain.chain_simulation import ChainSimulation, parameters
-from knotgym.chain.contact import closest
-from knotgym.chain.simd import LANES, put
+from knotgym.rope.chain.chain_simulation import ChainSimulation, parameters
+from knotgym.rope.chain.contact import closest
+from knotgym.rope.chain.simd import LANES, put
 from knotgym.rope.model import Rope, RopeConfig, clearance
 from knotgym.rope.simulation import InvalidAction, Simulation
 from knotgym.topology.crossings import find_crossings, label, label_many
 from knotgym.topology.knots import is_unknot, knot_type
 
-from ..conftest import curled, trefoil
+from ...conftest import curled, trefoil
 
 Array = NDArray[np.float64]
 LENGTH = RopeConfig().bead_length
@@ -247,7 +247,7 @@ def write_distance(x: Array, i: int, j: int, out: Array) -> None:
 def test_a_fresh_compilation_moves_ropes_as_a_cached_one_does(tmp_path: Path) -> None:
     code = (
         "import hashlib, numpy as np\n"
-        "from knotgym.chain.chain_simulation import ChainSimulation\n"
+        "from knotgym.rope.chain.chain_simulation import ChainSimulation\n"
         "chain, rng = ChainSimulation(6), np.random.default_rng(0)\n"
         "for _ in range(5): chain.act(rng.uniform(-1, 1, (6, 6)))\n"
         "print(hashlib.sha256(chain.states().tobytes()).hexdigest())\n"

@@ -39,8 +39,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.chain.banded import System, forward
-from knotgym.chain.simd import LANES, any_below, fma, load, put, where_below
+from knotgym.rope.chain.banded import System, forward
+from knotgym.rope.chain.simd import LANES, any_below, fma, load, put, where_below
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

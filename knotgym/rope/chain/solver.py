@@ -20,8 +20,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.chain.banded import backward, factor, forward
-from knotgym.chain.contact import (
+from knotgym.rope.chain.banded import backward, factor, forward
+from knotgym.rope.chain.contact import (
     DRIFT,
     LISTED,
     ROWS,
@@ -31,8 +31,8 @@ from knotgym.chain.contact import (
     middles,
     push_apart,
 )
-from knotgym.chain.dynamics import LENGTH, assemble, set_lengths, tangents, turn_sides
-from knotgym.chain.simd import LANES, any_below, fma, load, put
+from knotgym.rope.chain.dynamics import LENGTH, assemble, set_lengths, tangents, turn_sides
+from knotgym.rope.chain.simd import LANES, any_below, fma, load, put
 
 Array = NDArray[np.float64]
 Ints = NDArray[np.int64]

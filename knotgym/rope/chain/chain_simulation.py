@@ -16,9 +16,9 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.chain.contact import DAMPING as CONTACT_DAMPING
-from knotgym.chain.contact import FLOOR, RADIUS, STIFFNESS, longest_edge
-from knotgym.chain.dynamics import (
+from knotgym.rope.chain.contact import DAMPING as CONTACT_DAMPING
+from knotgym.rope.chain.contact import FLOOR, RADIUS, STIFFNESS, longest_edge
+from knotgym.rope.chain.dynamics import (
     ACROSS,
     ALONG,
     LENGTH,
@@ -30,10 +30,10 @@ from knotgym.chain.dynamics import (
     TURN,
     set_lengths,
 )
-from knotgym.chain.simd import LANES
-from knotgym.chain.solver import LOST, SCHEDULE, STATE, advance
-from knotgym.rope.model import Array, Rope, sub_chains
-from knotgym.rope.simulation import Ids, InvalidRope, Simulation
+from knotgym.rope.chain.simd import LANES
+from knotgym.rope.chain.solver import LOST, SCHEDULE, STATE, advance
+from knotgym.rope.model import Array, InvalidRope, Rope, sub_chains
+from knotgym.rope.simulation import Ids, Simulation
 
 _STIFF = 1e4  # N s/m, what an edge resists being stretched with
 _FLOOR = 0.25  # distance that contact keeps at any force, in diameters

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from knotgym.chain.banded import backward, factor, forward
-from knotgym.chain.chain_simulation import ChainSimulation, parameters
-from knotgym.chain.dynamics import assemble, set_lengths
-from knotgym.chain.simd import LANES
+from knotgym.rope.chain.banded import backward, factor, forward
+from knotgym.rope.chain.chain_simulation import ChainSimulation, parameters
+from knotgym.rope.chain.dynamics import assemble, set_lengths
+from knotgym.rope.chain.simd import LANES
 from knotgym.rope.model import Rope
 
 Array = NDArray[np.float64]

@@ -27,7 +27,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.chain.simd import fma, load, put
+from knotgym.rope.chain.simd import fma, load, put
 
 Array = NDArray[np.float64]
 System = tuple[Array, Array, Array, Array, Array]  # diag, near, far, arrow, corner

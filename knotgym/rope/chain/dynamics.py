@@ -41,8 +41,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from knotgym.chain.banded import System
-from knotgym.chain.simd import LANES, fma, load, put
+from knotgym.rope.chain.banded import System
+from knotgym.rope.chain.simd import LANES, fma, load, put
 
 Array = NDArray[np.float64]
 
