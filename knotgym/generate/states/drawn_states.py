@@ -191,8 +191,9 @@ def _stirred(
     Returns:
         The actions, or None if the simulation fails or the rope shows another code afterwards.
     """
-    most = config.stir if code.nx else config.loop_stir
-    force = config.force if code.nx else (config.force[0], 1.0)
+    few = code.nx < 2
+    most = config.loop_stir if few else config.stir
+    force = (config.force[0], 1.0) if few else config.force
     actions = []
     for step in range((steps := int(rng.integers(most + 1))) + config.rest):
         strength = rng.uniform(*force) if step < steps else 0.0

@@ -61,7 +61,7 @@ class GenerateConfig:
         planner: settings of the planner.
         drawing: settings of the drawings.
         stir: maximum number of random actions that stir a drawing.
-        loop_stir: the same for plain loops, whose drawings are all alike.
+        loop_stir: the same up to 1 crossing, where all states have one diagram and would look alike.
         force: minimum and maximum force of these actions, relative to the largest force.
         rest: number of actions without force at the end.
         limits: quality limits of accepted states.
@@ -87,7 +87,7 @@ class GenerateConfig:
     planner: PlannerConfig = PlannerConfig(budget=400)
     drawing: DrawingConfig = DrawingConfig()
     stir: int = 2
-    loop_stir: int = 12
+    loop_stir: int = 32
     force: tuple[float, float] = (0.05, 0.3)
     rest: int = 3
     limits: Limits = Limits()
