@@ -69,15 +69,11 @@ def test_pairs_are_found_once_and_families_are_kept_in_one_split() -> None:
     assert families(points).tolist() == [0, 1, 2, 3, 1, 1]
     assigned = np.array(["train", "test", "test", "train", "train", "test"])
     codes = [GaussCode()] * 3 + [GaussCode.parse("1+,1-")] * 3
-    # the fifth follows the second; the third goes the other way if it has the same nx
-    assert kept_together(assigned, points, [GaussCode()] * 6).tolist() == [
-        *("train", "test", "train", "train"),
-        *("test", "test"),
-    ]
-    assert kept_together(assigned, points, codes).tolist() == [
-        *("train", "test", "test", "train"),
-        *("test", "test"),
-    ]
+    # the family goes to one split; of the others as many move as keep the sizes, if the nx allows
+    dealt = kept_together(assigned, points, [GaussCode()] * 6)
+    assert len(set(dealt[[1, 4, 5]])) == 1 and np.count_nonzero(dealt == "train") == 3
+    dealt = kept_together(assigned, points, codes)
+    assert len(set(dealt[[1, 4, 5]])) == 1 and dealt[0] == dealt[2] != dealt[1]
 
 
 def test_no_shipped_test_state_is_near_a_train_state() -> None:

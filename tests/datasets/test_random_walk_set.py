@@ -48,5 +48,5 @@ def test_an_environment_resets_from_them_by_name() -> None:
 
 def test_another_name_of_a_set_is_refused() -> None:
     assert shipped("readable") == shipped()
-    with pytest.raises(InvalidStates, match="there is readable, random-walk, hard-unknots"):
+    with pytest.raises(InvalidStates, match="there are readable, random-walk, hard-unknots"):
         shipped("published")

@@ -440,7 +440,7 @@ def test_ctrl_c_leaves_what_is_whole(
             *("--side-by-side", 1, "--quiet", "--out", tmp_path / "run"),
         )
     said = capfd.readouterr().err
-    assert status == 130 and "--resume goes on" in said and said.count("\n") == 1
+    assert status == 130 and "--resume continues" in said and said.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == [".run.partial"]
     kept = (tmp_path / ".run.partial" / "replies.jsonl").read_text()
     assert [json.loads(one)[:2] for one in kept.splitlines()] == [[0, turn] for turn in range(4)]

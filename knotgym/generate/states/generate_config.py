@@ -61,7 +61,7 @@ class GenerateConfig:
         planner: settings of the planner.
         drawing: settings of the drawings.
         stir: maximum number of random actions that stir a drawing.
-        loop_stir: the same up to 1 crossing, where all states have one diagram and would look alike.
+        loop_stir: the same with at most 1 crossing, where there is but one diagram of states.
         force: minimum and maximum force of these actions, relative to the largest force.
         rest: number of actions without force at the end.
         limits: quality limits of accepted states.

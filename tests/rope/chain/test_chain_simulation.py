@@ -210,7 +210,7 @@ def test_actions_are_read_as_in_mujocos_engine(rope: Rope) -> None:
     chain = ChainSimulation(2, rope)
     actions = chain.actions([7, 60], np.full((2, 3), 0.1))
     assert chain.read_actions(actions)[0].tolist() == [7, 60]
-    with pytest.raises(InvalidAction, match=r"lie in \[-1, 1\]"):
+    with pytest.raises(InvalidAction, match=r"must be in \[-1, 1\]"):
         chain.act(np.full((2, 6), np.nan))
     with pytest.raises(ValueError, match="at least 1 rope, got 0"):
         ChainSimulation(0)
