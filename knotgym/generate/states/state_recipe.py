@@ -58,7 +58,7 @@ from knotgym.runs.progress import Progress, Status, tell_if_long
 from knotgym.runs.run_options import NotEnough, RunOptions
 from knotgym.runs.sealed_json import read_sealed, write_sealed
 from knotgym.runs.shards import Shard
-from knotgym.states.near_duplicates import pairs_within
+from knotgym.states.near_duplicates import NEAR, distances, pairs_within
 from knotgym.states.schema import DRAWING
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import UNKNOT, UnknownKnot, diagram_of, type_of
@@ -71,6 +71,11 @@ CORE_SECONDS = (0.3, 3.0)  # per state without and with a demonstration, up to n
 SEQUENCE_WORTH = 6  # cost of finding and replaying one action sequence, in drawn states
 
 Slot = tuple[int, int, int]  # nx, index of the code, copy
+
+# The first drawings of a code must differ from all other states under every symmetry. Codes that a
+# symmetry maps to each other have similar drawings, so later ones need only differ as they lie;
+# `splits.kept_together` then puts such states into one split.
+_UNLIKE_DRAWINGS = 3
 
 
 class SpoiltCheckpoint(KnotgymError, ValueError):
@@ -396,21 +401,30 @@ class StateRecipe:
 
         def absorb(unit: DrawnUnit, made: DrawnOnes) -> None:
             nx, index = unit.code.nx, unit.which
+            early = self.drawings[nx, index] < _UNLIKE_DRAWINGS
             self.drawings[nx, index] += made.drawings
             self.rejected[nx].update(made.rejected)
             open_slots = (slot for slot in lacking if slot[:2] == (nx, index))
             for one in made.states:
-                if self._is_near(one):
+                if self._is_near(one, early):
                     self.rejected[nx]["near-duplicate"] += 1
                 else:
                     self.states[next(open_slots)] = one
 
         yield Batch(draw_states, units[: config.wave], absorb, "drawing")
 
-    def _is_near(self, state: MadeState) -> bool:
-        """Whether a symmetry brings a state near an accepted one with as many crossings."""
-        others = [one.points for one in self._made(state.code.nx).values()]
-        return bool(others) and bool(pairs_within(state.points[None], np.stack(others)))
+    def _is_near(self, state: MadeState, early: bool = False) -> bool:
+        """Return whether a state is a near-duplicate of an accepted one.
+
+        Under all symmetries it is compared with states of its code and, if it is early, with all
+        of as many crossings; with the others only as they lie.
+        """
+        made = self._made(state.code.nx).values()
+        like = [one.points for one in made if early or one.code.matches(state.code)]
+        others = [one.points for one in made]
+        if like and pairs_within(state.points[None], np.stack(like)):
+            return True
+        return bool(others) and bool((distances(state.points, np.stack(others)) < NEAR).any())
 
     def _made(self, nx: int) -> dict[Slot, MadeState]:
         """Return the accepted states with nx crossings, in the order of their slots."""
