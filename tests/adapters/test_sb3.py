@@ -120,7 +120,7 @@ def test_what_cannot_be_had_is_refused(states_path: str) -> None:
     with pytest.raises(InvalidSetting, match="num_envs must be at least 1, got 0"):
         sb3_vec_env("tie", 0)
     envs = sb3_vec_env("tie", 2, states=states_path, nx=1, observation="state")
-    with pytest.raises(InvalidSetting, match="ask for goals=True"):
+    with pytest.raises(InvalidSetting, match="with goals=True"):
         envs.env_method("compute_reward", 0, 0, {})
     with pytest.raises(InvalidSetting, match="the same for all ropes"):
         envs.set_attr("tag", 1, indices=[0])
