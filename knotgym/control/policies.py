@@ -196,14 +196,16 @@ def _family(name: str) -> PolicyFamily:
     )
 
 
+_CHECKOUT = Path(__file__).parents[2] / "pyproject.toml"
+
+
 @cache
 def _entry_point_families() -> tuple[PolicyFamily, ...]:
     found = {one.value: one for one in entry_points(group=GROUP)}
     # A checkout that is on the path but isn't installed, or was installed before it declared an
     # entry point, lacks that metadata; its pyproject.toml has it.
-    project = Path(__file__).parents[2] / "pyproject.toml"
-    if project.is_file():
-        declared = tomllib.loads(project.read_text(encoding="utf-8")).get("project", {})
+    if _CHECKOUT.is_file():
+        declared = tomllib.loads(_CHECKOUT.read_text(encoding="utf-8")).get("project", {})
         for name, value in declared.get("entry-points", {}).get(GROUP, {}).items():
             found.setdefault(value, EntryPoint(name, value, GROUP))
     families = []

@@ -40,6 +40,7 @@ def provided(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[EntryPoint]]:
     """The installed entry points, empty at first."""
     found: list[EntryPoint] = []
     monkeypatch.setattr(policies, "entry_points", lambda group: found)
+    monkeypatch.setattr(policies, "_CHECKOUT", ROOT / "pyproject.toml")
     policies._entry_point_families.cache_clear()
     monkeypatch.setitem(sys.modules, "still_policies", sys.modules[__name__])
     yield found

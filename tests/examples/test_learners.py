@@ -34,7 +34,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("played")
     words = ("--task", "unknot", "--nx", 2, "--policy", "scripted", "--observation", "state")
     assert knotgym("collect", *words, "--episodes", 3, "--workers", 1, "--quiet", "--out", out) == 0
-    return out / "knotgym/unknot-nx2/scripted-v0"
+    return out / "knotgym/unknot-nx2/scripted-state-v0"
 
 
 def check_scores(folder: Path, name: str) -> None:
