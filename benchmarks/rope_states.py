@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from knotgym.control.action_sequence import step_ropes
-from knotgym.control.macro_actions import MacroActionConfig, WaypointController, propose
+from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, propose
 from knotgym.rope.model import Array
 from knotgym.rope.simulation import Simulation
 from knotgym.topology.crossings import count_crossings

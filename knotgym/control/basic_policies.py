@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.control.macro_actions import MacroActionConfig, WaypointController, propose
+from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, propose
 from knotgym.control.policy import Choice, Effort, PlanningPolicy, Policy, UnplannedPolicy
 from knotgym.envs.episode_batch import EpisodeBatch
 

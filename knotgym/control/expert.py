@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.control.guidance import promising
-from knotgym.control.macro_actions import WaypointController
+from knotgym.rope.macro_actions import WaypointController
 from knotgym.control.planner import REST, Plan, plan
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policy import Choice, Effort, Policy

@@ -10,7 +10,7 @@ from collections import Counter
 
 import numpy as np
 
-from knotgym.control.macro_actions import (
+from knotgym.rope.macro_actions import (
     MacroAction,
     cumulative_shares,
     move_aside,

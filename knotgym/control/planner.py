@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from knotgym.control.action_sequence import Ropes, step_ropes
 from knotgym.control.guidance import Promises, Towards, most_promising
-from knotgym.control.macro_actions import (
+from knotgym.rope.macro_actions import (
     Haul,
     WaypointController,
     cumulative_shares,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from knotgym.common.configuration import check_numbers
-from knotgym.control.macro_actions import MacroActionConfig
+from knotgym.rope.macro_actions import MacroActionConfig
 from knotgym.control.surrogate import SurrogateConfig
 from knotgym.control.transition_graph import TransitionGraphConfig
 

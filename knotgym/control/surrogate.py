@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from knotgym.common.configuration import check_numbers
-from knotgym.control.macro_actions import MacroAction
+from knotgym.rope.macro_actions import MacroAction
 from knotgym.rope.model import Array
 
 _LEAST_SHARE = 1e-3  # neighbours that would move by less than this share aren't dragged

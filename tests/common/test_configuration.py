@@ -8,7 +8,7 @@ import pytest
 
 from knotgym.common.configuration import InvalidConfig, check_numbers, from_json
 from knotgym.common.errors import KnotgymError
-from knotgym.control.macro_actions import MacroActionConfig
+from knotgym.rope.macro_actions import MacroActionConfig
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig
 from knotgym.control.surrogate import SurrogateConfig

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from knotgym.common.configuration import InvalidConfig, check_numbers
 from knotgym.common.streams import Stream, generator
 from knotgym.control.action_sequence import step_ropes
-from knotgym.control.macro_actions import (
+from knotgym.rope.macro_actions import (
     MacroAction,
     MacroActionConfig,
     WaypointController,

@@ -8,7 +8,7 @@ import pytest
 
 from knotgym.common.configuration import InvalidConfig
 from knotgym.control.action_sequence import step_ropes
-from knotgym.control.macro_actions import (
+from knotgym.rope.macro_actions import (
     KINDS,
     MacroAction,
     MacroActionConfig,

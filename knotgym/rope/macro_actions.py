@@ -182,14 +182,37 @@ def pass_strand(
     config: MacroActionConfig,
 ) -> MacroAction:
     """Lead a bead over (side +1) or under (-1) the bead `target` and a little beyond it."""
+    turn, beyond = rng.normal(0, config.pass_angle), rng.uniform(*config.beyond)
+    return _pass(points, kind, bead, target, side, turn, beyond, config)
+
+
+def pass_straight(
+    points: Array, bead: int, target: int, side: int, config: MacroActionConfig
+) -> MacroAction:
+    """Return the same as `pass_strand` without chance: straight ahead, to the middle of `beyond`.
+
+    So a macro-action is said by three integers: the bead, the strand's bead `target`, and the side.
+    """
+    return _pass(points, "pass", bead, target, side, 0.0, sum(config.beyond) / 2, config)
+
+
+def _pass(
+    points: Array,
+    kind: str,
+    bead: int,
+    target: int,
+    side: int,
+    turn: float,
+    beyond: float,
+    config: MacroActionConfig,
+) -> MacroAction:
     offset = points[target, :2] - points[bead, :2]
     # a strand farther away than that is approached without being passed
     far = min(float(np.hypot(*offset)), config.farthest)
-    heading = np.arctan2(offset[1], offset[0]) + rng.normal(0, config.pass_angle)
+    heading = np.arctan2(offset[1], offset[0]) + turn
     # relative to the strand to pass, not to the bead
     height = points[target, 2] + side * config.lift
-    reach = far + rng.uniform(*config.beyond)
-    waypoints = _waypoints(points, bead, heading, height, min(config.rise, far), reach)
+    waypoints = _waypoints(points, bead, heading, height, min(config.rise, far), far + beyond)
     return MacroAction(kind, bead, waypoints, target, side)
 
 
