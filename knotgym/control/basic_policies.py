@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, propose
 from knotgym.control.policy import Choice, Effort, PlanningPolicy, Policy, UnplannedPolicy
 from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, propose
 
 
 class RandomPolicy(UnplannedPolicy):

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.control.guidance import promising
-from knotgym.rope.macro_actions import WaypointController
 from knotgym.control.planner import REST, Plan, plan
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policy import Choice, Effort, Policy
 from knotgym.control.transition_graph import TransitionGraph, shipped_transition_graph
 from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.rope.macro_actions import WaypointController
 from knotgym.rope.simulation import Simulation
 
 BLIND = "blind"  # first word of the reason for an action that no plan contains

@@ -10,6 +10,10 @@ from collections import Counter
 
 import numpy as np
 
+from knotgym.control.planner_config import PlannerConfig
+from knotgym.control.surrogate import surrogate_rollout
+from knotgym.control.transition_counts import ArcCoordinates, MacroTemplate
+from knotgym.control.transition_graph import Distances, Step, TransitionGraph
 from knotgym.rope.macro_actions import (
     MacroAction,
     cumulative_shares,
@@ -17,10 +21,6 @@ from knotgym.rope.macro_actions import (
     pass_strand,
     propose,
 )
-from knotgym.control.planner_config import PlannerConfig
-from knotgym.control.surrogate import surrogate_rollout
-from knotgym.control.transition_counts import ArcCoordinates, MacroTemplate
-from knotgym.control.transition_graph import Distances, Step, TransitionGraph
 from knotgym.rope.model import Array
 from knotgym.topology.crossings import find_crossings, label_many
 from knotgym.topology.gauss import GaussCode

@@ -23,6 +23,8 @@ from numpy.typing import NDArray
 
 from knotgym.control.action_sequence import Ropes, step_ropes
 from knotgym.control.guidance import Promises, Towards, most_promising
+from knotgym.control.planner_config import PlannerConfig
+from knotgym.control.transition_graph import Distances, TransitionGraph
 from knotgym.rope.macro_actions import (
     Haul,
     WaypointController,
@@ -30,8 +32,6 @@ from knotgym.rope.macro_actions import (
     propose,
     propose_haul,
 )
-from knotgym.control.planner_config import PlannerConfig
-from knotgym.control.transition_graph import Distances, TransitionGraph
 from knotgym.rope.model import Array
 from knotgym.rope.towing import TowBound
 from knotgym.topology.crossings import label_many

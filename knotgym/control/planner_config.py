@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from knotgym.common.configuration import check_numbers
-from knotgym.rope.macro_actions import MacroActionConfig
 from knotgym.control.surrogate import SurrogateConfig
 from knotgym.control.transition_graph import TransitionGraphConfig
+from knotgym.rope.macro_actions import MacroActionConfig
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,6 @@ import pytest
 
 from knotgym.common.configuration import InvalidConfig, check_numbers, from_json
 from knotgym.common.errors import KnotgymError
-from knotgym.rope.macro_actions import MacroActionConfig
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig
 from knotgym.control.surrogate import SurrogateConfig
@@ -23,6 +22,7 @@ from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.search import SearchSettings
 from knotgym.generate.states.state_recipe import StateRecipe
 from knotgym.quality.label_limits import LabelLimits
+from knotgym.rope.macro_actions import MacroActionConfig
 from knotgym.rope.relaxation import RelaxationConfig
 
 TUNED = (

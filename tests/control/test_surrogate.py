@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from knotgym.rope.macro_actions import MacroAction, MacroActionConfig, move_aside, pass_strand
 from knotgym.control.surrogate import SurrogateConfig, surrogate_rollout
+from knotgym.rope.macro_actions import MacroAction, MacroActionConfig, move_aside, pass_strand
 from knotgym.rope.model import Array, Rope
 from knotgym.topology.crossings import label
 from knotgym.topology.symmetry import Symmetry

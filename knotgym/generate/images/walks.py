@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 from knotgym.common.configuration import InvalidConfig, check_numbers
 from knotgym.common.streams import Stream, generator
 from knotgym.control.action_sequence import step_ropes
+from knotgym.quality.difficulty import ease
+from knotgym.quality.label_limits import LabelLimits, pressed_together, visits_too_close
+from knotgym.quality.measures import Limits, measure
 from knotgym.rope.macro_actions import (
     MacroAction,
     MacroActionConfig,
@@ -24,9 +27,6 @@ from knotgym.rope.macro_actions import (
     move_aside,
     propose,
 )
-from knotgym.quality.difficulty import ease
-from knotgym.quality.label_limits import LabelLimits, pressed_together, visits_too_close
-from knotgym.quality.measures import Limits, measure
 from knotgym.rope.model import Array, Rope, RopeConfig
 from knotgym.rope.relaxation import RelaxationConfig, relaxed
 from knotgym.rope.simulation_pool import simulation_of

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from knotgym.common.configuration import InvalidConfig, check_numbers
 from knotgym.common.streams import Stream, generator
 from knotgym.control.action_sequence import NO_ACTIONS, ActionSequence, step_ropes
-from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, propose
 from knotgym.control.transition_counts import TransitionCounts, TransitionRecorder
 from knotgym.generate.states.archive import Archive, ArchiveConfig, Elite
 from knotgym.quality.measures import Limits, base_spacing, measure
+from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, propose
 from knotgym.rope.model import Array, Rope, RopeConfig, base_shifts
 from knotgym.rope.simulation import Simulation
 from knotgym.rope.simulation_pool import simulation_of
