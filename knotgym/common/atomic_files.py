@@ -227,6 +227,18 @@ def copy_file(source: Path, target: Path) -> None:
             shutil.copyfileobj(file, copy)
 
 
+def link_or_copy(source: str | os.PathLike[str], target: Path) -> None:
+    """Hard-link a file, or copy it where the disk has no hard links.
+
+    A hard link stores the bytes once. It is safe because our files are only ever replaced, never
+    modified in place. Symbolic links are resolved first, because hard links don't follow them.
+    """
+    try:
+        os.link(os.path.realpath(source), target)
+    except OSError:  # another disk, or one without links
+        shutil.copyfile(source, target)
+
+
 @contextmanager
 def new_hdf5(path: str | os.PathLike[str], **options: Any) -> Iterator[h5py.File]:
     """Yield a new HDF5 file; `options` are passed to h5py.File.

@@ -105,16 +105,13 @@ def arrow(module: str = "pyarrow") -> Any:
         raise MissingExtra(module, install_command("huggingface"), "Parquet") from error
 
 
-def schema() -> Any:
-    """Return the pyarrow schema of a shard, with Hugging Face features in its metadata."""
+def schema(columns: Mapping[str, Any] = COLUMNS) -> Any:
+    """Return the pyarrow schema of columns, with Hugging Face features in its metadata."""
     pa = arrow()
-    features = {name: feature(kind) for name, kind in COLUMNS.items()}
-    metadata = {
-        "huggingface": json.dumps({"info": {"features": features}}, sort_keys=True),
-        "knotgym": json.dumps({"format": FORMAT, "format_version": FORMAT_VERSION}, sort_keys=True),
-    }
+    features = {name: feature(kind) for name, kind in columns.items()}
     return pa.schema(
-        [(name, arrow_type(pa, kind)) for name, kind in COLUMNS.items()], metadata=metadata
+        [(name, arrow_type(pa, kind)) for name, kind in columns.items()],
+        metadata={"huggingface": json.dumps({"info": {"features": features}}, sort_keys=True)},
     )
 
 

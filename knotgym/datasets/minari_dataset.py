@@ -14,7 +14,6 @@ import copy
 import json
 import os
 import re
-import shutil
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
@@ -24,7 +23,7 @@ from typing import Any
 import gymnasium
 
 import knotgym
-from knotgym.common.atomic_files import atomic_write, require_output, sha256
+from knotgym.common.atomic_files import atomic_write, link_or_copy, require_output, sha256
 from knotgym.common.configuration import as_json
 from knotgym.common.hdf5_files import foreign_bytes_as
 from knotgym.datasets.episode_reader import Count, EpisodeReader, InvalidEpisodeFile, uncounted
@@ -147,7 +146,7 @@ def publish(
         }
         merged.close()
         if states is not None:
-            _carry(states, data / "states.h5")
+            link_or_copy(states, data / "states.h5")
         size = sum(file.stat().st_size for file in data.iterdir()) + len(json.dumps(entries))
         entries["dataset_size"] = round(size / 1e6, 1)
         text = json.dumps(entries, sort_keys=True, separators=(",", ":"))
@@ -175,19 +174,6 @@ def loading_lines(dataset_id: str, root: str | os.PathLike[str] | None = None) -
         f'minari.load_dataset("{dataset_id}"){where}',
         f'knotgym.loaders.arrays("{named}", observation="state")',
     ]
-
-
-def _carry(states: str | os.PathLike[str], target: Path) -> None:
-    """Hard-link a state file into a dataset, or copy it where the disk has no hard links.
-
-    A hard link stores the bytes once and still moves with the dataset. It is safe because our files
-    are only ever replaced, never modified in place. Symbolic links are resolved first, because hard
-    links don't follow them.
-    """
-    try:
-        os.link(os.path.realpath(states), target)
-    except OSError:  # another disk, or one without links
-        shutil.copyfile(states, target)
 
 
 def merge_datasets(

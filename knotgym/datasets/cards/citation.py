@@ -6,6 +6,7 @@ import html
 import json
 import re
 from importlib.resources import files
+from pathlib import Path
 from string import Template
 
 import knotgym
@@ -67,3 +68,8 @@ def filled(template: str, **parts: object) -> str:
     text = (files("knotgym.datasets.cards") / template).read_text(encoding="utf-8")
     lists = {name: "\n".join(part) for name, part in parts.items() if isinstance(part, list)}
     return Template(text).substitute({**parts, **lists}, to_cite="\n".join(TO_CITE))
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file that ends with a line break."""
+    path.write_text(text + ("" if text.endswith("\n") else "\n"), encoding="utf-8")
