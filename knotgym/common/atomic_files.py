@@ -35,10 +35,7 @@ class Occupied(KnotgymError, ValueError):
 def require_output(path: str | os.PathLike[str], *, folder: bool, overwrite: bool = False) -> None:
     """Check, before hours of work, that an output can be written and replaces nothing unasked.
 
-    Args:
-        path: path of the output.
-        folder: whether the output is a folder or a file. Neither ever replaces the other.
-        overwrite: whether the user asked to replace an existing output.
+    Neither a file nor a folder ever replaces the other.
 
     Raises:
         Occupied: something exists at `path` that may not be replaced.
@@ -64,10 +61,8 @@ def _require_free(target: Path, folder: bool, overwrite: bool) -> None:
 
 
 def require_writable(path: str | os.PathLike[str]) -> None:
-    """Check, before hours of work, that `path` can be written, by a trial that leaves no trace.
-
-    Raises:
-        Unwritable: the path can't be written.
+    """Check by a trial that leaves no trace that `path` can be written; raise Unwritable
+    otherwise.
     """
     target, folder = Path(path), None
     try:
@@ -86,10 +81,7 @@ def atomic_write(path: str | os.PathLike[str], *, overwrite: bool = True) -> Ite
     """Yield a temporary path beside `path`; what is written there is renamed to `path` at the end.
 
     Write a file there or make a folder. On an error it is removed; if the process is killed, only a
-    folder named `.part-*` is left.
-
-    Raises:
-        Occupied: as for `move_into_place`.
+    folder named `.part-*` is left. Raises Occupied as `move_into_place` does.
     """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -107,10 +99,8 @@ def move_into_place(part: Path, target: Path, *, overwrite: bool) -> None:
     """Rename a finished file or folder to `target`, on the same file system.
 
     Without `overwrite` nothing is replaced, not even what another process has put there in the
-    meantime. With it, the old output is removed only once the new one is in place.
-
-    Raises:
-        Occupied: something exists at `target` that may not be replaced.
+    meantime: that raises Occupied. With it, the old output is removed only once the new one is in
+    place.
     """
     is_folder = stat.S_ISDIR(part.lstat().st_mode)  # raises if nothing was written
     _require_free(target, is_folder, overwrite)
@@ -164,13 +154,10 @@ def remove(path: Path) -> None:
 
 
 def require_own(path: Path, error: type[KnotgymError] = Occupied) -> None:
-    """Check that a path, if it exists, isn't a link and belongs to the current user.
+    """Raise `error` if a path exists and is a link or belongs to another user.
 
-    Otherwise somebody else may have planted it in a shared folder. The contents of a folder aren't
-    checked; see `require_own_tree`.
-
-    Raises:
-        KnotgymError: of the class `error`, if the check fails.
+    Somebody else may have planted it in a shared folder. The contents of a folder aren't checked;
+    see `require_own_tree`.
     """
     try:
         found = os.lstat(path)
@@ -195,13 +182,10 @@ class LinkedFile(KnotgymError, ValueError):
 
 
 def require_no_links(root: Path, files: Iterable[Path]) -> None:
-    """Check that files of a folder aren't reached by links inside it.
+    """Raise LinkedFile if files of a folder are reached by links inside it.
 
     In a downloaded folder, such a link could make a private file of the user part of what is copied
     and published. The folder itself may be a link, because the user named it.
-
-    Raises:
-        LinkedFile: a file, or a folder between it and `root`, is a link.
     """
     for file in files:
         for step in (file, *file.parents):
@@ -215,11 +199,7 @@ def require_no_links(root: Path, files: Iterable[Path]) -> None:
 
 
 def copy_file(source: Path, target: Path) -> None:
-    """Copy the bytes of a regular file without following links.
-
-    Raises:
-        OSError: `source` is a link or not a regular file.
-    """
+    """Copy the bytes of a regular file; raise OSError for a link or anything else."""
     with open(os.open(source, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
             raise OSError(errno.EINVAL, "not a regular file", str(source))

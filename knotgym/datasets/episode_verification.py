@@ -48,13 +48,7 @@ _BATCH = 64  # episodes replayed side by side
 def replay(
     episodes: Sequence[Episode], task: TaskConfig, threads: int = 1, count: Count = uncounted
 ) -> list[int | None]:
-    """Replay episodes from their starts.
-
-    Args:
-        episodes: episodes of one task, replayed in parallel in one simulation.
-        task: the task, which says what the rope is like.
-        threads: threads of the simulation, 0 for all cores.
-        count: progress callback, called after each step of the simulation.
+    """Replay episodes of one task from their starts, side by side in one simulation.
 
     Returns:
         For each episode the first state that differs in any bit, or that needed another share of

@@ -66,12 +66,10 @@ class EpisodeWriter:
     def __init__(
         self, path: str | os.PathLike[str], task: TaskConfig, *, compact: bool = False
     ) -> None:
-        """Prepare a file of episodes of one task.
+        """Prepare a file of episodes of one task; an existing file is replaced.
 
-        Args:
-            path: path of the file; an existing file is replaced.
-            task: the environment; `task.observation` says which observations are stored.
-            compact: store no observations; they are rendered when read.
+        `task.observation` says which observations are stored; with `compact` none are, and they are
+        rendered when read.
         """
         self.path = Path(path)
         self.task = task
@@ -100,12 +98,9 @@ class EpisodeWriter:
             _write_index(self._file, self._index)
 
     def add(self, episode: Episode, number: int | None = None) -> None:
-        """Write an episode.
+        """Write an episode of the writer's task.
 
-        Args:
-            episode: an episode of the writer's task.
-            number: its number among the episodes of all files to be merged; by default one more
-                than the previous one's.
+        `number` counts the episodes of all files to be merged; by default one more than the last.
         """
         number = self._next if number is None else number
         self._next = number + 1
@@ -144,15 +139,15 @@ def merge_episodes(
     Args:
         sources: what `EpisodeReader` takes; all of one task and rope.
         target: path of the merged file; an existing file is replaced.
-        store: observations in the target, "pixels", "state", "both", "symbolic" or "none"; rendered
-            where the sources store others. None keeps those of the sources.
+        store: observations in the target, one of STORED; rendered where the sources store others.
+            None keeps those of the sources.
         concatenate: append the sources one after another; otherwise order episodes by their number,
             as for the shards of one run.
         distinct: refuse two equal episodes.
         task: task of the target, for episodes that are assigned to another split: `split` and
             `states` of the sources may then differ.
         attributes: further attributes of the target file.
-        count: progress callback, called before each episode.
+        count: progress callback.
 
     Raises:
         InvalidEpisodeFile: the sources can't be combined, two episodes have the same number, or two

@@ -27,9 +27,7 @@ class HarmfulFile(KnotgymError, OSError):
 def try_files(paths: Iterable[Path], limit: float = LIMIT) -> None:
     """Read files completely in one subprocess; skip those that aren't HDF5.
 
-    Args:
-        paths: paths of any files.
-        limit: time limit in seconds, before the allowance for the files' size.
+    `limit` is the time limit in seconds, before the allowance for the files' size.
 
     Raises:
         HarmfulFile: a file makes the library crash or hang.

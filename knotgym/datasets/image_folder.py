@@ -29,7 +29,7 @@ def finish(
         folder: the output folder; the manifest is written last.
         shards: its Parquet files.
         request: `config` and `source` of the run.
-        report: report of the run, see `image_card.card`.
+        report: counts of the run, see `image_card.card`.
         states: float64 (n, nstate), simulator states that the walks start from.
         walks: all walks of the run; only those that a row comes from are written.
     """

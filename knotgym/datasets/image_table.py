@@ -94,11 +94,7 @@ class InvalidImages(KnotgymError, ValueError):
 
 
 def arrow(module: str = "pyarrow") -> Any:
-    """Import pyarrow, or one of its modules.
-
-    Raises:
-        MissingExtra: it isn't installed.
-    """
+    """Import pyarrow, or one of its modules; raise MissingExtra if it isn't installed."""
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
@@ -116,11 +112,9 @@ def schema(columns: Mapping[str, Any] = COLUMNS) -> Any:
 
 
 def write_rows(path: str | os.PathLike[str], rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write a shard atomically; the same rows give the same bytes.
+    """Write a shard atomically from rows with all of COLUMNS, `image` as PNG bytes.
 
-    Args:
-        path: the new file.
-        rows: all columns of COLUMNS by name, `image` as PNG bytes.
+    The same rows give the same bytes.
     """
     full = [{**row, "image": {"bytes": row["image"], "path": None}} for row in rows]
     write_table(path, arrow().Table.from_pylist(full, schema=schema()))
@@ -153,11 +147,7 @@ def encode(image: NDArray[np.uint8]) -> bytes:
 
 
 def decode(data: bytes) -> NDArray[np.uint8]:
-    """Decode a PNG to uint8 (size, size, 3), RGB.
-
-    Raises:
-        InvalidImages: it isn't a PNG, or larger than knotgym writes.
-    """
+    """Decode a PNG of at most _LARGEST pixels a side to uint8 (size, size, 3), RGB."""
     if len(data) < 33 or data[:8] != _PNG:
         raise InvalidImages(f"{len(data)} bytes that aren't a PNG picture")
     width, height = struct.unpack(">II", data[16:24])
@@ -186,11 +176,7 @@ def file_stem(split: str) -> str:
 
 
 def shards(path: str | os.PathLike[str], split: str | None = None) -> list[Path]:
-    """List the shards of a folder, or the one file, in order.
-
-    Args:
-        path: a shard, or a folder with shards in it or in its `data`.
-        split: list the shards of this split only.
+    """List the shards of a folder or of the folder `data` in it, or the one file, in order.
 
     Raises:
         MissingFile: nothing exists at path.
@@ -315,11 +301,7 @@ def _named(file: Any) -> dict[str, Any]:
 
 
 def _require_schema(file: Any, stored: int) -> None:
-    """Refuse a shard with other columns or types, or with sizes that its stored bytes can't hold.
-
-    Raises:
-        InvalidImages: the shard is refused.
-    """
+    """Refuse a shard with other columns or types, or with sizes that its bytes can't hold."""
     found = file.schema_arrow
     for wanted in schema():
         at = found.get_all_field_indices(wanted.name)

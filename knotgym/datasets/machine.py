@@ -39,11 +39,8 @@ def _found() -> tuple[tuple[str, str], ...]:
 
 
 def machine() -> dict[str, str]:
-    """Describe this machine.
-
-    Returns:
-        `system`, `processor`, the `instructions` that NumPy uses beyond its baseline, the `blas` it
-        was built with, and the `libc`, whose mathematics MuJoCo uses.
+    """Describe this machine: `system`, `processor`, the `instructions` that NumPy uses beyond its
+    baseline, the `blas` it was built with, and the `libc`, whose mathematics MuJoCo uses.
     """
     return dict(_found())
 

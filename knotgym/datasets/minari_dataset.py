@@ -184,19 +184,15 @@ def merge_datasets(
     *,
     overwrite: bool = False,
 ) -> Path:
-    """Merge datasets of one task and split into a new one, without encoding anything again.
+    """Merge datasets of one task and split into a new one, and return its folder.
 
-    Minari's own `combine_datasets` converts pictures to JPEG and drops the evaluation split.
+    Nothing is encoded again; Minari's own `combine_datasets` converts pictures to JPEG and drops
+    the evaluation split.
 
     Args:
         sources: datasets or episode files that share no episode.
         dataset_id: id of the new dataset.
-        out: root folder of Minari datasets; None for Minari's own.
-        count: progress callback, called before each episode.
-        overwrite: replace an existing dataset of this id.
-
-    Returns:
-        The dataset's folder.
+        out, count, overwrite: as for `publish`.
 
     Raises:
         InvalidEpisodeFile: the sources can't be combined.
@@ -268,13 +264,8 @@ def compact(
 ) -> None:
     """Write a dataset's compact form: one file of episodes and metadata, without observations.
 
-    `publish([target], metadata_of(target))` restores the dataset.
-
-    Args:
-        source: what `EpisodeReader` takes.
-        target: path of the compact file.
-        count: progress callback, called before each episode.
-        overwrite: replace an existing file.
+    `publish([target], metadata_of(target))` restores the dataset. `source` is what `EpisodeReader`
+    takes, `count` a progress callback; with `overwrite` an existing file is replaced.
     """
     require_output(target, folder=False, overwrite=overwrite)
     metadata = metadata_of(source)

@@ -45,12 +45,7 @@ class InvalidWalks(KnotgymError, ValueError):
 
 
 class WalksMade(Protocol):
-    """Walks as a worker returns them.
-
-    Attributes:
-        numbers, bases: int64 (w,), numbers of the walk and of the state it starts from.
-        beads, forces: as in `Walks`.
-    """
+    """Walks as a worker returns them; see `generate.images.walks.Frames`."""
 
     @property
     def numbers(self) -> NDArray[np.int64]: ...
@@ -76,10 +71,8 @@ class Walks:
 def walks_of(states: Array, made: Sequence[WalksMade], used: set[int]) -> Walks:
     """Select the walks that are used, and the states that they start from.
 
-    Args:
-        states: float64 (n, nstate), the states that `bases` index.
-        made: all walks, in batches.
-        used: numbers of the walks to keep, at least one.
+    `states`, float64 (n, nstate), are those that `bases` index; `used` numbers the walks to keep,
+    at least one.
     """
     kept = [(piece, np.flatnonzero(np.isin(piece.numbers, [*used]))) for piece in made]
     kept = [(piece, rows) for piece, rows in kept if len(rows)]
@@ -118,13 +111,7 @@ def write_walks(path: str | os.PathLike[str], walks: Walks) -> None:
 
 
 def read_walks(path: str | os.PathLike[str]) -> Walks:
-    """Read the file.
-
-    Raises:
-        MissingFile: there is no such file.
-        InvalidWalks: the file is foreign, truncated, of an unknown format version or of another
-            rope model.
-    """
+    """Read the file; raise InvalidWalks if it is foreign, truncated or of another rope model."""
     with opened_hdf5(
         path, what="file of walks", format=FORMAT, versions=(FORMAT_VERSION,), error=InvalidWalks
     ) as file:
@@ -146,12 +133,8 @@ def read_walks(path: str | os.PathLike[str]) -> Walks:
 def retrace(states: Array, beads: NDArray[np.int16], forces: NDArray[np.float32]) -> Array:
     """Replay walks; return the configuration before the first and after every step.
 
-    Args:
-        states: float64 (w, nstate), the states that they start from.
-        beads, forces: as in `Walks`.
-
-    Returns:
-        float64 (w, T + 1, beads, 3), metres.
+    `states` is float64 (w, nstate), the states that they start from; the result is float64
+    (w, T + 1, beads, 3), metres.
     """
     simulation = simulation_of(len(states), RopeConfig())
     simulation.restore(states)

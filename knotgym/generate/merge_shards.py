@@ -70,21 +70,13 @@ class InvalidMerge(KnotgymError, ValueError):
 
 @dataclass(frozen=True)
 class ShardFolder:
-    """The output folder of a shard.
-
-    Attributes:
-        folder: its path.
-        kind: "states", "episodes" or "images".
-        shard: its number.
-        request: request of the run without the shard; equal for all shards of a run.
-        manifest: the folder's manifest; for episodes, collection.json.
-    """
+    """The output folder of a shard."""
 
     folder: Path
-    kind: str
+    kind: str  # "states", "episodes" or "images"
     shard: Shard
-    request: dict[str, Any]
-    manifest: dict[str, Any]
+    request: dict[str, Any]  # request of the run without the shard; equal for all shards of a run
+    manifest: dict[str, Any]  # the folder's manifest; for episodes, collection.json
 
 
 def shard_folder_of(source: str) -> ShardFolder | None:
@@ -103,12 +95,9 @@ def shard_folder_of(source: str) -> ShardFolder | None:
 
 
 def merge_shards(folders: Sequence[ShardFolder], out: Path, *, overwrite: bool = False) -> Path:
-    """Merge all shards of a run and return the new folder.
+    """Merge all shards of a run, in any order, and return the new folder.
 
-    Args:
-        folders: all shards, in any order.
-        out: the folder to write; for episodes the Minari root, as in `knotgym collect`.
-        overwrite: replace an existing folder once the new one is complete.
+    For episodes `out` is the Minari root, as in `knotgym collect`.
 
     Raises:
         InvalidMerge: shards are missing, given twice, corrupted, of different runs, or have an
@@ -168,10 +157,8 @@ def _require_whole_run(ordered: Sequence[ShardFolder]) -> None:
 
 
 def _reported(ordered: Sequence[ShardFolder]) -> dict[str, Any]:
-    """Return the sum of the shards' reports.
-
-    Raises:
-        InvalidMerge: a configuration or report is invalid.
+    """Return the sum of the shards' reports; raise InvalidMerge if one or the configuration is
+    invalid.
     """
     first = ordered[0]
     try:

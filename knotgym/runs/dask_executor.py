@@ -91,10 +91,8 @@ class Cluster:
 
 @contextmanager
 def cluster(scheduler: str) -> Iterator[Cluster]:
-    """Connect to the cluster whose scheduler is at this address.
-
-    Raises:
-        InvalidExecutor: no scheduler answers, there is no worker, or a worker has several threads.
+    """Connect to the cluster whose scheduler is at this address, with workers of one thread
+    each.
     """
     try:
         from distributed import Client

@@ -54,19 +54,14 @@ LISTED = ("config", "source", "shard", "versions", "rope")  # fields of a reques
 
 @dataclass(frozen=True)
 class Batch:
-    """Independent units of work.
+    """Independent units of work."""
 
-    Attributes:
-        work: function of one unit, at the top level of a module so that it can be pickled.
-        units: arguments of `work`; iterated once.
-        absorb: called in this process with each unit and its result, in the order of the units.
-        name: description shown as progress.
-    """
-
+    # function of one unit, at the top level of a module so that it can be pickled
     work: Callable[[Any], Any]
-    units: Sequence[Any]
+    units: Sequence[Any]  # arguments of `work`; iterated once
+    # called in this process with each unit and its result, in the order of the units
     absorb: Callable[[Any, Any], None]
-    name: str = "working"
+    name: str = "working"  # description shown as progress
 
     def follow(self, pool: Pool) -> Iterator[None]:
         """Run the work on a pool; yield after each absorbed unit."""
@@ -202,11 +197,8 @@ def require_startable(
 
 
 def whole_request(asked: dict[str, Any], shard: Shard) -> dict[str, Any]:
-    """Return everything that determines the output of a run, as JSON.
-
-    Args:
-        asked: the recipe's part of the request.
-        shard: which part of the run.
+    """Return everything that determines the output of a run, as JSON; `asked` is the recipe's
+    part.
     """
     request = {
         **asked,
@@ -257,10 +249,8 @@ def request_of(folder: Path) -> dict[str, Any] | None:
 def require_resumable(
     folder: Path, left: dict[str, Any] | None, asked: dict[str, Any], flexible: tuple[str, ...]
 ) -> None:
-    """Require that a staging folder belongs to this request.
-
-    Raises:
-        InvalidRun: it belongs to another request, or it has work and an unreadable request.
+    """Require that a staging folder with work belongs to this request; raise InvalidRun
+    otherwise.
     """
     if left is not None:
         require_same(left, asked, flexible, folder)
@@ -274,11 +264,7 @@ def require_resumable(
 def require_same(
     there: dict[str, Any], asked: dict[str, Any], flexible: tuple[str, ...], folder: Path
 ) -> None:
-    """Require that two requests agree, apart from the `flexible` fields of the configuration.
-
-    Raises:
-        InvalidRun: they differ.
-    """
+    """Require that two requests agree, apart from the `flexible` fields of the configuration."""
     if found := differing(there, asked, flexible):
         raise InvalidRun(
             f"{folder} belongs to a different run: {'; '.join(found[:3])}; give the same options"

@@ -167,10 +167,7 @@ def duration(seconds: float) -> str:
 def tell_if_long(progress: Progress, core_seconds: float, workers: int) -> None:
     """Print an estimate of the time a run takes, if it is more than an hour.
 
-    Args:
-        progress: where to print it.
-        core_seconds: estimate for one core of the machine in docs/validation.md.
-        workers: number of processes, 0 for one per core.
+    `core_seconds` are for one core of the machine in docs/validation.md.
     """
     from knotgym.runs.executors import cores
 

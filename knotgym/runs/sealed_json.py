@@ -27,7 +27,6 @@ def read_sealed(path: Path) -> dict[str, Any]:
     """Read a file of `write_sealed` and return its content without the checksum.
 
     Raises:
-        OSError: the file can't be read.
         UnreadableJson: it was changed since it was written.
     """
     content = read_json(path)

@@ -75,11 +75,7 @@ def has_work(partial: Path) -> bool:
 
 
 def discard(out: Path) -> None:
-    """Remove the staging folder of `out`, if there is one.
-
-    Raises:
-        Occupied: another process holds it.
-    """
+    """Remove the staging folder of `out`, if there is one that no other process holds."""
     if os.path.lexists(staging_folder(out)):
         with lock_folder(staging_folder(out)):
             shutil.rmtree(staging_folder(out))
@@ -126,10 +122,8 @@ def is_held(partial: Path, lock: os.stat_result) -> bool:
 
 
 def _opened(path: Path) -> IO[bytes]:
-    """Open a lock file, and create it if needed, without following or blocking on anything else.
-
-    Raises:
-        Occupied: the path is a link or not a regular file.
+    """Open a lock file, created if needed, without following a link or blocking on anything
+    else.
     """
     wanted = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
     try:

@@ -85,15 +85,7 @@ def spread_of(points: NDArray[np.float64]) -> Spread:
 def shape_distances(
     points: NDArray[np.float64], others: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Compute `distances` minimized also over the base bead and the direction along the rope.
-
-    Args:
-        points: float64 (beads, 3), metres.
-        others: float64 (n, beads, 3), metres.
-
-    Returns:
-        float64 (n,), root mean square distance of the beads, metres.
-    """
+    """Compute `distances` minimized also over the base bead and the direction along the rope."""
     a = points - points.mean(axis=0)
     b = others - others.mean(axis=1, keepdims=True)
     best = np.full(len(others), -np.inf)
@@ -110,9 +102,7 @@ def shape_distances(
 def visit_distance(positions: Sequence[NDArray[np.float64]], beads: int) -> float | None:
     """Compute the mean distance, in beads, between visits of different configurations.
 
-    Args:
-        positions: positions along the rope of each configuration's visits, in [0, beads].
-        beads: number of beads of the rope.
+    `positions` are those of each configuration's visits along the rope, in [0, beads].
 
     >>> visit_distance([np.array([98.0]), np.array([2.0, 48.0])], 100)
     27.0

@@ -59,11 +59,9 @@ def citation_file(title: str) -> str:
 
 
 def filled(template: str, **parts: object) -> str:
-    """Fill a text template of this package; `$to_cite` becomes the section with the BibTeX.
+    """Fill a text template of this package with texts, or lists of lines.
 
-    Args:
-        template: name of the file.
-        parts: text of each placeholder, or its lines.
+    `$to_cite` becomes the section with the BibTeX.
     """
     text = (files("knotgym.datasets.cards") / template).read_text(encoding="utf-8")
     lists = {name: "\n".join(part) for name, part in parts.items() if isinstance(part, list)}

@@ -34,8 +34,7 @@ _COUNTS_HEAD = (
 def summary(path: str | Path) -> dict[str, Any]:
     """Count codes, grades and accepted pictures of a perception table, by nx and by split.
 
-    Returns:
-        A dict that can be written as JSON, with the 5 %, 50 % and 95 % quantiles of the measures.
+    The result can be written as JSON; it has the 5 %, 50 % and 95 % quantiles of the measures.
     """
     rows = read_table(path, columns=[*_COUNTED, "quality", "appearance"])
     columns = {name: np.array(rows[name].to_pylist()) for name in _COUNTED}

@@ -18,10 +18,8 @@ from knotgym.topology.gauss import GaussCode
 
 
 def summary(states: States) -> dict[str, Any]:
-    """Count the states of a file by nx, with their spread and the range of each quality measure.
-
-    Returns:
-        A dict that can be written as JSON.
+    """Count the states of a file by nx, with their spread and the range of each quality measure, as
+    JSON.
     """
     return {
         "states": len(states),
@@ -45,10 +43,7 @@ def summary(states: States) -> dict[str, Any]:
 def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -> str:
     """Write the card as Markdown, with the YAML front matter that Hugging Face reads.
 
-    Args:
-        states: the states of the folder.
-        report: `report` of the manifest: existing codes, rejections, actions, growth.
-        config: the whole configuration.
+    `report` is that of the manifest: existing codes, rejections, actions, growth.
     """
     facts = summary(states)
     quality = [

@@ -70,7 +70,7 @@ def to_huggingface(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Write the folder atomically; `count` is called before each episode.
+    """Write the folder atomically.
 
     Raises:
         ExportError: the sources have no rows.

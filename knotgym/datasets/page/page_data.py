@@ -57,7 +57,6 @@ def page_data(
 
     Raises:
         UnshownDataset: there are no rows.
-        KnotgymError: a source can't be read.
     """
     rope = RopeConfig()
     notices: list[str] = []

@@ -32,25 +32,15 @@ class NoSeedStates(KnotgymError, ValueError):
 
 @dataclass(frozen=True, eq=False)
 class SeedStates:
-    """Start states for walks.
+    """Start states for walks."""
 
-    Attributes:
-        states: float64 (n, nstate), integration states.
-        points: float64 (n, beads, 3), metres.
-        nx: int64 (n,), numbers of crossings.
-        kind: int64 (n,), index of the class of codes under the rope's symmetries.
-        family: int64 (n,), index of the family.
-        knots: knot types of the states.
-        source: kind, name and SHA-256 of the file that they were read from.
-    """
-
-    states: Array
-    points: Array
-    nx: NDArray[np.int64]
-    kind: NDArray[np.int64]
-    family: NDArray[np.int64]
-    knots: tuple[str, ...]
-    source: dict[str, str]
+    states: Array  # float64 (n, nstate), integration states
+    points: Array  # float64 (n, beads, 3), metres
+    nx: NDArray[np.int64]  # int64 (n,), numbers of crossings
+    kind: NDArray[np.int64]  # int64 (n,), index of the class of codes under the rope's symmetries
+    family: NDArray[np.int64]  # int64 (n,), index of the family
+    knots: tuple[str, ...]  # knot types of the states
+    source: dict[str, str]  # kind, name and SHA-256 of the file that they were read from
 
     def __len__(self) -> int:
         return len(self.states)
@@ -59,16 +49,12 @@ class SeedStates:
 def seed_states(
     nx: tuple[int, ...], archive: Path | None = None, states: Path | None = None
 ) -> SeedStates:
-    """Read the states that have at most max(nx) crossings.
+    """Read the states that have at most max(nx) crossings from an archive of play or a state file.
 
-    Args:
-        nx: requested numbers of crossings.
-        archive: an archive of play.
-        states: a state file; if neither is given, the included states are used.
+    Without either, the included states are used.
 
     Raises:
         NoSeedStates: both files were given, or there is no suitable state.
-        FileNotFoundError, InvalidArchive, InvalidStates: a file can't be read.
     """
     if archive and states:
         raise NoSeedStates(

@@ -46,21 +46,13 @@ class SelectionConfig:
 
 
 class ChosenFrame(NamedTuple):
-    """A chosen frame.
+    """A chosen frame."""
 
-    Attributes:
-        points: float64 (beads, 3), metres, the configuration to store.
-        code: its Gauss code with chirality.
-        split: one of IMAGE_SPLITS.
-        symmetry: transformation from the frame to `points`.
-        frame: index among all frames.
-    """
-
-    points: Array
-    code: GaussCode
-    split: str
-    symmetry: Symmetry
-    frame: int
+    points: Array  # float64 (beads, 3), metres, the configuration to store
+    code: GaussCode  # its Gauss code with chirality
+    split: str  # one of IMAGE_SPLITS
+    symmetry: Symmetry  # transformation from the frame to `points`
+    frame: int  # index among all frames
 
 
 @dataclass(frozen=True)
@@ -92,12 +84,7 @@ class Chooser:
     ) -> None:
         """Start without chosen frames.
 
-        Args:
-            quota: see the attribute.
-            held_out: codes, without chirality, allowed only in split "test-code".
-            beads: number of beads of the rope.
-            config: settings of the selection.
-            limits: limits that make a code unambiguous.
+        `held_out` are the codes, without chirality, allowed only in split "test-code".
         """
         self.quota, self.chosen, self.refused = quota, list[ChosenFrame](), Counter[str]()
         self._held_out, self._config, self._limits = held_out, config, limits

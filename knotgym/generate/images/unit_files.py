@@ -66,11 +66,8 @@ def walked(work: UnitFile) -> Path:
 
 
 def load_frames(path: Path) -> Frames:
-    """Read a file of `walked`.
-
-    Raises:
-        SpoiltUnit: the file is truncated, corrupted or of another kind.
-        OSError: it can't be read.
+    """Read a file of `walked`; raise SpoiltUnit if it is truncated, corrupted or of another
+    kind.
     """
     require_regular(path, "walks", SpoiltUnit)
     try:

@@ -75,53 +75,32 @@ class Walk(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Unit:
-    """Up to WALKS walks.
+    """Up to WALKS walks."""
 
-    Attributes:
-        walks: the walks.
-        states: float64 (walks, nstate), their start states.
-        seed: random seed of the run.
-        steps: steps per walk.
-        stride: steps between examined frames.
-        max_nx: frames with more crossings are dropped.
-        config: how walks are made.
-    """
-
-    walks: tuple[Walk, ...]
-    states: Array
-    seed: int
-    steps: int
-    stride: int
-    max_nx: int
-    config: WalkConfig
+    walks: tuple[Walk, ...]  # the walks
+    states: Array  # float64 (walks, nstate), their start states
+    seed: int  # random seed of the run
+    steps: int  # steps per walk
+    stride: int  # steps between examined frames
+    max_nx: int  # frames with more crossings are dropped
+    config: WalkConfig  # how walks are made
 
 
 @dataclass(frozen=True, eq=False)
 class Frames:
-    """The m kept frames of a unit of w walks, by walk, and how to reproduce them.
+    """The m kept frames of a unit of w walks, by walk, and how to reproduce them."""
 
-    Attributes:
-        points: float64 (m, beads, 3), metres.
-        walk: int64 (m,), number of the walk.
-        steps: int64 (m,), steps before the frame.
-        rounds: int64 (m,), rounds of `relaxation.relaxed`; 0 for an unrelaxed frame.
-        ease: float64 (m,), see `difficulty.ease`, without the base bead.
-        numbers, bases: int64 (w,), fields of the unit's walks.
-        beads: int16 (w, steps), bead pulled at each step.
-        forces: float32 (w, steps, 3), relative to the largest force.
-        dropped: reason -> number of dropped frames.
-    """
-
-    points: Array
-    walk: NDArray[np.int64]
-    steps: NDArray[np.int64]
+    points: Array  # float64 (m, beads, 3), metres
+    walk: NDArray[np.int64]  # int64 (m,), number of the walk
+    steps: NDArray[np.int64]  # int64 (m,), steps before the frame
+    # int64 (m,), rounds of `relaxation.relaxed`; 0 for an unrelaxed frame.
     rounds: NDArray[np.int64]
-    ease: Array
-    numbers: NDArray[np.int64]
+    ease: Array  # float64 (m,), see `difficulty.ease`, without the base bead.
+    numbers: NDArray[np.int64]  # int64 (w,), fields of the unit's walks
     bases: NDArray[np.int64]
-    beads: NDArray[np.int16]
-    forces: NDArray[np.float32]
-    dropped: dict[str, int]
+    beads: NDArray[np.int16]  # int16 (w, steps), bead pulled at each step
+    forces: NDArray[np.float32]  # float32 (w, steps, 3), relative to the largest force
+    dropped: dict[str, int]  # reason -> number of dropped frames
 
 
 class _Met(NamedTuple):

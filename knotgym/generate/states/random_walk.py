@@ -136,23 +136,14 @@ class WalkUnit(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class WalkState:
-    """A state reached by a random walk.
+    """A state reached by a random walk."""
 
-    Attributes:
-        rope: number of the rope.
-        step: number of actions before it.
-        code: with chirality.
-        qpos: float64 (nq,).
-        points: float64 (beads, 3), metres.
-        quality: all measures.
-    """
-
-    rope: int
-    step: int
-    code: GaussCode
-    qpos: Array
-    points: Array
-    quality: Quality
+    rope: int  # number of the rope
+    step: int  # number of actions before it
+    code: GaussCode  # with chirality
+    qpos: Array  # float64 (nq,)
+    points: Array  # float64 (beads, 3), metres
+    quality: Quality  # all measures
 
 
 @dataclass(frozen=True, eq=False)

@@ -54,14 +54,8 @@ def walk_states(
 ) -> Path:
     """Make states of random walks in the new folder `out`, and return it.
 
-    Args:
-        config: which states to make.
-        out: the folder.
-        options: how to execute the run; shards are not supported.
-        progress: where to show progress; a new display by default.
-
     Raises:
-        Occupied, InvalidRun: as in `runs.engine.run`.
+        Occupied, InvalidRun: as in `runs.engine.run`; shards are not supported.
         NotEnough: `config.attempts` were used up.
     """
     if not options.shard.is_whole:

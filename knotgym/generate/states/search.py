@@ -167,7 +167,7 @@ def search_round(
         archive: changed in place.
         config: the same for every round of an archive.
         chunk: ropes per unit of work; doesn't change the result.
-        wanted: passed to `replays`.
+        wanted: as for `replays`.
     """
     number = len(archive.growth)
     actions = archive.growth[-1]["actions"] if archive.growth else 0
@@ -259,21 +259,13 @@ def confirm(replay: Replay) -> list[Discovery]:
 
 
 class Played(NamedTuple):
-    """Result of a SearchUnit.
+    """Result of a SearchUnit."""
 
-    Attributes:
-        discoveries: ordered by rope, then by step.
-        beads: int16 (ropes, steps), the bead pulled at each step.
-        forces: float32 (ropes, steps, 3), the force at each step.
-        taken: int (ropes,), steps of each rope before its simulation failed.
-        transitions: changes of code caused by macro-actions.
-    """
-
-    discoveries: list[Discovery]
-    beads: NDArray[np.int16]
-    forces: NDArray[np.float32]
-    taken: NDArray[np.int64]
-    transitions: TransitionCounts
+    discoveries: list[Discovery]  # ordered by rope, then by step
+    beads: NDArray[np.int16]  # int16 (ropes, steps), the bead pulled at each step
+    forces: NDArray[np.float32]  # float32 (ropes, steps, 3), the force at each step
+    taken: NDArray[np.int64]  # int (ropes,), steps of each rope before its simulation failed
+    transitions: TransitionCounts  # changes of code caused by macro-actions
 
 
 def play(unit: SearchUnit) -> Played:

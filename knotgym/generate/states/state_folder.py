@@ -101,17 +101,9 @@ def demonstrations_of(
 ) -> dict[str, NDArray[Any]]:
     """Return the columns that locate each state's demonstration.
 
-    There is one dataset per nx and split, with episodes in the order of the states.
-
-    Args:
-        nx: int64 (n,), crossing numbers of the states.
-        splits: str (n,), splits of the states.
-        knot: knot type of all states.
-        demonstrated: n values, whether a state has a demonstration.
-
-    Returns:
-        "dataset", str (n,), and "trajectory", int64 (n,), the index of the episode in it; "" and -1
-        for states without a demonstration.
+    There is one dataset per nx and split, with episodes in the order of the states: "dataset", str
+    (n,), and "trajectory", int64 (n,), the index of the episode in it; "" and -1 for states without
+    a demonstration.
     """
     ids = [
         demonstrations_id(crossings, split, knot) if has else ""
@@ -146,12 +138,7 @@ def finish(
 ) -> None:
     """Write gallery, card and manifest into a folder that has the states and demonstrations.
 
-    Args:
-        folder: the folder of the run.
-        states: as in its states.h5.
-        report: the run's counts.
-        request: the run's request.
-        machines: the machines that made the data; this one by default.
+    `machines` made the data; this one by default.
     """
     write_gallery(folder / "gallery.png", states)
     (folder / "README.md").write_text(card(states, report, request["config"]), encoding="utf-8")
