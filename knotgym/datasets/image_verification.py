@@ -245,11 +245,12 @@ def _walk_batches(folder: Path, table: Any) -> tuple[list[_WalkBatch], list[str]
         relaxation = from_json(RelaxationConfig, manifest["config"]["walk"]["relaxation"])
     except (KeyError, TypeError, KnotgymError):  # a fault of the manifest, told by _folder_faults
         relaxation = RelaxationConfig()
-    columns = walks.state[walks.start], walks.beads, walks.forces
+    states = walks.state[walks.start]
     batches = []
     for batch, own in sorted(rows.items()):
-        states, beads, forces = (one[batch * _BATCH :][:_BATCH] for one in columns)
-        batches.append(_WalkBatch((states, beads, forces), own, relaxation))
+        part = slice(batch * _BATCH, (batch + 1) * _BATCH)
+        arguments = states[part], walks.beads[part], walks.forces[part]
+        batches.append(_WalkBatch(arguments, own, relaxation))
     return batches, faults
 
 

@@ -81,22 +81,25 @@ class Recipe(Protocol):
     `flexible` names the fields of the configuration that may change when a run is resumed.
     """
 
-    flexible: tuple[str, ...]
+    flexible: tuple[str, ...] = ()
 
     def request(self) -> dict[str, Any]:
         """Return the configuration and sources as JSON: `{"config": {...}, "source": ...}`."""
 
     def begin(self) -> None:
         """Prepare a new run before anything is written; raise if it can't be done."""
+        return
 
     def load(self, folder: Path) -> bool:
         """Restore a checkpoint from the staging folder; return False if there is none."""
-
-    def batches(self, folder: Path) -> Iterator[Batch]:
-        """Yield the remaining work, chosen as results come in; `folder` is the staging folder."""
+        return False
 
     def save(self, folder: Path) -> None:
         """Write a checkpoint to the staging folder."""
+        return
+
+    def batches(self, folder: Path) -> Iterator[Batch]:
+        """Yield the remaining work, chosen as results come in; `folder` is the staging folder."""
 
     def status(self) -> Status:
         """Return the progress of the run."""

@@ -35,6 +35,8 @@ from knotgym.topology.knot_table import type_of
 from knotgym.topology.knots import knot_type
 
 if TYPE_CHECKING:
+    from knotgym.generate.states.drawn_states import MadeState
+    from knotgym.generate.states.random_walk import WalkState
     from knotgym.generate.states.state_recipe import StateRecipe
 
 HORIZON = 200  # actions, longer than any demonstration
@@ -50,28 +52,17 @@ def states_of(recipe: StateRecipe) -> States:
         codes = [one.code for one in made if one.code.nx == nx]
         rng = generator(Stream.SPLIT, config.seed, nx)
         splits += split(codes, config.split_by, config.train_share, rng).tolist()
-    points = np.stack([one.points for one in made])
     crossings = np.array([one.code.nx for one in made], dtype=np.int64)
+    points = np.stack([one.points for one in made])
     dealt = kept_together(np.array(splits), points, [one.code for one in made])
     longest = max(len(one.actions) for one in made)
     actions = [np.pad(one.actions, ((0, longest - len(one.actions)), (0, 0))) for one in made]
     steps = np.array([len(one.actions) for one in made], dtype=np.int64)
     demonstrated = [recipe.demonstration(slot) for slot in slots]
     drawing = json.dumps(as_json(config.drawing))
-    return States(
-        qpos=np.stack([one.qpos for one in made]),
-        points=points,
-        image=draw_many(points),
-        gauss_code=np.array([str(one.code) for one in made]),
-        gauss_code_chiral=np.array([one.code.chiral for one in made]),
-        knot=np.array([knot_type(one.code) for one in made]),
-        nx=crossings,
-        split=dealt,
-        quality={
-            field.name: np.array([getattr(one.quality, field.name) for one in made])
-            for field in fields(Quality)
-        },
-        units=dict(UNITS),
+    return rows_of(
+        made,
+        split=dealt.tolist(),
         source={
             "start_qpos": np.stack([one.start_qpos for one in made]),
             "actions": np.stack(actions),
@@ -87,11 +78,38 @@ def states_of(recipe: StateRecipe) -> States:
             ),
             "drawing": np.array([drawing if one.policy == DRAWING else "" for one in made]),
         },
+        config=as_json(config),
+    )
+
+
+def rows_of(
+    made: Sequence[MadeState] | Sequence[WalkState],
+    split: Sequence[str],
+    source: dict[str, NDArray[Any]],
+    config: dict[str, Any],
+) -> States:
+    """Return measured states as rows of a state file, with their pictures and labels."""
+    points = np.stack([one.points for one in made])
+    return States(
+        qpos=np.stack([one.qpos for one in made]),
+        points=points,
+        image=draw_many(points),
+        gauss_code=np.array([str(one.code) for one in made]),
+        gauss_code_chiral=np.array([one.code.chiral for one in made]),
+        knot=np.array([knot_type(one.code) for one in made]),
+        nx=np.array([one.code.nx for one in made], dtype=np.int64),
+        split=np.array(split),
+        quality={
+            field.name: np.array([getattr(one.quality, field.name) for one in made])
+            for field in fields(Quality)
+        },
+        units=dict(UNITS),
+        source=source,
         attributes={
             "knotgym": knotgym.__version__,
             "mujoco": mujoco.__version__,
             "rope": RopeConfig().fingerprint,
-            "config": json.dumps(as_json(config), sort_keys=True),
+            "config": json.dumps(config, sort_keys=True),
         },
     )
 
