@@ -25,9 +25,7 @@ Indices = int | Iterable[int] | None
 class BatchedVecEnv(VecEnv):
     """A VecEnv of ropes that are stepped together; see `sb3_vec_env`.
 
-    Attributes:
-        episodes: the batch of episodes.
-        goals: achieved and desired goals, or None without `goals=True`.
+    `goals` are achieved and desired goals, or None without `goals=True`.
     """
 
     def __init__(

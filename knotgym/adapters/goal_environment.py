@@ -75,12 +75,7 @@ def goal_env(task: str, **settings: Any) -> GoalEnv:
 
 
 class Goals:
-    """Achieved and desired goals of a batch of episodes.
-
-    Attributes:
-        episodes: the batch; call `begin` after `EpisodeBatch.begin`.
-        space: observation space.
-    """
+    """Achieved and desired goals of a batch; call `begin` after `EpisodeBatch.begin`."""
 
     def __init__(self, episodes: EpisodeBatch) -> None:
         config = episodes.config

@@ -288,11 +288,7 @@ class _Sink:
 
 
 def sha256(path: str | os.PathLike[str]) -> str:
-    """Return the hexadecimal SHA-256 of a file's bytes.
-
-    Raises:
-        OSError: the file doesn't exist, or isn't a regular file: a pipe or device may never end.
-    """
+    """Return the hexadecimal SHA-256 of a regular file's bytes; a pipe or device may never end."""
     if not Path(path).is_file() and Path(path).exists():
         raise OSError(f"{path} isn't a regular file")
     with open(path, "rb") as file:

@@ -197,8 +197,7 @@ class EpisodeReader:
     def states_path(self) -> Path:
         """Return the path of the state file that the episodes were reset from; it may not exist.
 
-        Raises:
-            InvalidEpisodeFile: a dataset names a path outside it (a single file may do so).
+        A dataset that names a path outside it raises InvalidEpisodeFile; a single file may do so.
         """
         beside, named = self.path.with_name("states.h5"), self.task.states
         if ships(named) or named is None:
@@ -222,9 +221,7 @@ class EpisodeReader:
     def episode(self, index: int) -> Episode:
         """Read a whole episode, without its observations.
 
-        Raises:
-            InvalidEpisodeFile: something is missing, unreadable or of the wrong shape; the message
-                names it.
+        What is missing, unreadable or of the wrong shape is named by InvalidEpisodeFile.
         """
         with self._naming(index):
             group = self.group(index)

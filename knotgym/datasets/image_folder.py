@@ -23,15 +23,11 @@ def finish(
     states: Array,
     walks: Sequence[WalksMade],
 ) -> None:
-    """Write walks, card and manifest into a folder that has its Parquet files.
+    """Write walks, card and manifest into a folder that has its Parquet files; the manifest is
+    last.
 
-    Args:
-        folder: the output folder; the manifest is written last.
-        shards: its Parquet files.
-        request: `config` and `source` of the run.
-        report: counts of the run, see `image_card.card`.
-        states: float64 (n, nstate), simulator states that the walks start from.
-        walks: all walks of the run; only those that a row comes from are written.
+    `request` and `report` are the run's, see `image_card.card`; `states` are float64 (n, nstate),
+    those that walks start from. Only the walks that a row comes from are written.
     """
     used = {walk for path in shards for walk in _walks_used(path)}
     write_walks(folder / "walks.h5", walks_of(states, walks, used))

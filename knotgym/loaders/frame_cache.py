@@ -55,20 +55,13 @@ class FrameCache:
 
 
 class CachedFrames:
-    """The pictures of one dataset. Can be pickled: each process maps the file itself.
+    """The pictures of one dataset, at `path`. Can be pickled: each process maps the file itself.
 
-    Attributes:
-        path: the file.
-        offsets: int64 (episodes + 1,), the first frame of each episode, then their total.
+    `offsets`, int64 (episodes + 1,), has the first frame of each episode, then their total.
     """
 
     def __init__(self, reader: EpisodeReader, picture: Any, cache: FrameCache) -> None:
         """Open the file, or write it first, which takes about a millisecond per picture.
-
-        Args:
-            reader: the dataset.
-            picture: a `PictureConfig` to draw with; None for the environment's pictures.
-            cache: where to keep the file.
 
         Raises:
             NoCache: the dataset has no episodes, the pictures exceed the limit, or the folder or
@@ -118,9 +111,8 @@ class CachedFrames:
     def pictures(self, ropes: NDArray[np.int64], goals: NDArray[np.int64]) -> NDArray[np.uint8]:
         """Join n frames of ropes with n frames of goals into observations.
 
-        Returns:
-            uint8 (n, views * size, 2 size, 3 or 4), or (n, views * size, size, 6 or 8) in layout
-            "stacked".
+        uint8 (n, views * size, 2 size, 3 or 4), or (n, views * size, size, 6 or 8) in layout
+        "stacked".
         """
         shape = [len(ropes), *self._shape[1:]]
         shape[self._goal_axis] *= 2
@@ -165,10 +157,8 @@ def _key(reader: EpisodeReader, picture: Any) -> str:
 
 
 def _make_room(cache: FrameCache, needed: int) -> None:
-    """Delete the least recently used files until `needed` bytes fit under the limit.
-
-    Raises:
-        NoCache: `needed` alone exceeds the limit.
+    """Delete the least recently used files until `needed` bytes fit under the limit, or raise
+    NoCache.
     """
     if needed > cache.limit:
         raise NoCache(

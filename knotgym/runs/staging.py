@@ -28,9 +28,8 @@ def staging_folder(out: Path) -> Path:
 def staging(out: Path, existing: Existing) -> Iterator[Path]:
     """Lock the staging folder of `out` during the block; the caller removes it afterwards.
 
-    Raises:
-        Occupied: another process holds it, or it has the work of an interrupted run and `existing`
-            says neither resume nor restart.
+    Raises Occupied if another process holds it, or it has the work of an interrupted run and
+    `existing` says neither resume nor restart.
     """
     partial = staging_folder(out)
     with lock_folder(partial):
@@ -43,11 +42,7 @@ def staging(out: Path, existing: Existing) -> Iterator[Path]:
 
 
 def require_no_interrupted_run(out: Path, existing: Existing) -> None:
-    """Require that no interrupted run left work, unless `existing` says what to do with it.
-
-    Raises:
-        Occupied: there is such work, or another process holds the staging folder.
-    """
+    """Raise Occupied if an interrupted run left work, unless `existing` says what to do with it."""
     if os.path.lexists(staging_folder(out)):
         with lock_folder(staging_folder(out)):
             _require_no_work(out, existing)

@@ -21,29 +21,22 @@ MOST = 500  # configurations that are compared pairwise
 
 @dataclass(frozen=True)
 class Spread:
-    """The spread of at least one configuration.
+    """The spread of at least one configuration."""
 
-    Attributes:
-        distance: median and minimum over all pairs, metres: root mean square over the beads, after
-            the best rotation about z and translation; None for a single configuration.
-        shape: the same, also at the best base bead and direction along the rope. (Bead by bead, two
-            equal circles traversed in opposite directions are 1.4 radii apart.)
-        gyration: minimum and maximum radius of gyration, metres: root mean square distance of the
-            vertices from their mean. A circle as long as the rope has 0.212.
-        height: minimum and maximum height of the highest vertex above the lowest, metres.
-        visits: mean distance along the rope, in beads, between a crossing in one configuration and
-            a crossing in another: a quarter of the rope's beads if crossings are uniform along the
-            rope, 0 if all are at one position; None without crossings or with one configuration.
-        bare: longest stretch of the rope where no configuration crosses, beads; None without
-            crossings.
-    """
-
+    # median and minimum over all pairs, metres: root mean square over the beads, after the best
+    # rotation about z and translation; None for a single configuration
     distance: tuple[float, float] | None
+    # the same, also at the best base bead and direction along the rope (bead by bead, two equal
+    # circles traversed in opposite directions are 1.4 radii apart)
     shape: tuple[float, float] | None
+    # minimum and maximum radius of gyration, metres: root mean square distance of the vertices
+    # from their mean; a circle as long as the rope has 0.212
     gyration: tuple[float, float]
-    height: tuple[float, float]
-    visits: float | None
-    bare: float | None
+    height: tuple[float, float]  # minimum and maximum from the lowest to the highest vertex, metres
+    # mean distance along the rope, in beads, between a crossing in one configuration and one in
+    # another: a quarter of the beads if crossings are uniform, 0 if all are at one position
+    visits: float | None  # None without crossings or with one configuration
+    bare: float | None  # longest stretch where no configuration crosses, beads; None without any
 
     def as_json(self) -> dict[str, Any]:
         """Return the measures as values for JSON, tuples as lists."""

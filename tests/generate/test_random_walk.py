@@ -21,7 +21,7 @@ from knotgym.generate.states.random_walk import (
     walk,
 )
 from knotgym.generate.states.random_walk_recipe import RandomWalkRecipe
-from knotgym.generate.states.state_recipe import SpoiltCheckpoint
+from knotgym.generate.states.checkpoint import SpoiltCheckpoint
 from knotgym.quality.measures import measure
 from knotgym.rope.model import Rope
 from knotgym.states.state_file import read_states, write_states

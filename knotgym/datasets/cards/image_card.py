@@ -70,11 +70,8 @@ def card(
 ) -> str:
     """Write the card as Markdown, with the YAML front matter that Hugging Face reads.
 
-    Args:
-        facts: the table's `summary`.
-        config: the whole configuration.
-        report: numbers of walks and frames, and of frames not used, by reason.
-        size: total size of the shards, bytes.
+    `facts` is the table's `summary`; `report` has the numbers of walks and frames, and of frames
+    not used, by reason; `size` is that of the shards in bytes.
     """
     paths = [(file_stem(split), f"data/{file_stem(split)}-*.parquet") for split in facts["splits"]]
     quality = [

@@ -42,10 +42,6 @@ def evaluate_learner(
 
     Returns:
         The content of the file: that of `knotgym evaluate --out`, and `training`.
-
-    Raises:
-        InvalidPolicy: a policy of this name exists already.
-        InvalidEvaluation, InvalidSetting: the settings are invalid.
     """
     register_policy(name, lambda _: policy, files)
     config = EvaluateConfig(policies=(PolicyConfig(policy=name),), **settings)

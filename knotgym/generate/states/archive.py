@@ -67,23 +67,15 @@ class ArchiveConfig:
 
 @dataclass(frozen=True, eq=False)
 class Elite:
-    """A state reached by play, with one reading of its code.
+    """A state reached by play, with one reading of its code."""
 
-    Attributes:
-        code: its code with chirality, read from vertex `base_shift`, backwards if `reverse`.
-        base_shift: the base vertex, the start of a sub-chain.
-        reverse: whether the code is read towards falling bead indices.
-        sequence: actions from the start at rest, in the rope's own numbering of beads.
-        state: MuJoCo integration state at the end of the sequence, float64.
-        objective: distance from the limits of legibility, see `Limits.objective`.
-    """
-
+    # its code with chirality, read from vertex `base_shift`, backwards if `reverse`
     code: GaussCode
-    base_shift: int
-    reverse: bool
-    sequence: ActionSequence
-    state: Array
-    objective: float
+    base_shift: int  # the base vertex, the start of a sub-chain
+    reverse: bool  # whether the code is read towards falling bead indices
+    sequence: ActionSequence  # actions from the start at rest, in the rope's own numbering of beads
+    state: Array  # MuJoCo integration state at the end of the sequence, float64
+    objective: float  # distance from the limits of legibility, see `Limits.objective`.
 
     @property
     def exact(self) -> bool:
@@ -93,29 +85,24 @@ class Elite:
 
 @dataclass
 class Archive:
-    """Elites by class, and the history of the search.
+    """Elites by class, and the history of the search."""
 
-    Attributes:
-        niches: class -> elites, the shortest sequence first.
-        visits: class -> how often a rope started from it.
-        growth: one row per round: total actions and known classes.
-        settings: settings of the search that created it, as JSON.
-        transitions: changes of code caused by macro-actions.
-    """
-
+    # class -> elites, the shortest sequence first
     niches: dict[GaussCode, list[Elite]] = field(default_factory=dict)
+    # class -> how often a rope started from it
     visits: dict[GaussCode, int] = field(default_factory=dict)
+    # one row per round: total actions and known classes
     growth: list[dict[str, int]] = field(default_factory=list)
+    # settings of the search that created it, as JSON
     settings: dict[str, object] = field(default_factory=dict)
+    # changes of code caused by macro-actions
     transitions: TransitionCounts = field(default_factory=TransitionCounts)
 
     def offer(self, elite: Elite, config: ArchiveConfig) -> bool:
-        """Keep an elite if it is among the shortest or most legible of its class.
+        """Keep an elite if it is among the shortest or most legible of its class; return whether
+        the class is new.
 
         Legibility is compared together with length, see `ArchiveConfig.fair`.
-
-        Returns:
-            Whether the class is new.
         """
 
         def by_length(elite: Elite) -> tuple[float, float]:
@@ -181,11 +168,8 @@ class Archive:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Archive:
-        """Read an archive.
-
-        Raises:
-            MissingFile: there is no such file.
-            InvalidArchive: the file is not an archive, truncated, or of an unknown version.
+        """Read an archive; raise InvalidArchive if the file is another, truncated, or of an unknown
+        version.
         """
         with opened_hdf5(
             path,

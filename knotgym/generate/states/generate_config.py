@@ -21,11 +21,7 @@ class InvalidGenerateConfig(KnotgymError, ValueError):
 
 
 def check_nx(nx: tuple[int, ...], most: int) -> None:
-    """Require distinct crossing numbers in [0, most].
-
-    Raises:
-        InvalidGenerateConfig: they are not, or there are none.
-    """
+    """Raise InvalidGenerateConfig unless there are crossing numbers, distinct and in [0, most]."""
     if not nx or any(not 0 <= one <= most for one in nx) or len(set(nx)) != len(nx):
         raise InvalidGenerateConfig(
             f"nx takes distinct numbers of crossings from 0 to {most}, got"

@@ -251,12 +251,10 @@ class StateRecipe(Recipe):
     ) -> tuple[list[Slot], list[Slot]]:
         """Return the slots with nx crossings to work on, without those of skipped codes.
 
-        If there are more codes than requested states, sequences are searched for 25 % more codes
-        than needed: the hardest few of a fixed choice would take as long as all others.
-
-        Returns:
-            Slots that have a state or need only a replay or a drawing, at most as many as states
-            are requested; and slots to whose codes no sequence is known.
+        First those that have a state or need only a replay or a drawing, at most as many as states
+        are requested; then those to whose codes no sequence is known. If there are more codes than
+        requested states, sequences are searched for 25 % more codes than needed: the hardest few of
+        a fixed choice would take as long as all others.
         """
         codes, ways = self.codes[nx], self.has_ways(nx)
         most = int((1.25 if ways else 1) * codes.wanted)
