@@ -78,17 +78,18 @@ class SuiteConfig:
     seed: int = SUITE["seed"]
 
     def __post_init__(self) -> None:
-        given = {name: getattr(self, name) for name in ("tasks", "nx", "policies", "states")}
-        for name, some, known in (
-            *((name, some, SUITE[name]) for name, some in given.items()),
-            ("policies", tuple(self.episodes) or POLICIES, POLICIES),
-        ):
+        for name in ("tasks", "nx", "policies", "states"):
+            some, known = getattr(self, name), SUITE[name]
             wrong = [one for one in some if one not in known]
             if wrong or not some:
                 raise InvalidSuite(
                     f"the suite's {name} must be among {', '.join(map(str, known))}; got"
                     f" {', '.join(map(str, wrong)) or 'none'}"
                 )
+        if unknown := [one for one in self.episodes if one not in POLICIES]:
+            raise InvalidSuite(
+                f"episodes are set for {', '.join(POLICIES)}; got {', '.join(unknown)}"
+            )
         object.__setattr__(self, "episodes", {**SUITE["episodes"], **self.episodes})
         for _ in self.sets():  # raises if a size, seed or observation is invalid
             pass

@@ -66,12 +66,9 @@ class _Option:
 
 
 class Chooser:
-    """Fills quotas, frame by frame.
+    """Fills quotas, frame by frame: `quota` (split, nx) -> requested pictures.
 
-    Attributes:
-        quota: (split, nx) -> requested pictures.
-        chosen: the chosen frames so far.
-        refused: reason -> number of refused frames.
+    `chosen` has the chosen frames so far, `refused` reason -> number of refused frames.
     """
 
     def __init__(

@@ -114,22 +114,6 @@ class StateRecipe(Recipe):
     """Recipe for states with demonstrations, see `runs.engine.Recipe`.
 
     A slot (nx, index, copy) stands for one requested state: copy `copy` of code `index`.
-
-    Attributes:
-        config, shard: of the run.
-        knot: name of the rope's knot in the knot table.
-        codes: nx -> the codes, by index.
-        archive: the states and sequences found by play and by the planner.
-        states: slot -> the accepted state.
-        demonstrations: slot -> the demonstration that ends in its code.
-        drawings: (nx, index) -> number of drawings made.
-        searches: (nx, index) -> number of failed planner searches.
-        missed: (nx, index) of codes that no sequence in the archive reaches when replayed.
-        rejected: nx -> reason -> number of rejected drawings.
-        actions: actions simulated by the planner and by demonstrations; the archive counts those
-            of play.
-        play_over: whether play has ended because it added too few codes.
-        cycle: number of finished waves.
     """
 
     flexible = "attempts", "cycles", "searches"
@@ -152,14 +136,16 @@ class StateRecipe(Recipe):
             raise InvalidGenerateConfig(
                 f"shard {self.shard} has no state to make: split the run into fewer shards"
             )
-        self.archive = Archive()
-        self.states: dict[Slot, MadeState] = {}
-        self.demonstrations: dict[Slot, Demonstration] = {}
-        self.drawings: Counter[tuple[int, int]] = Counter()
-        self.searches: Counter[tuple[int, int]] = Counter()
-        self.missed: set[tuple[int, int]] = set()
-        self.rejected: dict[int, Counter[str]] = {nx: Counter() for nx in config.nx}
-        self.actions, self.cycle, self.play_over = 0, 0, False
+        self.archive = Archive()  # states and sequences found by play and by the planner
+        self.states: dict[Slot, MadeState] = {}  # accepted
+        self.demonstrations: dict[Slot, Demonstration] = {}  # each ends in the code of its slot
+        self.drawings = Counter[tuple[int, int]]()  # (nx, index) -> drawings made
+        self.searches = Counter[tuple[int, int]]()  # (nx, index) -> failed planner searches
+        self.missed = set[tuple[int, int]]()  # codes that no sequence reaches when replayed
+        self.rejected = {nx: Counter[str]() for nx in config.nx}  # reason -> drawings
+        self.actions = 0  # of the planner and of demonstrations; the archive counts those of play
+        self.cycle = 0  # finished waves
+        self.play_over = False  # play has added too few codes
         self.growth: list[dict[str, Any]] = []
         self._waves: dict[str, Any] = {}  # file -> its SHA-256 and slots
         self._saved: set[Slot] = set()  # slots whose state is saved
