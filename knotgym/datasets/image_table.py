@@ -14,7 +14,9 @@ import importlib
 import json
 import os
 import struct
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -38,55 +40,12 @@ _MOST_EXPANDED = 1000  # limit of uncompressed bytes per stored byte
 _LARGEST = 4096  # pixels, side of the largest picture that is decoded
 _PNG = b"\x89PNG\r\n\x1a\n"
 
-# The type of a column is a type name, {name: type} for a struct, or [type, length or None] for a
-# list. The schemas of pyarrow and of Hugging Face are both derived from this one.
-COLUMNS: dict[str, Any] = {
-    "image": "image",
-    "gauss_code": "string",
-    "gauss_code_chiral": "string",
-    "nx": "int64",
-    "knot": "string",
-    "points": ["float64", 300],
-    "crossings": [
-        {
-            "x": "float64",
-            "y": "float64",
-            "over_place": "float64",
-            "under_place": "float64",
-            "sign": "int8",
-        },
-        None,
-    ],
-    "split": "string",
-    "accepted": "bool",
-    "grade": "string",
-    "quality": dict.fromkeys(UNITS, "float64"),
-    "appearance": {
-        "size": "int32",
-        "turn": "float64",
-        "zoom": "float64",
-        "width": "float64",
-        "colours": "string",
-        "first": ["uint8", 3],
-        "last": ["uint8", 3],
-        "background": ["uint8", 3],
-        "noise": "float64",
-        "blur": "float64",
-        "seed": "int64",
-    },
-    "source": {
-        "walk": "int64",
-        "pulls": "int64",
-        "rounds": "int64",
-        "reflect": "bool",
-        "switch": "bool",
-        "reverse": "bool",
-        "base_shift": "int64",
-        "family": "int64",
-        "seed": "int64",
-        "row": "int64",
-    },
-}
+# `columns.toml` has the types of Arrow; the schemas of pyarrow and Hugging Face derive from it
+TABLES: dict[str, Any] = tomllib.loads(
+    (files("knotgym.datasets") / "columns.toml").read_text("utf-8")
+)
+TABLES["pictures"]["quality"]["type"] = dict.fromkeys(UNITS, "float64")
+COLUMNS: dict[str, Any] = {name: column["type"] for name, column in TABLES["pictures"].items()}
 
 
 class InvalidImages(KnotgymError, ValueError):
@@ -338,7 +297,7 @@ def arrow_type(pa: Any, kind: Any) -> Any:
     if isinstance(kind, dict):
         return pa.struct([(name, arrow_type(pa, inner)) for name, inner in kind.items()])
     if isinstance(kind, list):
-        return pa.list_(arrow_type(pa, kind[0]), -1 if kind[1] is None else kind[1])
+        return pa.list_(arrow_type(pa, kind[0]), kind[1] or -1)
     if kind == "image":
         return pa.struct([("bytes", pa.binary()), ("path", pa.string())])
     return {"string": pa.string(), "bool": pa.bool_()}.get(kind) or getattr(pa, kind)()
@@ -349,9 +308,5 @@ def feature(kind: Any) -> Any:
     if isinstance(kind, dict):
         return {name: feature(inner) for name, inner in kind.items()}
     if isinstance(kind, list):
-        return {
-            "feature": feature(kind[0]),
-            "length": -1 if kind[1] is None else kind[1],
-            "_type": "List",
-        }
+        return {"feature": feature(kind[0]), "length": kind[1] or -1, "_type": "List"}
     return {"_type": "Image"} if kind == "image" else {"dtype": kind, "_type": "Value"}

@@ -215,7 +215,7 @@ def _yaml_feature(column: TableColumn) -> dict[str, Any]:
         if isinstance(kind, list):
             inner = converted(kind[0])
             listed = inner.get("dtype", inner.get("struct"))
-            return {"list": listed, **({} if kind[1] is None else {"length": kind[1]})}
+            return {"list": listed, **({"length": kind[1]} if kind[1] else {})}
         return {"dtype": kind}
 
     return converted(column.kind)

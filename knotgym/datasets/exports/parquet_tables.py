@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
-from knotgym.datasets.image_table import COLUMNS as PICTURE_COLUMNS
-from knotgym.datasets.image_table import arrow, encode, schema
+from knotgym.datasets.image_table import TABLES, arrow, encode, schema
 from knotgym.states.schema import COLUMNS as STATE_COLUMNS
 from knotgym.states.state_file import States
 
@@ -65,28 +64,12 @@ def state_rows(states: States) -> Iterator[dict[str, Any]]:
 
 def step_columns(pictures: bool, beads: int) -> list[TableColumn]:
     """Return the columns of a table of episodes, one row per state."""
+    columns = [TableColumn(name, *column) for name, column in TABLES["steps"].items()]
     ropes = ["float64", 3 * beads]
-    image = TableColumn("image", "image", "levels", "what the agent saw: rope left, goal right")
     return [
-        *([image] if pictures else []),
-        TableColumn("dataset", "string", "", "Minari dataset of the episode"),
-        TableColumn("episode", "int64", "", "its index there"),
-        TableColumn("step", "int64", "actions", "number taken before this state"),
-        TableColumn("points", ropes, "m", "vertices of the rope, bead by bead"),
-        TableColumn("goal_points", ropes, "m", "vertices of the state that shows the goal"),
-        TableColumn(
-            "action", ["float32", 6], "[-1, 1]", "taken here: position / 2 m, force / 0.2 N"
-        ),
-        TableColumn("reward", "float64", "", "reward of that action"),
-        TableColumn("terminated", "bool", "", "that action ended the task"),
-        TableColumn("truncated", "bool", "", "the step limit was reached after it"),
-        TableColumn("is_last", "bool", "", "last state of the episode; action and reward are 0"),
-        TableColumn("gauss_code", "string", "", "Gauss code of the state"),
-        TableColumn("gauss_code_chiral", "string", "", "the same with chirality"),
-        TableColumn("goal_gauss_code", "string", "", "Gauss code of the goal"),
-        TableColumn("crossings", "int64", "crossings", "in the picture of the state"),
-        TableColumn("is_success", "bool", "", "the goal is reached"),
-        TableColumn("policy", "string", "", "policy that chose the actions"),
+        column._replace(kind=ropes) if column.name.endswith("points") else column
+        for column in columns
+        if pictures or column.kind != "image"
     ]
 
 
@@ -133,27 +116,10 @@ def _png(image: NDArray[np.uint8]) -> dict[str, Any]:
     return {"bytes": encode(image), "path": None}
 
 
-_PICTURE_DOCS = {
-    "image": "PNG, lossless",
-    "gauss_code": "the walk from the white base bead towards red",
-    "gauss_code_chiral": "the same with chirality",
-    "nx": "crossings",
-    "knot": "knot type",
-    "points": "vertices of the rope, bead by bead, m",
-    "crossings": "pixel of each, positions of its two strands along the rope in beads, sign",
-    "split": "train, test, test-code (unseen codes) or test-nx (more crossings)",
-    "accepted": "passes every limit for curated states",
-    "grade": "difficulty of reading the picture",
-    "quality": "quality measures of the published picture",
-    "appearance": "how the picture was rendered",
-    "source": "how the configuration was made",
-}
-
-
 def picture_columns() -> list[TableColumn]:
     """Return the columns of a perception table."""
-    columns = PICTURE_COLUMNS.items()
-    return [TableColumn(name, kind, "", _PICTURE_DOCS[name]) for name, kind in columns]
+    columns = TABLES["pictures"].items()
+    return [TableColumn(name, column["type"], "", column["doc"]) for name, column in columns]
 
 
 def write_parquet(

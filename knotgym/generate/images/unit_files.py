@@ -6,7 +6,7 @@ import json
 import struct
 import zlib
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, get_args, get_origin, get_type_hints
 from zipfile import BadZipFile
 
 import numpy as np
@@ -16,16 +16,11 @@ from knotgym.common.errors import KnotgymError
 from knotgym.common.hdf5_files import require_regular
 from knotgym.generate.images.walks import Frames, Unit, make_walks
 
+# dtype of each array of Frames, little-endian: NDArray is ndarray[shape, dtype[scalar type]]
 _DTYPES = {
-    "points": "<f8",
-    "walk": "<i8",
-    "steps": "<i8",
-    "rounds": "<i8",
-    "ease": "<f8",
-    "numbers": "<i8",
-    "bases": "<i8",
-    "beads": "<i2",
-    "forces": "<f4",
+    name: np.dtype(get_args(get_args(hint)[1])[0]).str
+    for name, hint in get_type_hints(Frames).items()
+    if get_origin(hint) is np.ndarray
 }
 # errors of NumPy and zipfile for a file that isn't a complete archive
 _FOREIGN = (
