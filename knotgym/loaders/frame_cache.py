@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 import knotgym
 from knotgym.common.atomic_files import Unwritable, atomic_write, require_own, sha256
 from knotgym.common.errors import KnotgymError
-from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.episode_reader import EpisodeReader, goal_axis
 
 
 class NoCache(KnotgymError, ValueError):
@@ -129,11 +129,6 @@ class CachedFrames:
                 ropes, goals = np.split(seen, 2, axis=self._goal_axis)
                 file.write(np.ascontiguousarray(ropes).data)
                 file.write(np.ascontiguousarray(goals[0]).data)
-
-
-def goal_axis(layout: str) -> int:
-    """The axis of (n, height, width, channels) pictures along which the goal follows the rope."""
-    return 2 if layout == "beside" else 3
 
 
 def _key(reader: EpisodeReader, picture: Any) -> str:

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.errors import KnotgymError
-from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.episode_reader import EpisodeReader, goal_axis
 from knotgym.datasets.trajectory import codes_in_bounds, goal_steps
 from knotgym.envs.reward import success_at_last
-from knotgym.loaders.frame_cache import CachedFrames, FrameCache, NoCache, goal_axis
+from knotgym.loaders.frame_cache import CachedFrames, FrameCache, NoCache
 
 _CACHED_SEGMENTS = 256  # segments whose codes stay in memory
 

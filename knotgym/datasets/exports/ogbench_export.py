@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.atomic_files import atomic_write, link_or_copy, require_output
-from knotgym.datasets.episode_reader import Count, EpisodeReader, uncounted
+from knotgym.datasets.episode_reader import Count, EpisodeReader, goal_axis, uncounted
 from knotgym.datasets.exports.forms import ExportError
 from knotgym.datasets.minari_dataset import metadata_of
 
@@ -98,8 +98,7 @@ def _rows(
 
 def _rope_alone(seen: NDArray[Any], layout: str) -> NDArray[Any]:
     """Return the rope's half of states (T + 1, 6 beads) or pictures (T + 1, size, ...)."""
-    axis = 1 if seen.ndim == 2 else (2 if layout == "beside" else 3)
-    return np.split(seen, 2, axis=axis)[0]
+    return np.split(seen, 2, axis=1 if seen.ndim == 2 else goal_axis(layout))[0]
 
 
 def _name(source: Any, reader: EpisodeReader) -> str:
