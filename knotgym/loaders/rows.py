@@ -31,16 +31,7 @@ def arrays(
         rewards: float64 (N,).
         terminals, timeouts: bool (N,); exactly one of them is true in the last row of an episode.
     """
-    return rows(
-        Transitions(
-            dataset,
-            observation=observation,
-            picture=picture,
-            relabel=relabel,
-            labels=labels,
-            cache=cache,
-        )
-    )
+    return rows(Transitions(dataset, observation, picture, relabel, labels, cache))
 
 
 def rows(transitions: Transitions) -> dict[str, Any]:

@@ -53,7 +53,6 @@ class Transitions:
     def __init__(
         self,
         dataset: Any,
-        *,
         observation: str | None = None,
         picture: Any = None,
         relabel: str | None = None,

@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 import knotgym
-from knotgym.common.atomic_files import sha256
 from knotgym.common.configuration import as_json
 from knotgym.common.streams import Stream, generator
 from knotgym.datasets.cards.state_card import card, summary
 from knotgym.datasets.episode_writer import EpisodeWriter
 from knotgym.datasets.gallery import write_gallery
-from knotgym.datasets.machine import machine
+from knotgym.datasets.manifest_check import write_manifest
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.states.demonstrations import POLICY
@@ -160,23 +159,9 @@ def finish(
     """
     write_gallery(folder / "gallery.png", states)
     (folder / "README.md").write_text(card(states, report, request["config"]), encoding="utf-8")
-    manifest = {
-        "format": "knotgym-manifest",
-        "format_version": 1,
-        **request,
-        "machines": machines or [machine()],
-        "report": report,
-        "summary": summary(states),
-        "splits": states.split.tolist(),
-        "files": {
-            str(path.relative_to(folder)): sha256(path)
-            for path in sorted(folder.rglob("*"))
-            if path.is_file()
-        },
-    }
-    (folder / "manifest.json").write_text(
-        json.dumps(manifest, indent=1, sort_keys=True), encoding="utf-8"
-    )
+    splits = states.split.tolist()
+    entries = {"report": report, "summary": summary(states), "splits": splits}
+    write_manifest(folder, "knotgym-manifest", request, machines, **entries)
 
 
 def write_demonstrations(recipe: StateRecipe, states: States, folder: Path, carried: Path) -> None:
