@@ -2,40 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import struct
-import zlib
 from pathlib import Path
-from typing import NamedTuple, get_args, get_origin, get_type_hints
-from zipfile import BadZipFile
+from typing import NamedTuple
 
-import numpy as np
-
-from knotgym.common.atomic_files import atomic_write
 from knotgym.common.errors import KnotgymError
 from knotgym.common.hdf5_files import require_regular
+from knotgym.generate.checkpoint import FOREIGN, read_records, write_records
 from knotgym.generate.images.walks import Frames, Unit, make_walks
-
-# dtype of each array of Frames, little-endian: NDArray is ndarray[shape, dtype[scalar type]]
-_DTYPES = {
-    name: np.dtype(get_args(get_args(hint)[1])[0]).str
-    for name, hint in get_type_hints(Frames).items()
-    if get_origin(hint) is np.ndarray
-}
-# errors of NumPy and zipfile for a file that isn't a complete archive
-_FOREIGN = (
-    OSError,
-    ValueError,
-    LookupError,
-    TypeError,
-    AttributeError,
-    EOFError,
-    MemoryError,
-    RuntimeError,  # of zipfile; NotImplementedError is one
-    BadZipFile,
-    struct.error,
-    zlib.error,
-)
 
 
 class SpoiltUnit(KnotgymError, ValueError):
@@ -54,9 +27,7 @@ def walked(work: UnitFile) -> Path:
     try:
         load_frames(work.path)  # the file has checksums
     except (SpoiltUnit, OSError):
-        frames = make_walks(work.unit)
-        with atomic_write(work.path) as temporary, open(temporary, "wb") as file:
-            np.savez(file, **{**vars(frames), "dropped": np.array(json.dumps(frames.dropped))})
+        write_records(work.path, {"frames": [make_walks(work.unit)]})
     return work.path
 
 
@@ -66,11 +37,7 @@ def load_frames(path: Path) -> Frames:
     """
     require_regular(path, "walks", SpoiltUnit)
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in _DTYPES}
-            dropped = json.loads(str(file["dropped"]))
-        if {name: own.dtype.str for name, own in arrays.items()} != _DTYPES:
-            raise SpoiltUnit("its columns are of other types")
-        return Frames(**arrays, dropped={str(name): int(n) for name, n in dropped.items()})
-    except _FOREIGN as error:
+        (frames,) = read_records(path, "frames", Frames)
+    except FOREIGN as error:
         raise SpoiltUnit(f"{path} holds no walks of a run: {error}") from error
+    return frames

@@ -20,10 +20,12 @@ class InvalidGenerateConfig(KnotgymError, ValueError):
     """The requested states can't be made."""
 
 
-def check_nx(nx: tuple[int, ...], most: int) -> None:
-    """Raise InvalidGenerateConfig unless there are crossing numbers, distinct and in [0, most]."""
+def check_nx(
+    nx: tuple[int, ...], most: int, error: type[KnotgymError] = InvalidGenerateConfig
+) -> None:
+    """Raise `error` unless there are crossing numbers, distinct and in [0, most]."""
     if not nx or any(not 0 <= one <= most for one in nx) or len(set(nx)) != len(nx):
-        raise InvalidGenerateConfig(
+        raise error(
             f"nx takes distinct numbers of crossings from 0 to {most}, got"
             f" {', '.join(map(str, nx)) or 'none'}"
         )

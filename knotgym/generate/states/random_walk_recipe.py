@@ -19,13 +19,13 @@ import numpy as np
 
 import knotgym
 from knotgym.common.configuration import as_json
-from knotgym.generate.states import state_folder
-from knotgym.generate.states.checkpoint import (
+from knotgym.generate.checkpoint import (
     read_records,
     reading_checkpoint,
     require_digest,
     write_records,
 )
+from knotgym.generate.states import state_folder
 from knotgym.generate.states.random_walk import (
     STARTS,
     RandomWalkConfig,

@@ -32,14 +32,14 @@ from knotgym.common.atomic_files import sha256
 from knotgym.common.configuration import as_json
 from knotgym.common.errors import MissingFile
 from knotgym.common.streams import Stream, derived_seed, key
-from knotgym.generate.states import state_folder
-from knotgym.generate.states.archive import Archive, Elite
-from knotgym.generate.states.checkpoint import (
+from knotgym.generate.checkpoint import (
     read_records,
     reading_checkpoint,
     require_digest,
     write_records,
 )
+from knotgym.generate.states import state_folder
+from knotgym.generate.states.archive import Archive, Elite
 from knotgym.generate.states.code_order import CodeOrder
 from knotgym.generate.states.curves import Start, start_of
 from knotgym.generate.states.demonstrations import (

@@ -1,13 +1,15 @@
-"""Checkpoints of runs that make states: records packed into arrays, and errors of reading them."""
+"""Checkpoints of runs: records packed into arrays, and the errors of reading corrupted ones."""
 
 from __future__ import annotations
 
 import json
+import struct
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 from zipfile import BadZipFile
 
 import numpy as np
@@ -15,9 +17,15 @@ import numpy as np
 from knotgym.common.atomic_files import atomic_write, sha256
 from knotgym.common.configuration import from_json
 from knotgym.common.errors import KnotgymError, one_line
+from knotgym.common.hdf5_files import UnexpectedContent
 from knotgym.topology.gauss import GaussCode
 
 Record = TypeVar("Record")
+# errors of NumPy and zipfile for a file that isn't a complete archive
+FOREIGN = (
+    *(OSError, ValueError, LookupError, TypeError, AttributeError, EOFError, MemoryError),
+    *(RuntimeError, BadZipFile, struct.error, zlib.error),  # RuntimeError is zipfile's
+)
 
 
 class SpoiltCheckpoint(KnotgymError, ValueError):
@@ -29,7 +37,7 @@ def reading_checkpoint(folder: Path) -> Iterator[None]:
     """Turn what a corrupted checkpoint raises in the block into SpoiltCheckpoint."""
     try:
         yield
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, BadZipFile) as error:
+    except FOREIGN as error:
         raise SpoiltCheckpoint(
             f"{folder} can't be resumed, it is corrupted ({one_line(error)}); start with --restart"
         ) from error
@@ -64,15 +72,25 @@ def write_records(path: Path, groups: Mapping[str, Sequence[Any]]) -> str:
 
 
 def read_records(path: Path, group: str, kind: type[Record]) -> list[Record]:
-    """Read a group of `write_records`, whose class is `kind`."""
+    """Read a group of `write_records`, whose class is `kind`; arrays must have their types."""
+    types = {  # NDArray[x] is ndarray[shape, dtype[x]]
+        name: np.dtype(get_args(get_args(hint)[1])[0])
+        for name, hint in get_type_hints(kind).items()
+        if get_origin(hint) is np.ndarray
+    }
     with np.load(path, allow_pickle=False) as file:
         values = [json.loads(text) for text in file[f"{group}.text"].tolist()]
         for name in file.files if values else ():
             if name.endswith(".lengths") and name.startswith(f"{group}."):
                 ends = np.cumsum(file[name])[:-1]
                 column = name.removesuffix(".lengths")
+                field = column.removeprefix(f"{group}.")
+                if file[column].dtype != types[field]:
+                    raise UnexpectedContent(
+                        f"{field} is {file[column].dtype}, should be {types[field]}"
+                    )
                 for row, own in zip(values, np.split(file[column], ends), strict=True):
-                    row[column.removeprefix(f"{group}.")] = own
+                    row[field] = own
     for row in values:
         if "code" in row:
             row["code"] = GaussCode.parse(row["code"])
