@@ -167,7 +167,7 @@ def _begun(episodes: EpisodeBatch, index: int) -> _Track:
     """Start the record of an episode that has just been reset."""
     info = episodes.info(index)
     track = _Track(
-        start_qpos=episodes.simulation.qpos([index])[0],
+        start_qpos=episodes.start_qpos[index].copy(),
         goal_points=episodes.goal_points(index),
         options={name: int(info[name]) for name in ("start", "goal")},
         goal=str(info["goal_gauss_code"]),

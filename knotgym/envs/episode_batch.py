@@ -28,13 +28,13 @@ from knotgym.envs.reward import Outcome
 from knotgym.envs.tasks import InvalidSetting, TaskConfig
 from knotgym.rendering.picture import draw
 from knotgym.rope.action_views import ActionView
+from knotgym.rope.engines import simulation
 from knotgym.rope.model import Array, Rope, RopeConfig
 from knotgym.rope.reset_noise import start_qpos
-from knotgym.rope.simulation import Simulation
 from knotgym.rope.towing import TowBound, centres, distances_towed
 from knotgym.states.schema import CODE_SPLITS
 from knotgym.states.state_file import States, read_states, shipped, ships, states_file
-from knotgym.topology.crossings import label_many
+from knotgym.topology.crossings import label, label_many
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import UNKNOT
 
@@ -53,11 +53,11 @@ class EpisodeBatch:
         steps: int (count,), actions taken since the reset.
         held: int (count,), consecutive steps for which the goal has been shown.
         failed: bool (count,), whether the simulation blew up in the last step.
+        start_qpos: float64 (count, nq), generalized positions that each rope was laid at.
         origins: float64 (count, 3), each rope's centre at reset, metres.
         beads: int (count,), bead pulled in the last step; -1 at reset.
-        forces: float64 (count, 3), force applied to it in the last step, newtons.
-        applied_shares: float64 (count,), fraction of the requested force that was applied, see
-            `Simulation.step`.
+        forces: float64 (count, 3), mean force applied to it in the last step, newtons.
+        applied_shares: float64 (count,), as of `Simulation`.
     """
 
     def __init__(self, config: TaskConfig, count: int = 1, threads: int = 1) -> None:
@@ -65,7 +65,7 @@ class EpisodeBatch:
             raise InvalidSetting(f"num_envs must be at least 1, got {count}")
         self.config = config
         self.count = count
-        self.simulation = Simulation(count, Rope(config.rope), threads)
+        self.simulation = simulation(config.engine, count, Rope(config.rope), threads)
         self.view = ActionView(config.action, self.simulation)
         self._picture = picture_config(config)
         starts, goals = _sides(config)
@@ -84,6 +84,7 @@ class EpisodeBatch:
         self.steps = np.zeros(count, dtype=np.int64)
         self.held = np.zeros(count, dtype=np.int64)
         self.failed = np.zeros(count, dtype=bool)
+        self.start_qpos = np.zeros((count, self.simulation.rope.nq))
         self.origins = np.zeros((count, 3))
         self.beads = np.full(count, -1, dtype=np.int64)
         self.forces = np.zeros((count, 3))
@@ -125,19 +126,18 @@ class EpisodeBatch:
             )
         self.start_row[index], self.goal_row[index] = start, goal
         code = GaussCode.parse(str(self._starts.gauss_code_chiral[start]))
-        self.simulation.lay(
-            start_qpos(
-                self.simulation.rope,
-                self._starts.qpos[start],
-                self._starts.points[start],
-                code,
-                self.config.reset_noise,
-                rng,
-            ),
-            [index],
+        self.start_qpos[index] = start_qpos(
+            self.simulation.rope,
+            self._starts.qpos[start],
+            self._starts.points[start],
+            code,
+            self.config.reset_noise,
+            rng,
         )
+        self.simulation.lay(self.start_qpos[[index]], [index])
         self.origins[index] = centres(self.simulation.points[[index]])[0]
-        self.codes[index] = code
+        # the chain engine closes the gaps of a state without noise, so it is read again
+        self.codes[index] = label(self.simulation.points[index])
         self.goals[index] = GaussCode.parse(str(self._goals.gauss_code[goal]))
         self.view.reset(index)
         self.steps[index] = self.held[index] = 0

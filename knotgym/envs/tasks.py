@@ -10,6 +10,7 @@ from knotgym.common.errors import KnotgymError
 from knotgym.envs.reward import FAILURE_REWARD, SUCCESS_REWARD, RewardRule
 from knotgym.quality.limits import RESET_NOISE
 from knotgym.rendering.views import check_depth, checked_views
+from knotgym.rope.engines import ENGINES, MUJOCO
 from knotgym.states.schema import CODE_SPLITS, STATE_SPLITS
 
 if TYPE_CHECKING:
@@ -53,6 +54,7 @@ class TaskConfig:
         states: a set that ships, "readable" (the same as None), "random-walk" or "hard-unknots"; or
             the path of a state file, or of the run that made it; or the id of a Minari dataset that
             contains one. If a file has no plain loops, they come from the readable set.
+        engine: "mujoco", the reference; or "chain", the fast solver, see `rope.chain`.
         observation: "pixels", "state", "both" or "symbolic".
         action: "pull", six numbers; "bead", a bead and binned forces; or "macro", a bead led past a
             strand by up to ten pulls. See `knotgym.rope.action_views`.
@@ -84,6 +86,7 @@ class TaskConfig:
     nx: int = 2
     split: str = "train"
     states: str | None = None
+    engine: str = MUJOCO
     observation: str = "pixels"
     action: str = "pull"
     max_goals: int | None = None
@@ -106,6 +109,7 @@ class TaskConfig:
         for name, known in {
             "task": tuple(TASKS),
             "split": (*STATE_SPLITS, *CODE_SPLITS),
+            "engine": ENGINES,
             "observation": OBSERVATIONS,
             "action": ACTIONS,
             "layout": LAYOUTS,
@@ -134,6 +138,11 @@ class TaskConfig:
             raise InvalidSetting(
                 f"split {self.split!r} needs several diagrams, and with nx = {self.nx} there is"
                 " only one up to symmetry; use an nx of at least 2, or split 'train' or 'test'"
+            )
+        if self.engine != MUJOCO and self.integrator_steps != 24:
+            raise InvalidSetting(
+                f"integrator_steps are steps of MuJoCo, and engine {self.engine!r} chooses its own;"
+                f" leave it at 24, got {self.integrator_steps}"
             )
         if self.hold > self.horizon:
             raise InvalidSetting(
