@@ -29,7 +29,7 @@ def finish(
     those that walks start from. Only the walks that a row comes from are written.
     """
     used = {walk for path in shards for walk in _walks_used(path)}
-    write_walks(folder / "walks.h5", walks_of(states, walks, used))
+    write_walks(folder / "walks.h5", walks_of(states, walks, used, request["config"]["engine"]))
     write_card_and_manifest(folder, shards, request, report)
 
 

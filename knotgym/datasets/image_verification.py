@@ -74,7 +74,7 @@ class _WalkRow(NamedTuple):
 class _WalkBatch(NamedTuple):
     """Arguments of `walks_file.retrace` for some walks, and the rows that come from them."""
 
-    walks: tuple[Array, NDArray[np.int16], NDArray[np.float32]]
+    walks: tuple[Array, NDArray[np.int16], NDArray[np.float32], str]
     rows: list[_WalkRow]
     relaxation: RelaxationConfig
 
@@ -249,7 +249,7 @@ def _walk_batches(folder: Path, table: Any) -> tuple[list[_WalkBatch], list[str]
     batches = []
     for batch, own in sorted(rows.items()):
         part = slice(batch * _BATCH, (batch + 1) * _BATCH)
-        arguments = states[part], walks.beads[part], walks.forces[part]
+        arguments = states[part], walks.beads[part], walks.forces[part], walks.engine
         batches.append(_WalkBatch(arguments, own, relaxation))
     return batches, faults
 

@@ -217,7 +217,7 @@ def _states(whole: _Whole, folder: Path) -> Path:
         ]
         if sources:
             state_folder.publish_demonstrations(
-                *(nx, name, str(merged.knot[0]), sources, len(mine)),
+                *(nx, name, str(merged.knot[0]), merged.engine, sources, len(mine)),
                 *(folder / "minari", folder / "states.h5"),
             )
     archives = [Archive.load(file) for file in whole.files("archive.h5") if file.is_file()]

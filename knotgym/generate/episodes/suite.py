@@ -37,6 +37,7 @@ from knotgym.generate.episodes.collect import (
     reference_scores,
 )
 from knotgym.generate.episodes.suite_scores import SUITE, read_scores, score_tables
+from knotgym.rope.engines import ENGINES, MUJOCO
 from knotgym.runs.engine import is_finished, request_of, require_resumable, whole_request
 from knotgym.runs.executors import cores
 from knotgym.runs.progress import Progress, duration
@@ -63,6 +64,7 @@ class SuiteConfig:
         policies: a subset of POLICIES.
         states: a subset of STATES.
         episodes: policy -> episodes per setup and set of states.
+        engine: see `TaskConfig`; other engines than MuJoCo have ids of their own.
         observation: stored observation, see `TaskConfig`.
         budget: simulated actions per episode for expert planning, see `PlannerConfig`.
         seed: random seed of every dataset.
@@ -73,6 +75,7 @@ class SuiteConfig:
     policies: tuple[str, ...] = POLICIES
     states: tuple[str, ...] = STATES
     episodes: Mapping[str, int] = field(default_factory=dict)
+    engine: str = MUJOCO
     observation: str = SUITE["observation"]
     budget: int = SUITE["budget"]
     seed: int = SUITE["seed"]
@@ -103,7 +106,9 @@ class SuiteConfig:
         for states, task, nx, name in product(self.states, self.tasks, self.nx, self.policies):
             policy = PolicyConfig(policy=name, planner=PlannerConfig(budget=self.budget))
             own = None if states == STATES[0] else states
-            setup = TaskConfig(task=task, nx=nx, states=own, observation=self.observation)
+            setup = TaskConfig(
+                task=task, nx=nx, states=own, engine=self.engine, observation=self.observation
+            )
             yield CollectConfig(
                 task=setup,
                 policy=policy,
@@ -216,7 +221,7 @@ def _forecast(
 def _described(config: SuiteConfig, root: Path) -> dict[str, Any]:
     """Describe every existing dataset of the benchmark, of this run or earlier ones, by id."""
     whole = SuiteConfig(observation=config.observation, seed=config.seed)
-    ids = [one.dataset_id for one in whole.sets()]
+    ids = [one.dataset_id for engine in ENGINES for one in replace(whole, engine=engine).sets()]
     return {name: describe_set(root / name) for name in ids if (root / name).exists()}
 
 
@@ -231,6 +236,7 @@ def describe_set(made: Path) -> dict[str, Any]:
             "nx": config["task"]["nx"],
             "split": config["task"]["split"],
             "states": config["task"]["states"] or STATES[0],
+            "engine": config["task"]["engine"],
             "observation": config["task"]["observation"],
             "policy": config["policy"]["policy"],
             "seed": config["seed"],
@@ -268,11 +274,11 @@ def _write_card(
 def suite_card(report: Mapping[str, Any]) -> str:
     """Return the card of the benchmark as Markdown; `report` is the content of suite.json."""
     sets = report["sets"]
-    columns = "id states policy seed episodes steps".split()
+    columns = "id states engine policy seed episodes steps".split()
     head = (*columns, "reached the goal", "MB", "SHA-256 of main_data.hdf5")
     rows = [
         (
-            *(code_span(name), plain(one["states"]), plain(one["policy"])),
+            *(code_span(name), *(plain(one[key]) for key in ("states", "engine", "policy"))),
             *(one["seed"], one["episodes"], one["steps"]),
             f"{100 * one['succeeded'] / max(one['episodes'], 1):.1f} %",
             f"{one['bytes'] / 1e6:.1f}",

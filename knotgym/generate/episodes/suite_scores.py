@@ -70,7 +70,10 @@ def read_scores(paths: Iterable[Path]) -> list[dict[str, Any]]:
 
 
 def score_tables(rows: Sequence[Mapping[str, Any]], heading: str = "##") -> list[str]:
-    """Return Markdown tables, one per set of states and split, with a row per policy."""
+    """Return Markdown tables, one per set of states and split, with a row per policy.
+
+    Scores of macro-actions have tables of their own, without the published scores.
+    """
     setups = list(product(SUITE["tasks"], SUITE["nx"]))
     head = (
         *("policy", "settings", "files", "code", *(f"{task} {nx}" for task, nx in setups)),
@@ -81,7 +84,15 @@ def score_tables(rows: Sequence[Mapping[str, Any]], heading: str = "##") -> list
         for policy, rates in SUITE["published"].items()
     ]
     lines: list[str] = []
-    for (states, digest, split), own in _grouped(rows, ("states", "states_sha256", "split")):
+    tracks = [
+        (in_macros, *track)
+        for in_macros in (False, True)
+        for track in _grouped(
+            [row for row in rows if _in_macros(row) == in_macros],
+            ("states", "states_sha256", "split"),
+        )
+    ]
+    for in_macros, (states, digest, split), own in tracks:
         body: list[Sequence[object]] = []
         for (policy, settings, weights, code, _), same in _grouped(own, LINE):
             cells = {(row["task"], row["nx"]): _cell(row) for row in same}
@@ -94,8 +105,13 @@ def score_tables(rows: Sequence[Mapping[str, Any]], heading: str = "##") -> list
                 )
             )
         named = f"{heading} States {plain(states)} ({plain(digest[:8])}), {plain(split)} split"
-        lines += ["", named, "", *table(head, [*body, *published])]
+        named += ", macro-actions" if in_macros else ""
+        lines += ["", named, "", *table(head, body if in_macros else [*body, *published])]
     return lines
+
+
+def _in_macros(row: Mapping[str, Any]) -> bool:
+    return 'action="macro"' in row["settings"].split("; ")
 
 
 def _grouped(
@@ -118,6 +134,7 @@ def _rows(told: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     for one in told["results"]:
         policy = one["policy"]
         task = {name: value for name, value in asked["task"].items() if name not in _APART}
+        task["action"] = one["action"]  # a policy may choose its own
         plain = {**_PLAIN["policy"], "policy": policy}
         settings = [*_unlike(_PLAIN["task"], task), *_unlike(plain, configs[policy])]
         origins = sorted({one["start_states"], one["goal_states"]})

@@ -68,7 +68,7 @@ def make_images(
         NotEnough: walks from the states don't reach enough different configurations.
     """
     arrow()
-    recipe = ImageRecipe(config, options, seed_states(config.nx, archive, states))
+    recipe = ImageRecipe(config, options, seed_states(config.nx, archive, states, config.engine))
     if progress is not None:
         wanted = sum(recipe.wanted.values())
         tell_if_long(progress, CORE_SECONDS * wanted, options.workers)
@@ -206,7 +206,8 @@ class ImageRecipe(Recipe):
                 some = tuple(group[begin : begin + WALKS])
                 states = self.start.states[[walk.base for walk in some]]
                 most = max(config.nx)
-                unit = Unit(some, states, config.seed, steps, config.stride, most, config.walk)
+                length = steps, config.stride
+                unit = Unit(some, states, config.seed, *length, most, config.engine, config.walk)
                 yield UnitFile(folder / f"{next(done):06d}.npz", unit)
 
     def _consider(self, frames: Frames, quota_of: dict[int, Quota]) -> None:

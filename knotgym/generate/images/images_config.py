@@ -11,6 +11,7 @@ from knotgym.generate.images.selection import SelectionConfig
 from knotgym.generate.images.walks import WalkConfig
 from knotgym.generate.states.generate_config import check_nx
 from knotgym.rendering.appearance import AppearanceConfig
+from knotgym.rope.engines import MUJOCO, require_engine
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import LISTED_NX
 
@@ -32,6 +33,7 @@ class ImagesConfig:
         code_share: share of split "test-code" among them, and share of Gauss codes held out for it;
             none for nx with fewer than 4 codes.
         seed: random seed of the run.
+        engine: the engine that walks use, see `knotgym.rope.engines`.
         steps: maximum steps of a walk. Walks for 3 or more crossings make a third of them, those
             for 1 or 2 two thirds, because many crossings are lost sooner.
         stride: steps between frames.
@@ -49,6 +51,7 @@ class ImagesConfig:
     test_share: float = 0.15
     code_share: float = 0.15
     seed: int = 0
+    engine: str = MUJOCO
     steps: int = 12
     stride: int = 2
     rows_per_file: int = 500
@@ -59,6 +62,7 @@ class ImagesConfig:
     idle: int = 6
 
     def __post_init__(self) -> None:
+        require_engine(self.engine)
         check_numbers(
             self,
             counts=("count", "steps", "stride", "rows_per_file", "wave", "idle"),
