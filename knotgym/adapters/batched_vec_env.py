@@ -1,7 +1,5 @@
 """A Stable-Baselines3 VecEnv over one batched simulation; importing it needs that library."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from typing import Any
 

@@ -7,8 +7,6 @@ crossings than fit. Half of all states show their episode's first code; relabell
 would reward doing nothing.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

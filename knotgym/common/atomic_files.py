@@ -5,8 +5,6 @@ output its name. Both look at the path itself (lstat): a symbolic link counts as
 it points to, and it is the link that gets replaced, never its target.
 """
 
-from __future__ import annotations
-
 import errno
 import hashlib
 import io

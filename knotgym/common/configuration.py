@@ -4,8 +4,6 @@ A configuration is a frozen dataclass of numbers, strings, tuples and further co
 stored as JSON in every file that was made with it.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

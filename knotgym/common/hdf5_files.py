@@ -6,8 +6,6 @@ HDF5 library would follow links to any other file and allocate any array that a 
 links aren't followed, and data is read only after its type and size have been checked.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator, MutableMapping, Sequence
 from contextlib import contextmanager

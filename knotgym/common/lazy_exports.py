@@ -3,8 +3,6 @@
 A package lists its names once, as imports for type checkers; they become imports on first use.
 """
 
-from __future__ import annotations
-
 import ast
 import importlib
 import sys

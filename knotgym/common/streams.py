@@ -10,8 +10,6 @@ True
 False
 """
 
-from __future__ import annotations
-
 from enum import IntEnum, unique
 
 import numpy as np

@@ -14,8 +14,6 @@ Everything else can be recomputed from `start_qpos`, `goal_points` and `infos/po
 `stored` is "pixels", "state", "both", "symbolic" or, in the compact form, "none".
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

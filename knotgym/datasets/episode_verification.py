@@ -4,8 +4,6 @@ Points, rewards and observations must agree bit for bit; codes must agree with t
 labellers.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace

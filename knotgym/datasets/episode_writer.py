@@ -6,8 +6,6 @@ compresses as well as a higher level does with one frame per chunk, and reading 
 than 1 ms.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterator, Mapping, Sequence

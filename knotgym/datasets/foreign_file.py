@@ -4,8 +4,6 @@ Some corrupted files make the library crash or loop forever, which no check in P
 Reading the whole file in a subprocess first turns that into an error message.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Iterable, Sequence

@@ -1,7 +1,5 @@
 """Contact sheets: knot diagrams of states and of final states of episodes, and pictures."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Sequence

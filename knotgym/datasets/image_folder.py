@@ -1,7 +1,5 @@
 """Files beside the Parquet files of a perception table: walks, card and manifest."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

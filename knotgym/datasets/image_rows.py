@@ -3,8 +3,6 @@
 The same rows give the same bytes on any worker.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any

@@ -7,8 +7,6 @@ down. Pictures are lossless PNG in the layout of Hugging Face's Image feature. p
 on demand.
 """
 
-from __future__ import annotations
-
 import hashlib
 import importlib
 import json

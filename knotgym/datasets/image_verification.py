@@ -4,8 +4,6 @@ Every label, measure and picture is recomputed, every walk is repeated in the si
 are checked for overlap. Each fault is reported as one line.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Iterable, Iterator
 from itertools import combinations

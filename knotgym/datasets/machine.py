@@ -5,8 +5,6 @@ system's own mathematics library. A sum in another order differs by rounding, wh
 simulation amplifies to millimetres.
 """
 
-from __future__ import annotations
-
 import platform
 from collections.abc import Iterable
 from pathlib import Path

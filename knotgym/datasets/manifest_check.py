@@ -1,7 +1,5 @@
 """Write and read the manifest of a run's folder, and compare its checksums."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from numbers import Real

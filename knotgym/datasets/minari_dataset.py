@@ -8,8 +8,6 @@ The files are written here, because Minari would store pictures as JPEG and drop
 when datasets are combined.
 """
 
-from __future__ import annotations
-
 import copy
 import json
 import os

@@ -6,8 +6,6 @@ default scale stays below 6 mm, and nothing is that close to two states of a cur
 loop, where action sequences begin, belongs to no split.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterable
 from typing import Any

@@ -1,7 +1,5 @@
 """Verify state files and the folders that `knotgym generate` writes."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress

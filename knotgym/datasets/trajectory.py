@@ -9,8 +9,6 @@ infos    i0  i1  i2  i3     one entry per state; bead, force, applied_share, mov
                             is what the expert would do there
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """Verify a dataset of any kind: detect what a path or an id holds and run its checks."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path

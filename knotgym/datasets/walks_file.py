@@ -11,8 +11,6 @@ configuration can be reproduced without the archive.
     forces  float32 (w, T, 3)       its force / the largest force; shorter walks end with zeros
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass

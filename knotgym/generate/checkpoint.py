@@ -1,7 +1,5 @@
 """Checkpoints of runs: records packed into arrays, and the errors of reading corrupted ones."""
 
-from __future__ import annotations
-
 import json
 import struct
 import zlib

@@ -5,8 +5,6 @@ run's, but have the same distribution: of near-duplicates in two shards the late
 and states are split again into train and test so that the shares hold.
 """
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """Convert datasets for other libraries: torch Dataset, d3rlpy ReplayBuffer, TensorDict."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 from collections.abc import Iterable

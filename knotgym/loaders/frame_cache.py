@@ -11,8 +11,6 @@ settings, and the versions of knotgym and OpenCV. A file is written under a temp
 renamed, so a file of the right size is complete.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

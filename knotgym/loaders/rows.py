@@ -1,7 +1,5 @@
 """A whole dataset as a dict of arrays, one row per transition (the keys of D4RL and OGBench)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

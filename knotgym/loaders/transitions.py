@@ -5,8 +5,6 @@ that it reached. Actions, rewards and ends are cached when first read; observati
 rendered on demand.
 """
 
-from __future__ import annotations
-
 from functools import cached_property
 from typing import Any, NamedTuple
 

@@ -6,8 +6,6 @@ PYTHONSAFEPATH=1 unless every module in the folder where they start may be impor
 dies, Dask repeats its pieces on other workers, with the same bytes.
 """
 
-from __future__ import annotations
-
 import logging
 import os
 import sys

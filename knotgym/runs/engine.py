@@ -6,8 +6,6 @@ with configuration and versions. A killed run can be resumed from its last check
 is the same; otherwise the error names the differences.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

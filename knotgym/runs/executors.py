@@ -5,8 +5,6 @@ so that memory stays flat. A piece of work depends on its argument alone, so the
 doesn't change a byte of the output.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

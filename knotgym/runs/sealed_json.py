@@ -4,8 +4,6 @@ A staging folder may be on a disk that fails or that other users can write to. T
 a changed file before it is used.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from pathlib import Path

@@ -4,8 +4,6 @@ The folder, its lock and everything in it must belong to this user, and none of 
 Otherwise anyone who can write beside the output could make a run empty or fill another folder.
 """
 
-from __future__ import annotations
-
 import fcntl
 import os
 import shutil

@@ -4,8 +4,6 @@ The measures are comparable between sets: distances between configurations (bead
 curves), radii of gyration, heights, and where along the rope the crossings are.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any

@@ -4,8 +4,6 @@ Measures must equal those recomputed from the points. A seed must be the key of 
 states come from, and agree with the rest of its row.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict

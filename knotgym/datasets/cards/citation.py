@@ -1,7 +1,5 @@
 """Templates of cards, the citation, and escaping of text for Markdown and YAML."""
 
-from __future__ import annotations
-
 import html
 import json
 import re

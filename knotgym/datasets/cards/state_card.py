@@ -1,7 +1,5 @@
 """The card (README.md) of a folder of states, and the counts shown in it."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence

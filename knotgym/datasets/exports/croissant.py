@@ -4,8 +4,6 @@ Source: MLCommons Croissant 1.0 and Croissant RAI 1.0. `croissant.json` has what
 every dataset: the context that mlcroissant writes, licence, and the responsible-AI fields.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Sequence

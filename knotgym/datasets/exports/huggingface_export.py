@@ -10,8 +10,6 @@ Load it with `load_dataset(FOLDER, "steps")`. Floats keep their full precision, 
 dataset (`--to minari`) has everything that is needed to replay an episode.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections import Counter

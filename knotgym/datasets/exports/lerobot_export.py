@@ -8,8 +8,6 @@ A row holds an observation, the action taken, and its outcome (`next.reward`, `n
 episode is a sentence with the Gauss code of its goal, see `task_text`.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

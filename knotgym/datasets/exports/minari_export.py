@@ -7,8 +7,6 @@
 uploaded to hf://USER. All ids must begin with the same word, which Minari takes as the repository.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Sequence

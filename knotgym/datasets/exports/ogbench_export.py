@@ -14,8 +14,6 @@ A name consists of task, crossings and policy, as `tie-nx2-expert-v0`, with the 
 pictures. Without the policy it is the id of the environment, see `adapters.ogbench_environment`.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from pathlib import Path

@@ -4,8 +4,6 @@ Arrays are stored flat, in C order. Column names have an underscore where the st
 slash.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path

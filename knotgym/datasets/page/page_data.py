@@ -4,8 +4,6 @@ Ropes are centred at the origin, as in the pictures, in units of 0.1 mm. Large d
 evenly, and the page says so.
 """
 
-from __future__ import annotations
-
 import base64
 import json
 from collections.abc import Mapping, Sequence

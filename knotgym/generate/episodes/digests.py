@@ -3,8 +3,6 @@
 Results and datasets store them; only runs with equal digests are resumed or pooled.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable
 from typing import Any

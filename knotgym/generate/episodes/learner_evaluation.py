@@ -3,8 +3,6 @@
 `benchmarks/results.py` reads the file.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path

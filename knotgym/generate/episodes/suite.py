@@ -8,8 +8,6 @@ Every dataset is an ordinary collection, see `collect`. This module defines whic
 their order, the estimate of the time they take, and one card for all.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """Read files of `knotgym evaluate --out` and tabulate them beside the published scores."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import tomllib

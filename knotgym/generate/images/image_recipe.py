@@ -7,8 +7,6 @@ depend only on the configuration, the states and their numbers, and are separate
 staging folder, so a resumed run continues from the existing files.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections import Counter
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The configuration of `knotgym images`, with its quotas and held-out codes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from knotgym.common.configuration import check_numbers

@@ -6,8 +6,6 @@ belong to one split. The exception is the plain loop, from which every state com
 state without crossings is a family of its own.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -9,8 +9,6 @@ without chirality; it is made to show the code that is rarest in its split so fa
 depends only on the frames and their order.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass
 from functools import lru_cache

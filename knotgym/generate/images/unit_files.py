@@ -1,7 +1,5 @@
 """Files of the staging folder with units of walks, from which a killed run is resumed."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import NamedTuple
 

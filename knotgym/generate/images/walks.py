@@ -5,8 +5,6 @@ pass strands over each other, as in play. Frames are kept, unrelaxed and with se
 relaxation, if their Gauss code is unambiguous and visible in the picture.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass, replace
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """The codes for which a run makes states, and their order."""
 
-from __future__ import annotations
-
 import itertools
 from collections import Counter
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """Starts of action sequences: the plain loop, a knot's minimal diagram, or a user's curve."""
 
-from __future__ import annotations
-
 import warnings
 from itertools import product
 from pathlib import Path

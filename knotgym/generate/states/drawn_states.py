@@ -4,8 +4,6 @@ A curve with the code is drawn (`drawing.drawn_curve`), placed in the simulator,
 left to rest and judged. Drawings are random, so this is repeated until one is accepted.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """The configuration of `knotgym generate`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from knotgym.common.configuration import check_numbers

@@ -3,8 +3,6 @@
 It starts from the nearest known state, so a sequence is that state's sequence and the plan.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 

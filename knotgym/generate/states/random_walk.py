@@ -6,8 +6,6 @@ loop converge). From then on, every few actions a configuration is examined. Sta
 more legible. Only positions are kept, at rest: an episode starts without the velocity of the walk.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple

@@ -6,8 +6,6 @@ Until the run is finished, the staging folder contains
     accepted.npz   the accepted states, column by column
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import asdict

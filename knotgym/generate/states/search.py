@@ -6,8 +6,6 @@ of the batch. A rope's motion depends only on the archive at the start of the ro
 round and the rope's index, so the result doesn't depend on the workers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Container, Iterator
 from dataclasses import asdict, dataclass, replace
 from typing import NamedTuple

@@ -16,8 +16,6 @@ the run is finished, the staging folder contains
     wave-{cycle}.npz    the states and demonstrations made since the previous wave
 """
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Iterator, Mapping
