@@ -25,7 +25,6 @@ from knotgym.common.hdf5_files import Column, member, opened_hdf5, read_column
 from knotgym.control.action_sequence import ActionSequence
 from knotgym.control.transition_counts import TransitionCounts
 from knotgym.rope.model import Array
-from knotgym.topology.diagrams import chiralities
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import mirror_images
 
@@ -121,17 +120,6 @@ class Archive:
         # `in` compares identity, since Elite has eq=False
         self.niches[niche] = short + [elite for elite in good_looking if elite not in short]
         return is_new
-
-    def codes(self, nx: int) -> list[GaussCode]:
-        """Return the known codes with nx crossings, without chirality, sorted by visits."""
-        niches = [niche for niche in self.niches if niche.nx == nx]
-        known = {image.plain for niche in niches for image in mirror_images(niche)}
-        return sorted(known, key=lambda code: code.visits)
-
-    def known_chiralities(self, code: GaussCode) -> list[GaussCode]:
-        """Return the known codes with chirality that have the visits of `code`."""
-        chiral = [GaussCode(code.visits, letters) for letters in chiralities(code)]
-        return [code for code in chiral if mirror_images(code)[0] in self.niches]
 
     def sure(self, code: GaussCode) -> bool:
         """Whether `code`, which has chirality, or a mirror image of it has an exact elite."""

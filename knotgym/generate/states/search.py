@@ -23,7 +23,6 @@ from knotgym.rope.engines import MUJOCO, require_engine, simulation, simulation_
 from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, propose
 from knotgym.rope.model import Array, Rope, RopeConfig, base_shifts
 from knotgym.runs.engine import Batch
-from knotgym.runs.pools import Pool
 from knotgym.topology.crossings import find_crossings, label_many
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry, mirror_images, shifted_base
@@ -144,15 +143,6 @@ def new_archive(config: SearchConfig, start: Array | None = None) -> Archive:
     for reading in readings(first.points[0], Limits(), config.rope):
         archive.offer(reading.elite(NO_ACTIONS, first.states()[0]), config.archive)
     return archive
-
-
-def advance(archive: Archive, config: SearchConfig, pool: Pool) -> int:
-    """Play one round on a pool and grow the archive by it; how many classes are new."""
-    known = len(archive.niches)
-    for batch in search_round(archive, config):
-        for _ in batch.follow(pool):
-            pass
-    return len(archive.niches) - known
 
 
 def search_round(
