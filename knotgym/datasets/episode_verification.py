@@ -238,13 +238,12 @@ def _file_faults(reader: EpisodeReader, rope: Rope) -> list[str]:
     if beside.is_file():
         found = read_json(beside)
         entries = found if isinstance(found, dict) else {}
-        for name, right in {
-            "total_episodes": len(reader),
-            "total_steps": int(reader.lengths.sum()),
-            "jpeg_encoding": False,
-        }.items():
-            if entries.get(name) != right:
-                faults.append(f"{beside}: {name} is {entries.get(name)}, should be {right}")
+        counts = {"total_episodes": len(reader), "total_steps": int(reader.lengths.sum())}
+        faults += [
+            f"{beside}: {name} is {entries.get(name)}, should be {right}"
+            for name, right in {**counts, "jpeg_encoding": False}.items()
+            if entries.get(name) != right
+        ]
     return faults
 
 

@@ -214,15 +214,12 @@ def merge_datasets(
         values = {getattr(one, name) for one in known}
         same[name] = values.pop() if len(values) == 1 and len(known) == len(sources) else None
     policies = [one.algorithm_name for one in known] or [str(first.attributes(0)["policy"])]
+    described = [f"Merged of {', '.join(one.dataset_id for one in known) or 'episode files'}."]
+    described += [f"{one.dataset_id}: {one.description}" for one in known]
     metadata = MinariMetadata(
         dataset_id=dataset_id,
         algorithm_name=", ".join(dict.fromkeys(policies)),
-        description="\n\n".join(
-            [
-                f"Merged of {', '.join(one.dataset_id for one in known) or 'episode files'}.",
-                *(f"{one.dataset_id}: {one.description}" for one in known),
-            ]
-        ),
+        description="\n\n".join(described),
         author=tuple({name for one in known for name in one.author}),
         author_email=tuple({name for one in known for name in one.author_email}),
         eval_split=known[0].eval_split if known else "test",
@@ -231,17 +228,8 @@ def merge_datasets(
     )
     for reader in readers:
         reader.close()
-    return publish(
-        sources,
-        metadata,
-        out,
-        concatenate=True,
-        distinct=True,
-        states=carried,
-        task=task,
-        count=count,
-        overwrite=overwrite,
-    )
+    how: dict[str, Any] = {"concatenate": True, "distinct": True, "overwrite": overwrite}
+    return publish(sources, metadata, out, states=carried, task=task, count=count, **how)
 
 
 def _states_digest(reader: EpisodeReader) -> str:
@@ -268,13 +256,8 @@ def compact(
     require_output(target, folder=False, overwrite=overwrite)
     metadata = metadata_of(source)
     with atomic_write(target, overwrite=overwrite) as temporary:
-        merge_episodes(
-            [source],
-            temporary,
-            store="none",
-            attributes={} if metadata is None else {"metadata": json.dumps(asdict(metadata))},
-            count=count,
-        )
+        attributes = {} if metadata is None else {"metadata": json.dumps(asdict(metadata))}
+        merge_episodes([source], temporary, store="none", attributes=attributes, count=count)
 
 
 def metadata_of(source: Any) -> MinariMetadata | None:

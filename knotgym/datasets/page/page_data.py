@@ -58,22 +58,12 @@ def page_data(
     """
     rope = RopeConfig()
     notices: list[str] = []
+    lists = ("measures", "words", "states", "episodes", "growth", "about")
     data: dict[str, Any] = {
-        "title": title,
-        "unit": UNIT,
-        "radius": rope.radius,
-        "maxForce": rope.max_force,
-        "beads": rope.beads,
+        **{name: [] for name in lists},
+        **{"title": title, "unit": UNIT, "points": "", "rejected": {}, "notices": notices},
+        **{"radius": rope.radius, "maxForce": rope.max_force, "beads": rope.beads},
         "colours": ["#" + bytes(colour).hex() for colour in rope_colours(rope.beads)],
-        "measures": [],
-        "words": [],
-        "states": [],
-        "points": "",
-        "episodes": [],
-        "growth": [],
-        "rejected": {},
-        "about": [],
-        "notices": notices,
     }
     if episodes:
         data |= _episodes(episodes, notices)
@@ -230,9 +220,8 @@ def _episode(reader: EpisodeReader, index: int) -> dict[str, Any]:
         "goal": episode.goal_gauss_code,
         "split": reader.task.split,
         "success": bool(episode.is_success.any()),
-        "seed": ""
-        if episode.seed is None
-        else str(episode.seed),  # a seed can exceed the 53 bits of a JavaScript number
+        # as text: a seed can exceed the 53 bits of a JavaScript number
+        "seed": "" if episode.seed is None else str(episode.seed),
         "points": _encoded(episode.points[:states]),
         "goal_points": _encoded(episode.goal_points[None]),
         "goal_x": _crossings(episode.goal_points),

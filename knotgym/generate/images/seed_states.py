@@ -64,7 +64,7 @@ def seed_states(
         )
     simulation = simulation_of(1, RopeConfig(), engine)
     path = archive or states or shipped()
-    read = _archived if archive else _curated
+    kind, read = ("archive", _archived) if archive else ("states", _curated)
     found = read(path, max(nx), simulation)
     if not found:
         raise NoSeedStates(f"{path} contains no state with at most {max(nx)} crossings")
@@ -83,11 +83,7 @@ def seed_states(
         kind=np.array([classes.index(canonical_form(code)) for code in codes], dtype=np.int64),
         family=families(np.stack(points)),
         knots=tuple(sorted({knot_type(code) for code in codes})),
-        source={
-            "kind": "archive" if archive else "states",
-            "name": path.name,
-            "sha256": sha256(path),
-        },
+        source={"kind": kind, "name": path.name, "sha256": sha256(path)},
     )
 
 

@@ -159,18 +159,13 @@ class Archive:
         """Read an archive; raise InvalidArchive if the file is another, truncated, or of an unknown
         version.
         """
+        versions = (FORMAT_VERSION,)
         with opened_hdf5(
-            path,
-            what="archive",
-            format=FORMAT,
-            versions=(FORMAT_VERSION,),
-            error=InvalidArchive,
+            path, what="archive", format=FORMAT, versions=versions, error=InvalidArchive
         ) as file:
+            visits = _json(file, "visits", dict).items()
             archive = cls(
-                visits={
-                    GaussCode.parse(code): int(count)
-                    for code, count in _json(file, "visits", dict).items()
-                },
+                visits={GaussCode.parse(code): int(count) for code, count in visits},
                 growth=_json(file, "growth", list),
                 settings=_json(file, "settings", dict),
                 transitions=TransitionCounts.read(member(file, "transitions")),
@@ -181,18 +176,13 @@ class Archive:
             beads, forces = read["beads"], read["forces"]
             if not len(ends) or len(beads) != int(ends[-1]):
                 raise InvalidArchive(f"{path} isn't a whole archive: its sequences are truncated")
-            rows = zip(
-                *(read[name] for name in ("code", "base_shift", "reverse", "objective", "state")),
-                np.concatenate([[0], ends[:-1]]),
-                ends,
-                strict=True,
-            )
-            for text, base_shift, reverse, objective, state, start, end in rows:
-                code = GaussCode.parse(text)
-                sequence = ActionSequence(beads[start:end], forces[start:end])
-                elite = Elite(
-                    code, int(base_shift), bool(reverse), sequence, state, float(objective)
-                )
+            names = ("code", "base_shift", "reverse", "objective", "state")
+            parts = (np.split(one, ends[:-1]) for one in (beads, forces))
+            for text, shift, reverse, objective, state, *sequence in zip(
+                *(read[name] for name in names), *parts, strict=True
+            ):
+                code, taken = GaussCode.parse(text), ActionSequence(*sequence)
+                elite = Elite(code, int(shift), bool(reverse), taken, state, float(objective))
                 archive.niches.setdefault(mirror_images(code)[0], []).append(elite)
             return archive
 
