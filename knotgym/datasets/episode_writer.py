@@ -156,6 +156,7 @@ def merge_episodes(
     readers = [EpisodeReader(source) for source in sources]
     _require_one_kind(readers, task)
     first = readers[0]
+    # every check comes before the target is created
     order = _in_order(readers, concatenate)
     if distinct:
         _require_distinct(order)
@@ -344,6 +345,7 @@ def _copy_dataset(source: h5py.Dataset, target: h5py.Group, name: str) -> None:
     if source.chunks is None:
         h5py.Dataset(copied)[()] = source[()]
         return
+    # one raw chunk at a time, as it is compressed; `mask` says which filters were skipped
     axes = zip(source.shape, source.chunks, strict=True)
     for start in product(*(range(0, size, chunk) for size, chunk in axes)):
         mask, stored = source.id.read_direct_chunk(start)

@@ -269,6 +269,7 @@ def _require_schema(file: Any, stored: int) -> None:
             raise InvalidImages(f"column {wanted.name} is {kind}, should be {wanted.type}")
     metadata = file.metadata
     groups = [metadata.row_group(k) for k in range(metadata.num_row_groups)]
+    # the footer's own figures: nothing is allocated before they are found plausible
     size = sum(group.total_byte_size for group in groups)
     rows = sum(group.num_rows for group in groups)
     if rows != metadata.num_rows or not 0 <= rows * _LEAST_ROW <= stored:

@@ -155,6 +155,7 @@ def row_faults(row: dict[str, Any]) -> Iterator[str]:
     if odd:
         yield f"appearance.{odd[0]} is {getattr(look, odd[0])}, should be 0 to {_MOST_DRAWN:g}"
         return
+    # the same functions that wrote the row
     right = {**labels(points, crossings, look), **measures(points, crossings, row["source"])}
     yield from recomputed_faults(row, {name: right[name] for name in _RECOMPUTED})
     yield from measure_faults(row["quality"], right["quality"])
@@ -202,6 +203,7 @@ def _split_faults(table: Any) -> Iterator[str]:
         sharing = sorted(set(split[family == shared].tolist()))
         if len(sharing) > 1:
             yield f"family {shared} is in splits {' and '.join(sharing)}"
+    # codes of test-nx have more crossings than any other split's, so they aren't compared
     seen = set(codes[np.isin(split, ("train", "test"))].tolist())
     for code in sorted(set(codes[split == "test-code"].tolist()) & seen):
         yield f"code {code or 'loop'} is in test-code and in train or test"

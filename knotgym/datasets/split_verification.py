@@ -126,6 +126,7 @@ class _Side:
         """Return the row of the state that the start or goal matches, or None."""
         what = "start_qpos" if self.name == "start" else "goal_points"
         stored = self.reader.column(index, what)
+        # episodes share few starts and goals: each is looked up once
         key = stored.tobytes()
         if key in self.origins:
             return None
@@ -137,6 +138,7 @@ class _Side:
     def _nearest(self, points: NDArray[np.float64]) -> int | None:
         if points.shape != self.states.points.shape[1:] or not np.isfinite(points).all():
             return None
+        # demonstrations start at the plain loop, which is of no split
         loop = self.rope.loop()
         loops = np.stack([loop, loop * (-1, 1, 1)])  # walked either way
         if self.name == "start" and distances(points, loops).min() < _SAME:

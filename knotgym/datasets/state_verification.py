@@ -241,6 +241,7 @@ def _replayed(states: States, rows: Sequence[int], rope: Rope, count: Count) -> 
         return {}
     ropes = simulation(states.engine, len(left), rope, threads=0)
     ropes.lay(states.source["start_qpos"][left])
+    # rows of different lengths share a simulation: those that are done are not stepped
     whole = np.ones(len(left), dtype=bool)
     lengths = np.array([len(actions[row]) for row in left])
     for step in range(int(lengths.max())):

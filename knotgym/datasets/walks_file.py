@@ -78,6 +78,7 @@ def walks_of(
     kept = [(piece, np.flatnonzero(np.isin(piece.numbers, [*used]))) for piece in made]
     kept = [(piece, rows) for piece, rows in kept if len(rows)]
     bases = np.concatenate([piece.bases[rows] for piece, rows in kept])
+    # states shared by several walks are stored once; `start` indexes them
     bases, start = np.unique(bases, return_inverse=True)
     return Walks(
         state=states[bases],
@@ -150,6 +151,7 @@ def retrace(
     largest = simulation.rope.config.max_force
     frames = [simulation.points.copy()]
     for step in range(beads.shape[1]):
+        # the same arithmetic as when the walk was made, or the last bits would differ
         newtons = largest * forces[:, step].astype(np.float64)
         simulation.act(simulation.actions(beads[:, step], newtons))
         frames.append(simulation.points.copy())

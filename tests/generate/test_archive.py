@@ -121,7 +121,9 @@ def test_every_code_known_has_a_chirality_and_elites(searched: Archive) -> None:
 
 
 def test_what_leads_to_a_code_has_it_among_its_mirror_images(searched: Archive) -> None:
-    handed = [chiral for code in searched.codes(2) for chiral in known_chiralities(searched, code)]
+    handed = [
+        chiral for code in known_codes(searched, 2) for chiral in known_chiralities(searched, code)
+    ]
     assert handed
     for chiral in handed:
         leading = searched.leading_to(chiral)

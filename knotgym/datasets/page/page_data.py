@@ -188,6 +188,7 @@ def _episodes(sources: Sequence[Path], notices: list[str]) -> dict[str, Any]:
     every = [(reader, i) for reader in readers for i in range(len(reader))]
     frames = [min(int(reader.lengths[i]), MOST_STEPS) + 1 for reader, i in every]
     rows = sampled(len(every), int(len(every) * MOST_FRAMES / max(1, sum(frames))) or 1)
+    # episodes differ in length, so the first guess may be too many
     while len(rows) > 1 and sum(frames[k] for k in rows) > MOST_FRAMES:
         rows = sampled(len(every), len(rows) - 1)
     _notice(notices, rows, len(every), "episodes")

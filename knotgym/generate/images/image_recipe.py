@@ -169,6 +169,7 @@ class ImageRecipe(Recipe):
         walks: list[Walk] = []
         quota_of: dict[int, Quota] = {}
         for key, count in wanted.items():
+            # loops are of no split; a quota without crossings prefers them, others their own split
             sides = start.nx == 0, split == key[0]
             first, second = sides if key[1] == 0 else sides[::-1]
             own = np.flatnonzero(first if first.any() else second)

@@ -127,6 +127,8 @@ def make_walks(unit: Unit) -> Frames:
     dropped: Counter[str] = Counter()
     for step in range(unit.steps):
         points = simulation.points[:count]
+        # A controller is idle when its macro-action has ended; advancing again turns a new one into
+        # the bead and force of this step.
         controller.advance(points)
         for row in np.flatnonzero(controller.idle).tolist():
             draw = _gentle_action if gentle[row] else _any_action
@@ -137,6 +139,7 @@ def make_walks(unit: Unit) -> Frames:
         alive &= held
         if (step + 1) % unit.stride:
             continue
+        # A simulation that blew up is not examined again; its walk keeps its place in the batch.
         for row in np.flatnonzero(alive).tolist():
             frame = simulation.points[row].copy()
             if count_crossings(frame) > unit.max_nx:
@@ -195,6 +198,7 @@ def judged(points: Array, limits: LabelLimits) -> tuple[str, float]:
     crossings = find_crossings(points)
     if visits_too_close(crossings, len(points), limits):
         return "visits too close", 0.0
+    # infinite: the base bead is chosen later
     quality = replace(measure(points, crossings, quick=True), base_spacing=float("inf"))
     if pressed_together(quality.clearance, limits):
         return "strands pressed together", 0.0

@@ -115,6 +115,7 @@ def demonstrate(task: DemonstrationTask) -> Demonstrated:
     rng = generator_of(task.seed)
     simulation = simulation_of(1, RopeConfig(), task.config.engine)
     before = simulation.steps_taken
+    # elites whose end is legible may give a state as well as a way
     legible = [elite for elite in task.elites if _is_legible(elite, simulation, task)]
     for number in range(TRIES):
         turned = number < TURNED

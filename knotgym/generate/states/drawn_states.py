@@ -110,6 +110,7 @@ def _drawn(
     except UndrawnCode:
         rejected["too tight"] += 1
         return None
+    # most rejections are seen on the curve, before anything is simulated
     faults = config.limits.faults(measure(curve, quick=True), code.nx)
     if faults:
         rejected.update(faults)

@@ -179,6 +179,7 @@ def walk(unit: WalkUnit) -> Walked:
     simulation = simulation_of(config.batch, RopeConfig(), config.engine)
     start = simulation.rope.qpos(STARTS[config.start](simulation.rope))
     simulation.lay(np.repeat(start[None], config.batch, axis=0))
+    # all actions of a rope come from one stream, so its row needs no column of actions
     actions = np.stack([drawn_actions(key_of(config, rope), config.longest) for rope in ropes])
     whole = np.ones(config.batch, dtype=bool)  # no blow-up so far
     found: dict[tuple[int, int], WalkState] = {}
