@@ -11,7 +11,7 @@ import pytest
 
 from knotgym.common.configuration import as_json, updated
 from knotgym.datasets.state_verification import folder_faults, state_faults
-from knotgym.generate.checkpoint import SpoiltCheckpoint
+from knotgym.generate.packed_records import SpoiltCheckpoint
 from knotgym.generate.states.generate_config import InvalidGenerateConfig
 from knotgym.generate.states.random_walk import (
     RandomWalkConfig,

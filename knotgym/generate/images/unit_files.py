@@ -5,8 +5,8 @@ from typing import NamedTuple
 
 from knotgym.common.errors import KnotgymError
 from knotgym.common.hdf5_files import require_regular
-from knotgym.generate.checkpoint import FOREIGN, read_records, write_records
 from knotgym.generate.images.walks import Frames, Unit, make_walks
+from knotgym.generate.packed_records import FOREIGN, read_records, write_records
 
 
 class SpoiltUnit(KnotgymError, ValueError):

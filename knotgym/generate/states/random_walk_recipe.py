@@ -17,7 +17,7 @@ import numpy as np
 
 import knotgym
 from knotgym.common.configuration import as_json
-from knotgym.generate.checkpoint import (
+from knotgym.generate.packed_records import (
     read_records,
     reading_checkpoint,
     require_digest,

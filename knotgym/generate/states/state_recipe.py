@@ -30,7 +30,7 @@ from knotgym.common.atomic_files import sha256
 from knotgym.common.configuration import as_json
 from knotgym.common.errors import MissingFile
 from knotgym.common.streams import Stream, derived_seed, key
-from knotgym.generate.checkpoint import (
+from knotgym.generate.packed_records import (
     read_records,
     reading_checkpoint,
     require_digest,
