@@ -68,6 +68,15 @@ def check_numbers(
                 raise error(f"{name} must be {expected}, got {value!r}")
 
 
+def check_nx(nx: Sequence[int], most: int, error: type[KnotgymError]) -> None:
+    """Raise `error` unless there are crossing numbers, distinct and in [0, most]."""
+    if not nx or any(not 0 <= one <= most for one in nx) or len(set(nx)) != len(nx):
+        raise error(
+            f"nx takes distinct numbers of crossings from 0 to {most}, got"
+            f" {', '.join(map(str, nx)) or 'none'}"
+        )
+
+
 def read_json(path: str | os.PathLike[str], most: int = MOST_JSON) -> Any:
     """Read a JSON file of at most `most` bytes; anything but a regular file isn't opened.
 

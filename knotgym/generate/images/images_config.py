@@ -2,12 +2,11 @@
 
 from dataclasses import dataclass
 
-from knotgym.common.configuration import check_numbers
+from knotgym.common.configuration import check_numbers, check_nx
 from knotgym.common.errors import KnotgymError
 from knotgym.common.streams import Stream, generator
 from knotgym.generate.images.selection import SelectionConfig
 from knotgym.generate.images.walks import WalkConfig
-from knotgym.generate.states.generate_config import check_nx
 from knotgym.rendering.appearance import AppearanceConfig
 from knotgym.rope.engines import MUJOCO, require_engine
 from knotgym.topology.gauss import GaussCode

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import check_numbers
+from knotgym.common.configuration import check_numbers, check_nx
 from knotgym.common.streams import Stream, generator, key
-from knotgym.generate.states.generate_config import InvalidGenerateConfig, check_nx
+from knotgym.generate.states.generate_config import InvalidGenerateConfig
 from knotgym.quality.measures import Quality, measure, noise_survival
 from knotgym.rope.actions import drawn_actions
 from knotgym.rope.engines import MUJOCO, require_engine, simulation_of
@@ -107,7 +107,7 @@ class RandomWalkConfig:
             shares=("train_share",),
             error=InvalidGenerateConfig,
         )
-        check_nx(self.nx, LISTED_NX)
+        check_nx(self.nx, LISTED_NX, InvalidGenerateConfig)
         require_engine(self.engine)
         if self.start not in STARTS:
             raise InvalidGenerateConfig(f"no start {self.start!r}; there is {', '.join(STARTS)}")
