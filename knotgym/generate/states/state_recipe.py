@@ -167,6 +167,10 @@ class StateRecipe(Recipe):
             **vars(self.config.search), max_nx=most, seed=seed, engine=self.config.engine
         )
 
+    @property
+    def engine(self) -> str:
+        return self.config.engine
+
     def request(self) -> dict[str, Any]:
         curve = Path(self.config.knot)
         source = {
