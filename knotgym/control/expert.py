@@ -1,10 +1,5 @@
 """The expert: a policy that plans in the chain engine and checks its plans in MuJoCo.
 
-A plan is searched for from the rope's current state in the chain, which is some forty times as
-fast, and then acted out once in MuJoCo. Where the two engines part, the search goes on from the
-nearest state to the goal that MuJoCo's rope came through, or begins again. MuJoCo is deterministic,
-bit for bit, so a checked plan does in the episode what it did in the check.
-
 Each episode has a budget of simulated actions for all its plans together. Once it is used up, the
 expert goes on without looking ahead, with macro-actions chosen by guidance alone.
 """
@@ -17,22 +12,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.control.action_sequence import NO_ACTIONS, ActionSequence, resting, step_ropes
+from knotgym.control.action_sequence import ActionSequence
+from knotgym.control.checked_plan import plan_checked
 from knotgym.control.guidance import Towards
-from knotgym.control.planner import REST, Plan, plan
+from knotgym.control.planner import REST, Plan
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policy import Choice, Effort, Policy
 from knotgym.control.transition_graph import TransitionGraph, shipped_transition_graph
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.rope.chain.chain_simulation import ChainSimulation
 from knotgym.rope.macro_actions import WaypointController
-from knotgym.rope.model import Array
 from knotgym.rope.simulation import Simulation
-from knotgym.rope.towing import TowBound
-from knotgym.topology.crossings import label
-from knotgym.topology.gauss import GaussCode
 
-_FAILURES = 2  # plans from one state that may lead no nearer to the goal, until others are tried
 BLIND = "blind"  # first word of the reason for an action that no plan contains
 
 
@@ -127,7 +118,7 @@ class Expert(Policy):
         if self._chain is None or self._check is None:
             rope = episodes.simulation.rope
             self._chain = ChainSimulation(self.config.batch_size, rope)
-            self._check = Simulation(1, rope)
+            self._check = type(episodes.simulation)(1, rope)
         # where the rope shows the goal already, only the rest of the hold is still to be planned
         hold, held = episodes.config.hold, int(episodes.held[index])
         return plan_checked(
@@ -168,120 +159,6 @@ class Expert(Policy):
         if self._graph is None:
             self._graph = shipped_transition_graph(self.config.graph)
         return self._graph
-
-
-@dataclass(frozen=True, eq=False)
-class _Stand:
-    """A state that MuJoCo's rope was led to from where the plan begins.
-
-    Attributes:
-        state: integration state.
-        code: that it shows.
-        pulls, moves: that led here, and their reasons.
-    """
-
-    state: Array
-    code: GaussCode
-    pulls: ActionSequence = NO_ACTIONS
-    moves: tuple[str, ...] = ()
-
-
-def plan_checked(
-    chain: ChainSimulation,
-    check: Simulation,
-    state: Array,
-    goal: GaussCode,
-    graph: TransitionGraph,
-    config: PlannerConfig,
-    rng: np.random.Generator,
-    *,
-    steps: int,
-    hold: int = 1,
-    budget: int | None = None,
-    bound: TowBound | None = None,
-) -> Plan:
-    """Find actions that lead to the goal code in MuJoCo, by plans made in the chain engine.
-
-    Args:
-        chain: at least `config.batch_size` ropes, to search in; overwritten.
-        check: one rope, to act plans out with; overwritten.
-        state: integration state of that rope to start from.
-        goal, graph, config, rng, steps, hold, budget, bound: as of `plan`.
-
-    Returns:
-        The first plan that ends in the goal, or else one to the state nearest to it.
-    """
-    limit = config.budget if budget is None else budget
-    check.restore(state[None])
-    root = here = best = _Stand(state, label(check.points[0]))
-    distances = graph.distances(goal, root.code)
-    spent = failures = 0
-
-    def remoteness(stand: _Stand) -> tuple[float, int]:
-        return distances(stand.code), len(stand.pulls)
-
-    while spent + config.batch_size <= limit and len(here.pulls) < steps:
-        check.restore(here.state[None])
-        chain.lay(check.qpos(), [0])
-        made = plan(
-            chain,
-            chain.states([0])[0],
-            goal,
-            graph,
-            config,
-            rng,
-            steps=steps - len(here.pulls),
-            hold=hold,
-            budget=limit - spent,
-            bound=bound,
-            hauling=True,
-        )
-        left = steps - len(here.pulls)
-        stands, solved = _act_out(check, here, made, goal, left, hold, bound)
-        spent += made.spent + len(stands)
-        if solved:
-            return Plan(stands[-1].pulls, stands[-1].moves, True, spent)
-        nearest = min(stands, key=remoteness, default=here)
-        if distances(nearest.code) < distances(here.code):
-            here, failures = nearest, 0
-        else:
-            failures += 1
-        best = min(best, here, key=remoteness)
-        if failures == _FAILURES:
-            here, failures = root, 0
-    return Plan(best.pulls, best.moves, False, spent)
-
-
-def _act_out(
-    check: Simulation,
-    here: _Stand,
-    made: Plan,
-    goal: GaussCode,
-    steps: int,
-    hold: int,
-    bound: TowBound | None,
-) -> tuple[list[_Stand], bool]:
-    """Act a plan out, until it shows the goal or has had `steps` actions.
-
-    Returns:
-        The states on the way, and whether the last `hold` of them show the goal.
-    """
-    check.restore(here.state[None])
-    stands, held = list[_Stand](), 0
-    rest = resting(1)
-    while held < hold and len(stands) < (steps if held else min(steps, len(made.pulls))):
-        at = slice(len(stands), len(stands) + 1)
-        pull = rest if held else ActionSequence(made.pulls.beads[at], made.pulls.forces[at])
-        move = f"none {REST}" if held else made.moves[len(stands)]
-        stable = step_ropes(check, pull.beads, pull.forces)[1][0]
-        if not stable or (bound is not None and bound.exceeded(check.points)[0]):
-            break
-        code = label(check.points[0])
-        held = held + 1 if code.matches(goal) else 0
-        pulls, moves = here.pulls + pull, (*here.moves, move)
-        here = _Stand(check.states()[0], code, pulls, moves)
-        stands.append(here)
-    return stands, held == hold
 
 
 def _action(
