@@ -37,9 +37,9 @@ class PlannerConfig:
         macro_actions: settings of the macro-actions.
     """
 
-    budget: int = 20000
+    budget: int = 60000
     batch_size: int = 8
-    guided: float = 0.5
+    guided: float = 0.8
     longest: int = 10
     kept: int = 6
     greed: float = 4.0
