@@ -24,6 +24,7 @@ from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 
 _FAILURES = 2  # plans from one state that may lead no nearer to the goal, until it begins again
+_LOOK = 4000  # actions of the first search; twice as many after each from the root that finds none
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +75,7 @@ def plan_checked(
     check.restore(state[None])
     root = here = best = Stand(state, label(check.points[0]))
     distances = graph.distances(goal, root.code)
-    spent = failures = 0
+    spent, failures, look = 0, 0, _LOOK
 
     def remoteness(stand: Stand) -> tuple[float, int]:
         return distances(stand.code), len(stand.pulls)
@@ -91,13 +92,19 @@ def plan_checked(
             rng,
             steps=steps - len(here.pulls),
             hold=hold,
-            budget=limit - spent,
+            budget=min(look, limit - spent),
             bound=bound,
             hauling=True,
         )
+        spent += made.spent
+        if not made.solved and spent + config.batch_size <= limit:
+            # too few actions are left from here, or the way is hard to find
+            look *= 1 if len(here.pulls) else 2
+            here, failures = root, 0
+            continue
         left = steps - len(here.pulls)
         stands, solved = _act_out(check, here, made, goal, left, hold, bound)
-        spent += made.spent + len(stands)
+        spent += len(stands)
         if met is not None:
             for stand in stands:
                 met(stand)
