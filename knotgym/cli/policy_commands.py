@@ -115,7 +115,7 @@ def collect(
     reset_noise: ResetNoiseOption = 0.015,
     integrator_steps: IntegratorStepsOption = 24,
     noise: NoiseOption = 0.1,
-    budget: BudgetOption = 20000,
+    budget: BudgetOption = 60000,
     shares: SharesOption = "0.25,0.25,0.25,0.25",
     author: Annotated[
         list[str] | None,
@@ -264,7 +264,7 @@ def evaluate(
     reset_noise: ResetNoiseOption = 0.015,
     integrator_steps: IntegratorStepsOption = 24,
     noise: NoiseOption = 0.1,
-    budget: BudgetOption = 20000,
+    budget: BudgetOption = 60000,
     shares: SharesOption = "0.25,0.25,0.25,0.25",
     seed: SeedOption = 0,
     workers: WorkersOption = 0,

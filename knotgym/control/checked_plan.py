@@ -80,7 +80,7 @@ def plan_checked(
     def remoteness(stand: Stand) -> tuple[float, int]:
         return distances(stand.code), len(stand.pulls)
 
-    while spent + config.batch_size <= limit and len(here.pulls) < steps:
+    while spent + config.batch_size <= limit and steps > 0:
         check.restore(here.state[None])
         chain.lay(check.qpos(), [0])
         made = plan(
@@ -98,7 +98,7 @@ def plan_checked(
         )
         spent += made.spent
         if not made.solved and spent + config.batch_size <= limit:
-            # too few actions are left from here, or the way is hard to find
+            # too few actions are left from here, or the goal is hard to find
             look *= 1 if len(here.pulls) else 2
             here, failures = root, 0
             continue
@@ -111,12 +111,12 @@ def plan_checked(
         if solved:
             return Plan(stands[-1].pulls, stands[-1].moves, True, spent)
         nearest = min(stands, key=remoteness, default=here)
+        best = min(best, nearest, key=remoteness)
         if distances(nearest.code) < distances(here.code):
             here, failures = nearest, 0
         else:
             failures += 1
-        best = min(best, here, key=remoteness)
-        if failures == _FAILURES:
+        if failures == _FAILURES or len(here.pulls) + config.least_stride > steps:
             here, failures = root, 0
     return Plan(best.pulls, best.moves, False, spent)
 
