@@ -16,7 +16,6 @@ from knotgym.control.action_sequence import NO_ACTIONS, ActionSequence, resting,
 from knotgym.control.planner import REST, Plan, plan
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.transition_graph import TransitionGraph
-from knotgym.rope.chain.chain_simulation import ChainSimulation
 from knotgym.rope.model import Array
 from knotgym.rope.simulation import Simulation
 from knotgym.rope.towing import TowBound
@@ -44,7 +43,7 @@ class Stand:
 
 
 def plan_checked(
-    chain: ChainSimulation,
+    chain: Simulation,
     check: Simulation,
     state: Array,
     goal: GaussCode,
@@ -61,7 +60,7 @@ def plan_checked(
     """Find actions that lead to the goal code, by plans made in the chain engine.
 
     Args:
-        chain: at least `config.batch_size` ropes, to search in; overwritten.
+        chain: at least `config.batch_size` ropes of the chain engine; overwritten.
         check: one rope of the engine that the plan is for; overwritten.
         state: of that rope, to start from.
         goal, graph, config, rng, steps, hold, budget, bound: as of `plan`. The budget counts the

@@ -20,7 +20,7 @@ from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policy import Choice, Effort, Policy
 from knotgym.control.transition_graph import TransitionGraph, shipped_transition_graph
 from knotgym.envs.episode_batch import EpisodeBatch
-from knotgym.rope.chain.chain_simulation import ChainSimulation
+from knotgym.rope.engines import CHAIN, simulation
 from knotgym.rope.macro_actions import WaypointController
 from knotgym.rope.simulation import Simulation
 
@@ -57,7 +57,7 @@ class Expert(Policy):
         """Take the planner's settings, and the graph of distances; None for the one that ships."""
         self.config = config or PlannerConfig()
         self._graph = graph
-        self._chain: ChainSimulation | None = None
+        self._chain: Simulation | None = None
         self._check: Simulation | None = None
         self._progress: dict[int, _Progress] = {}
         self._controller = WaypointController(0, self.config.macro_actions)
@@ -116,9 +116,9 @@ class Expert(Policy):
 
     def _plan(self, episodes: EpisodeBatch, index: int, progress: _Progress, steps: int) -> Plan:
         if self._chain is None or self._check is None:
-            rope = episodes.simulation.rope
-            self._chain = ChainSimulation(self.config.batch_size, rope)
-            self._check = type(episodes.simulation)(1, rope)
+            acting = episodes.simulation
+            self._chain = simulation(CHAIN, self.config.batch_size, acting.rope)
+            self._check = simulation(acting.engine, 1, acting.rope)
         # where the rope shows the goal already, only the rest of the hold is still to be planned
         hold, held = episodes.config.hold, int(episodes.held[index])
         return plan_checked(

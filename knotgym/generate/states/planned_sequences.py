@@ -6,7 +6,6 @@ It starts from the nearest known state, so a sequence is that state's sequence a
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 from typing import NamedTuple
 
 from knotgym.common.streams import generator_of
@@ -16,9 +15,7 @@ from knotgym.control.transition_graph import shipped_transition_graph
 from knotgym.generate.states.archive import Elite
 from knotgym.generate.states.search import SearchConfig, readings
 from knotgym.quality.measures import Limits
-from knotgym.rope.chain.chain_simulation import ChainSimulation
-from knotgym.rope.model import Rope, RopeConfig
-from knotgym.rope.simulation_pool import simulation_of
+from knotgym.rope.engines import CHAIN, simulation_of
 from knotgym.topology.gauss import GaussCode
 
 PACE = 7  # actions allowed per change of code on the way to the goal
@@ -75,10 +72,10 @@ def reach(target: Target) -> Found:
     hops = distances.hops.get(shown, target.planner.unknown_hops)
     # Every further search for a code may be longer, by the actions of one change of code.
     steps = min(target.search.longest - len(elite.sequence), PACE * (hops + target.number))
-    simulation = simulation_of(1, target.search.rope)
+    simulation = simulation_of(1, target.search.rope, target.search.engine)
     wanted, met = target.wanted | {goal.plain}, dict[GaussCode, Stand]()  # first with each code
     planned = plan_checked(
-        _chain_of(target.planner.batch_size, target.search.rope),
+        simulation_of(target.planner.batch_size, target.search.rope, CHAIN),
         simulation,
         elite.state,
         goal,
@@ -96,9 +93,3 @@ def reach(target: Target) -> Found:
             shown_now = readings(simulation.points[0], Limits(), target.search.rope)
             elites += [reading.elite(sequence, stand.state) for reading in shown_now]
     return Found(tuple(elites), planned.spent)
-
-
-@lru_cache
-def _chain_of(count: int, config: RopeConfig) -> ChainSimulation:
-    """This process's ropes to search with."""
-    return ChainSimulation(count, Rope(config))
