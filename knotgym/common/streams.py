@@ -61,7 +61,6 @@ class Stream(IntEnum):
     DRAWING_CODES = 41  # nx: which codes are drawn, where there are too many to list
     START = 42  # the drawing of a knot that action sequences begin at
     LEARN_PICTURES = 50  # step of training the reader
-    LEARN_ROPE = 51  # fitting the rope model
     LEARN_PLACES = 52  # the start positions of ropes that are kept
 
 
