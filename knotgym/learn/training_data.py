@@ -9,17 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import KnotgymError
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.learn.fitting import Stretches
 from knotgym.learn.rope_model import BEADS
+from knotgym.learn.train_config import InvalidTraining
 from knotgym.rope.model import RopeConfig
 
 STRETCH = 4  # actions at the start of each episode to which the rope model is fitted
-
-
-class InvalidTraining(KnotgymError, ValueError):
-    """A training that can't run: its settings, its datasets or what it resumes are invalid."""
 
 
 class TrainingData(NamedTuple):

@@ -381,7 +381,7 @@ def test_a_place_that_cannot_be_written_is_refused_at_once(
     [
         (("generate", "--nx", "1,1"), "each number once, got '1,1'"),
         (("collect", "--policy", "mixed", "--shares", "inf,1,1,1"), "4 finite numbers"),
-        (("evaluate", "--filmed", -1), "greater than or equal to 0"),
+        (("evaluate", "--filmed", -1), "filmed must be a whole number of at least 0, got -1"),
         (("generate", "--nx", 0, "--out", "x" * 300), "can't be written: File name too long"),
         (("generate", "--nx", 0, "--out", "/dev/null/x"), "/dev/null/x can't be written"),
         (("dataset", "verify", "/dev/null/x"), "no such file: /dev/null/x"),

@@ -10,12 +10,12 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, astuple, dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from knotgym.common.atomic_files import require_output, sha256
-from knotgym.common.configuration import as_json, differences
+from knotgym.common.configuration import as_json, check_numbers, differences
 from knotgym.common.errors import KnotgymError
 from knotgym.control.expert import Expert
 from knotgym.control.policies import PolicyConfig, make_policy
@@ -26,7 +26,7 @@ from knotgym.datasets.minari_dataset import MinariMetadata, publish
 from knotgym.envs.tasks import OBSERVATIONS, TaskConfig
 from knotgym.generate.episodes.digests import digests, require_unchanged, sources
 from knotgym.rope.model import RopeConfig
-from knotgym.runs.engine import Batch, run
+from knotgym.runs.engine import Batch, Recipe, run
 from knotgym.runs.progress import Progress, Status, tell_if_long
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.sealed_json import read_sealed, write_sealed
@@ -50,23 +50,25 @@ class CollectConfig:
     Attributes:
         task: the environment; its `observation` is stored.
         policy: the acting policy.
-        episodes: number of episodes to play.
-        seed: random seed of the run; episode i has `rollouts.episode_seed(seed, i)`.
-        keep_failed: whether to keep episodes that didn't reach the goal.
-        attempts: rollouts per episode, with different random draws of the policy; the shortest that
-            reaches the goal is kept, or else the first.
-        labels: "expert" to store the expert's action at every state in `Episode.expert_action`,
-            planned with the policy's planner and its full budget for each state; "" for none.
+        episodes: episodes to play for each --nx.
+        seed: random seed; the same seed gives the same bytes. Episode i has
+            `rollouts.episode_seed(seed, i)`.
+        keep_failed: keep episodes that didn't reach the goal.
+        attempts: rollouts per episode; the shortest one that reaches the goal is kept, or else the
+            first.
+        labels: "expert" stores the expert's action at every state, planned with --budget for each.
         episodes_per_file: episodes per file of the staging folder; doesn't affect the dataset.
         seen: observation given to functions and models that don't declare their own; "" for the
             stored one.
-        dataset_id: Minari id; by default for example knotgym/tie-nx3/expert-v0, for the test split
-            knotgym/tie-nx3/expert-test-v0.
-        author, author_email, code_permalink: Minari metadata.
+        dataset_id: Minari id; by default for example knotgym/tie-nx3/expert-v0, with a mark for
+            each setting that changes the data, as in expert-state-seed1-v0.
+        author: author of the dataset; may be repeated.
+        author_email: author's email; may be repeated.
+        code_permalink: URL of the code that made it.
     """
 
-    task: TaskConfig
-    policy: PolicyConfig
+    task: TaskConfig = TaskConfig(task="tie", observation=OBSERVATION)
+    policy: PolicyConfig = PolicyConfig(policy="expert")
     episodes: int = 200
     seed: int = 0
     keep_failed: bool = True
@@ -87,13 +89,10 @@ class CollectConfig:
             )
         if self.labels not in LABELS:
             raise InvalidCollection(f"labels must be expert or empty, got {self.labels!r}")
-        for name in ("episodes", "episodes_per_file", "attempts"):
-            if getattr(self, name) < 1:
-                raise InvalidCollection(f"{name} must be at least 1, got {getattr(self, name)}")
+        counts = ("episodes", "episodes_per_file", "attempts")
+        check_numbers(self, counts=counts, whole=("seed",), error=InvalidCollection)
         if self.seen not in ("", *OBSERVATIONS):
             raise InvalidCollection(f"seen must be of {', '.join(OBSERVATIONS)}, got {self.seen!r}")
-        if self.seed < 0:
-            raise InvalidCollection(f"seed must be at least 0, got {self.seed}")
         if not self.dataset_id:
             marks = collection_marks(self.attempts, self.labels)
             object.__setattr__(self, "dataset_id", plain_id(self.task, self.policy, *marks))
@@ -200,12 +199,8 @@ class Tally:
     simulation_failures: int = 0
 
     def __add__(self, other: Tally) -> Tally:
-        return Tally(
-            **{
-                field.name: getattr(self, field.name) + getattr(other, field.name)
-                for field in fields(self)
-            }
-        )
+        pairs = zip(astuple(self), astuple(other), strict=True)
+        return Tally(**dict(zip(asdict(self), map(sum, pairs), strict=True)))
 
 
 def collect(
@@ -252,13 +247,11 @@ def _folder(config: CollectConfig, out: Path | None, options: RunOptions) -> Pat
     return options.shard.folder((out or minari_root()) / config.dataset_id)
 
 
-class EpisodeRecipe:
+class EpisodeRecipe(Recipe):
     """Recipe for a policy's episodes, see `runs.engine.Recipe`.
 
     Each unit writes a file of a few episodes. The finished files are the checkpoint.
     """
-
-    flexible: tuple[str, ...] = ()
 
     def __init__(self, config: CollectConfig, options: RunOptions) -> None:
         make_policy(config.policy).suited(config.seen_task)  # refuses before any work is done
@@ -276,15 +269,6 @@ class EpisodeRecipe:
 
     def request(self) -> dict[str, Any]:
         return {"config": as_json(self.config), "source": sources_of(self.config)}
-
-    def begin(self) -> None:
-        pass
-
-    def load(self, folder: Path) -> bool:
-        return False
-
-    def save(self, folder: Path) -> None:
-        pass
 
     def batches(self, folder: Path) -> Iterator[Batch]:
         size = self.config.episodes_per_file

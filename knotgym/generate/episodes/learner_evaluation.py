@@ -10,11 +10,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from knotgym.common.atomic_files import atomic_write
 from knotgym.control.policies import Policy, PolicyConfig, register_policy
 from knotgym.generate.episodes.evaluate import EvaluateConfig, as_text, run
+from knotgym.runs.run_options import RunOptions
 
 EVALUATION = "evaluation.json"
 
@@ -50,7 +49,7 @@ def evaluate_learner(
     register_policy(name, lambda _: policy, files)
     config = EvaluateConfig(policies=(PolicyConfig(policy=name),), **settings)
     path = folder / EVALUATION
-    run(config, workers=1, out=path, video=None, quiet=quiet, console=Console())
+    run(config, RunOptions(workers=1, quiet=quiet), out=path)
     content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     content["training"] = training
     with atomic_write(path) as part:

@@ -64,13 +64,16 @@ class SuiteConfig:
     """Which part of the benchmark to make; all of it by default.
 
     Attributes:
-        tasks, nx: every task is combined with every number of crossings.
-        policies: a subset of POLICIES.
-        states: a subset of STATES.
+        tasks: tasks, comma-separated: unknot, tie, convert.
+        nx: numbers of crossings, from 2 to 4: 3 or 2,3.
+        policies: policies, comma-separated: random, scripted, noisy-expert, expert.
+        states: sets of states, comma-separated: readable, random-walk.
         episodes: policy -> episodes per setup and set of states.
-        observation: stored observation, see `TaskConfig`; pictures can be drawn from any of them.
-        budget: simulated actions per episode for expert planning, see `PlannerConfig`.
-        seed: random seed of every dataset.
+        observation: observation to store: pixels, state, both or symbolic. Pictures can be drawn
+            from any of them.
+        budget: simulated actions per episode for expert planning.
+        seed: random seed of every dataset; not 0, the default of `evaluate`, whose episodes on the
+            train split would then start like those of the datasets.
     """
 
     tasks: tuple[str, ...] = tuple(TASKS)

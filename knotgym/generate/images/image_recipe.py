@@ -32,7 +32,7 @@ from knotgym.generate.images.seed_states import SeedStates, seed_states
 from knotgym.generate.images.selection import Chooser, ChosenFrame
 from knotgym.generate.images.unit_files import UnitFile, load_frames, walked
 from knotgym.generate.images.walks import WALKS, Frames, Unit, Walk
-from knotgym.runs.engine import Batch, run
+from knotgym.runs.engine import Batch, Recipe, run
 from knotgym.runs.progress import Progress, Status, tell_if_long
 from knotgym.runs.run_options import NotEnough, RunOptions
 from knotgym.states.splits import IMAGE_SPLITS
@@ -74,10 +74,11 @@ def make_images(
     return run(recipe, options.shard.folder(out), options, progress)
 
 
-class ImageRecipe:
-    """Recipe for labelled pictures, see `runs.engine.Recipe`."""
+class ImageRecipe(Recipe):
+    """Recipe for labelled pictures, see `runs.engine.Recipe`.
 
-    flexible: tuple[str, ...] = ()
+    Finished walks and table files are detected one by one.
+    """
 
     def __init__(self, config: ImagesConfig, options: RunOptions, start: SeedStates) -> None:
         self.config, self.shard, self.start = config, options.shard, start
@@ -112,15 +113,6 @@ class ImageRecipe:
 
     def request(self) -> dict[str, Any]:
         return {"config": as_json(self.config), "source": self.start.source}
-
-    def begin(self) -> None:
-        pass
-
-    def load(self, folder: Path) -> bool:
-        return False  # finished walks and table files are detected one by one
-
-    def save(self, folder: Path) -> None:
-        pass
 
     def batches(self, folder: Path) -> Iterator[Batch]:
         yield from self._choose(folder / "units")

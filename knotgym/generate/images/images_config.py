@@ -22,14 +22,14 @@ class ImagesConfig:
     """Which pictures to make.
 
     Attributes:
-        nx: crossing numbers, with equally many pictures each.
-        count: total number of pictures.
+        nx: numbers of crossings: 3, 2,3 or 0-4.
+        count: total pictures, spread evenly over the numbers of crossings.
         test_nx: crossing numbers held out for split "test-nx", larger than all others; None for the
             largest if there are several.
-        test_share: share of split "test" among the other pictures.
-        code_share: share of split "test-code" among them, and share of Gauss codes held out for it;
-            none for nx with fewer than 4 codes.
-        seed: random seed of the run.
+        test_share: share of pictures in split test. Held-out crossing numbers don't count.
+        code_share: share of pictures in split test-code, and of Gauss codes held out for it. None
+            are held out for nx with fewer than 4 codes.
+        seed: random seed; the same seed gives the same bytes.
         steps: maximum steps of a walk. Walks for 3 or more crossings make a third of them, those
             for 1 or 2 two thirds, because many crossings are lost sooner.
         stride: steps between frames.

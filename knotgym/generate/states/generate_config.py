@@ -38,20 +38,24 @@ class GenerateConfig:
     """Which states to make, and how.
 
     Attributes:
-        nx: crossing numbers.
+        nx: numbers of crossings: 3, 2,3 or 0-4.
         codes: Gauss codes to use instead of all those of `knot`, with or without chirality; `nx`
             must list their crossing numbers.
-        count: states per crossing number, spread over as many Gauss codes as possible.
-        every_code: number of states for every code, instead of `count`; 0 to use `count`.
-        split_by: "state", or "code" for splits that share no code.
+        count: states per number of crossings, spread over as many Gauss codes as possible.
+        every_code: instead of --count: number of states for every existing Gauss code.
+        split_by: "state" or "code"; with "code", train and test share no Gauss code.
         train_share: share of states (or codes) in the train split.
-        knot: the rope's knot: a name of `topology.knot_table.diagram_of`, or a file with a curve.
-        demonstrations: whether to find an action sequence to every code and write demonstrations.
-        seed: random seed of the run.
-        attempts: drawings per requested state of a code before the code is skipped.
+        knot: knot type of the rope: 0_1, a prime knot of up to 10 crossings (8_19), a mirror image
+            (m3_1) or a sum (3_1#4_1); or a file with a closed curve, as .npy or three numbers per
+            line, from which action sequences start.
+        demonstrations: search for an action sequence that reaches the Gauss code of every state,
+            and write the sequences as Minari datasets; up to 6 crossings.
+        seed: random seed; the same seed gives the same bytes.
+        attempts: drawings per requested state before a Gauss code is skipped; with random-walk,
+            walks per requested state.
         searches: planner searches for a code before it is skipped; the first has the budget
             `planner.budget`, each further one twice that of the one before.
-        cycles: waves of work after which the run ends with the states it has; 0 for no limit.
+        cycles: stop after this many rounds of work and keep the states made; 0 for no limit.
         wave: maximum number of units of work in a wave.
         planned: codes that the planner searches for in one wave.
         batch: drawings of a code in one wave.

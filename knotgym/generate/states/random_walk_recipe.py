@@ -36,7 +36,7 @@ from knotgym.generate.states.state_recipe import SpoiltCheckpoint
 from knotgym.quality.measures import UNITS, Quality
 from knotgym.rendering.picture import draw_many
 from knotgym.rope.model import Array, Rope
-from knotgym.runs.engine import CHECKPOINT, Batch, run
+from knotgym.runs.engine import CHECKPOINT, Batch, Recipe, run
 from knotgym.runs.progress import Progress, Status
 from knotgym.runs.run_options import InvalidRun, NotEnough, RunOptions
 from knotgym.runs.sealed_json import read_sealed, write_sealed
@@ -69,7 +69,7 @@ def walk_states(
     return run(RandomWalkRecipe(config), out, options, progress)
 
 
-class RandomWalkRecipe:
+class RandomWalkRecipe(Recipe):
     """Recipe for states of random walks, see `runs.engine.Recipe`."""
 
     flexible: tuple[str, ...] = ("attempts",)
@@ -82,9 +82,6 @@ class RandomWalkRecipe:
 
     def request(self) -> dict[str, Any]:
         return {"config": as_json(self.config), "source": RANDOM_WALK}
-
-    def begin(self) -> None:
-        pass  # nothing to prepare
 
     def batches(self, folder: Path) -> Iterator[Batch]:
         config = self.config
