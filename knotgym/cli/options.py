@@ -34,7 +34,6 @@ from knotgym.common.configuration import InvalidConfig, from_json, read_json
 from knotgym.runs.progress import Progress
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.shards import Shard
-from knotgym.topology.gauss import GaussCode
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -375,26 +374,6 @@ def numbers(text: str, name: str = "--nx") -> tuple[int, ...]:
     return tuple(out)
 
 
-def code_list(path: Path | None) -> list[GaussCode]:
-    """Read Gauss codes from a file, one per line; an empty list without a file.
-
-    Raises:
-        InvalidGaussCode: a line is not a Gauss code.
-    """
-    if path is None:
-        return []
-    if path.exists() and not path.is_file():
-        raise typer.BadParameter(f"--codes {path} is not a regular file")
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise typer.BadParameter(f"--codes {path} can't be read: {error}") from error
-    found = [GaussCode.parse(line) for line in lines if line.strip()]
-    if not found:
-        raise typer.BadParameter(f"--codes {path} contains no Gauss code")
-    return found
-
-
 def words(text: str, name: str = "") -> tuple[str, ...]:
     """Split "tie,unknot" at its commas and drop duplicates."""
     return tuple(dict.fromkeys(listed(text, name)))
@@ -407,15 +386,6 @@ def default_folder(name: str, *marks: str) -> Path:
     knotgym-data/nx3-3_1-seed1
     """
     return Path("knotgym-data") / "-".join([name.replace(" ", ""), *filter(None, marks)])
-
-
-def made_from(source: Path | None) -> str:
-    """Return the mark of a run that starts from a file of another run.
-
-    >>> made_from(Path("knotgym-data/nx3/archive.h5"))
-    'from-nx3'
-    """
-    return "" if source is None else f"from-{source.absolute().parent.name}"
 
 
 def read_settings(path: Path | None) -> dict[str, Any]:

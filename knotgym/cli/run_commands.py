@@ -13,16 +13,15 @@ from knotgym.cli.options import (
     SETTINGS,
     Given,
     Option,
-    code_list,
     command,
     default_folder,
     listed,
-    made_from,
     numbers,
     option,
     options_of,
     run_options,
 )
+from knotgym.topology.gauss import GaussCode
 
 _CHOICE, _SEARCH, _SPLITS = "Which states", "The search", "Splits"
 
@@ -214,3 +213,32 @@ def images(given: Given) -> None:
         states=states,
         progress=given.progress,
     )
+
+
+def code_list(path: Path | None) -> list[GaussCode]:
+    """Read Gauss codes from a file, one per line; an empty list without a file.
+
+    Raises:
+        InvalidGaussCode: a line is not a Gauss code.
+    """
+    if path is None:
+        return []
+    if path.exists() and not path.is_file():
+        raise typer.BadParameter(f"--codes {path} is not a regular file")
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise typer.BadParameter(f"--codes {path} can't be read: {error}") from error
+    found = [GaussCode.parse(line) for line in lines if line.strip()]
+    if not found:
+        raise typer.BadParameter(f"--codes {path} contains no Gauss code")
+    return found
+
+
+def made_from(source: Path | None) -> str:
+    """Return the mark of a run that starts from a file of another run.
+
+    >>> made_from(Path("knotgym-data/nx3/archive.h5"))
+    'from-nx3'
+    """
+    return "" if source is None else f"from-{source.absolute().parent.name}"

@@ -34,7 +34,7 @@ from knotgym.common.atomic_files import Occupied
 from knotgym.control.policies import PolicyConfig
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig, distinct_id
-from knotgym.generate.episodes.evaluate import Result, reference_lines, show
+from knotgym.generate.episodes.results import Result, reference_lines, show
 from knotgym.runs.engine import CHECKPOINT, Batch, run
 from knotgym.runs.executors import InProcess
 from knotgym.runs.progress import Progress, Status, compile_first, duration, tell_if_long

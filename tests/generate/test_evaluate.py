@@ -23,9 +23,9 @@ from knotgym.generate.episodes.evaluate import (
     film,
     report,
     run,
-    show,
     sources_of,
 )
+from knotgym.generate.episodes.results import show
 from knotgym.rope.model import RopeConfig
 from knotgym.runs.executors import InProcess
 from knotgym.runs.run_options import InvalidRun, RunOptions

@@ -11,6 +11,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, astuple, dataclass, replace
+from functools import reduce
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,13 +19,14 @@ from knotgym.common.atomic_files import require_output, sha256
 from knotgym.common.configuration import as_json, check_numbers, differences
 from knotgym.common.errors import KnotgymError
 from knotgym.control.expert import Expert
-from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.policies import Effort, PolicyConfig, make_policy
 from knotgym.control.rollouts import Rollout, rollout
 from knotgym.datasets.episode_writer import EpisodeWriter, merge_episodes
 from knotgym.datasets.machine import machine
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
 from knotgym.envs.tasks import OBSERVATIONS, TaskConfig
 from knotgym.generate.episodes.digests import digests, require_unchanged, sources
+from knotgym.generate.episodes.results import reference_scores
 from knotgym.rope.model import RopeConfig
 from knotgym.runs.engine import Batch, Recipe, run
 from knotgym.runs.progress import Progress, Status, tell_if_long
@@ -36,7 +38,6 @@ from knotgym.states.state_file import minari_root, read_states, ships, states_fi
 REPORT = "collection.json"
 LABELS = ("", "expert")
 OBSERVATION = "both"  # stored by `knotgym collect` by default
-_REFERENCES = Path(__file__).parent / "data" / "references.json"
 
 
 class InvalidCollection(KnotgymError, ValueError):
@@ -407,15 +408,15 @@ def _best_of_attempts(config: CollectConfig, numbers: range) -> list[Rollout]:
     """
     policy = make_policy(config.policy)
     labeller = Expert(config.policy.planner) if config.labels else None
-    best = rollout(config.seen_task, policy, numbers, config.seed, labeller=labeller)
-    for attempt in range(1, config.attempts):
-        again = rollout(
-            config.seen_task, policy, numbers, config.seed, attempt=attempt, labeller=labeller
-        )
-        for row, (old, new) in enumerate(zip(best, again, strict=True)):
-            shorter = len(new.episode) < len(old.episode)
-            better = new if new.success and (shorter or not old.success) else old
-            best[row] = replace(better, effort=old.effort.plus(new.effort))
+    attempts = [
+        rollout(config.seen_task, policy, numbers, config.seed, attempt=one, labeller=labeller)
+        for one in range(config.attempts)
+    ]
+    best = []
+    for tries in zip(*attempts, strict=True):
+        kept = min(tries, key=lambda one: (not one.success, len(one.episode) * one.success))
+        effort = reduce(Effort.plus, (one.effort for one in tries))
+        best.append(replace(kept, effort=effort))
     return best
 
 
@@ -469,14 +470,3 @@ def _metadata(config: CollectConfig, tally: Tally) -> MinariMetadata:
         ref_max_score=scores.get("expert"),
         num_episodes_average_score=scores.get("episodes"),
     )
-
-
-def reference_scores() -> dict[str, Any]:
-    """Return mean returns of a random and an expert policy by setup, for example "tie-nx3".
-
-    They are measured on readable states; `episodes` is the number of episodes. Empty if unknown.
-    """
-    if not _REFERENCES.is_file():
-        return {}
-    found: dict[str, Any] = json.loads(_REFERENCES.read_text(encoding="utf-8"))
-    return found

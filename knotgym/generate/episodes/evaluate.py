@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
 
 import knotgym
 from knotgym.common.atomic_files import Occupied, atomic_write, require_output
@@ -24,10 +23,10 @@ from knotgym.common.errors import KnotgymError
 from knotgym.control.policies import PolicyConfig, make_policy, training_card
 from knotgym.control.rollouts import EVALUATION, Rollout, rollout
 from knotgym.datasets.trajectory import Episode
-from knotgym.envs.episode_batch import OWN, SHIPPED, state_origins
+from knotgym.envs.episode_batch import state_origins
 from knotgym.envs.tasks import TaskConfig
-from knotgym.generate.episodes.collect import reference_scores
 from knotgym.generate.episodes.digests import digests, require_unchanged, sources
+from knotgym.generate.episodes.results import Result, show
 from knotgym.runs.engine import Batch, Recipe
 from knotgym.runs.engine import run as run_recipe
 from knotgym.runs.executors import executor
@@ -36,9 +35,7 @@ from knotgym.runs.pools import Pool
 from knotgym.runs.progress import Progress, Status, compile_first, tell_if_long
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.sealed_json import read_sealed, write_sealed
-from knotgym.runs.tables import narrow_table
 
-_SETUP = ("policy", "task", "split", "nx")  # columns
 SIDE_BY_SIDE = 8  # episodes per piece of work
 
 
@@ -86,43 +83,6 @@ class EvaluateConfig:
                         yield policy, replace(self.task, task=task, nx=nx, split=split)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Result:
-    """Result of one policy in one setup.
-
-    Attributes:
-        policy, task, nx, split: the setup.
-        episodes, successes: numbers of episodes.
-        success_rate, low, high: success rate and the 95 % interval of `cluster_interval`.
-        steps: mean over successful episodes; None if there are none.
-        mean_return: mean return of an episode.
-        planned_actions, planning_seconds: means per episode.
-        simulation_failures: episodes that ended because the simulation diverged.
-        start_states, goal_states: source of the states, "own" for the requested state file or
-            "shipped" for the included one.
-        outcomes: for each episode `start` and `goal` (rows of those state files), `success` (0 or
-            1) and `steps`.
-    """
-
-    policy: str
-    task: str
-    nx: int
-    split: str
-    episodes: int
-    successes: int
-    success_rate: float
-    low: float
-    high: float
-    steps: float | None
-    mean_return: float
-    planned_actions: float
-    planning_seconds: float
-    simulation_failures: int
-    start_states: str
-    goal_states: str
-    outcomes: dict[str, list[int]]
-
-
 class PlayedEpisode(NamedTuple):
     """Outcome of one episode; `start` and `goal` are rows of the state file."""
 
@@ -167,10 +127,7 @@ def evaluate(
         The results in the order of `config.setups`, and the filmed episodes.
     """
     recipe = EvaluationRecipe(config)
-    for batch in recipe.batches(None):
-        for done, _ in enumerate(batch.follow(pool), 1):
-            if progress is not None:
-                progress.stage(batch.name, done, len(batch.units))
+    recipe.play(pool, progress)
     return recipe.results, recipe.films
 
 
@@ -184,13 +141,16 @@ class EvaluationRecipe(Recipe):
     def __init__(
         self, config: EvaluateConfig, video: Path | None = None, overwrite: bool = False
     ) -> None:
+        for policy, task in config.setups():  # refuses before any work is done
+            make_policy(policy).suited(task)
         self.config, self.video, self.overwrite = config, video, overwrite
+        self.source = sources_of(config)
         self.played: dict[_Piece, list[PlayedEpisode]] = {}
         self.films: list[Episode] = []
         self.results: list[Result] = []
 
     def request(self) -> dict[str, Any]:
-        return {"config": as_json(self.config), "source": sources_of(self.config)}
+        return {"config": as_json(self.config), "source": self.source}
 
     def begin(self) -> None:
         if self.video is not None:
@@ -219,14 +179,21 @@ class EvaluationRecipe(Recipe):
             pieces = [played for piece, played in self.played.items() if piece[:2] == setup]
             self.results.append(_result(*setup, [one for piece in pieces for one in piece]))
 
+    def play(self, pool: Pool, progress: Progress | None = None) -> None:
+        """Play everything without a staging folder."""
+        for batch in self.batches(None):
+            for done, _ in enumerate(batch.follow(pool), 1):
+                if progress is not None:
+                    progress.stage(batch.name, done, len(batch.units))
+
     def status(self) -> Status:
         total = sum(len(piece.numbers) for piece in self.played)
         return Status(sum(map(len, self.played.values())), total, "episodes", even=True)
 
     def finish(self, folder: Path, request: dict[str, Any]) -> Path:
-        require_unchanged(request["source"], sources_of(self.config))
+        require_unchanged(self.source, sources_of(self.config))
         self.write_film()  # before the output, which says that all is done
-        text = as_text(report(self.config, self.results, request["source"]))
+        text = as_text(report(self.config, self.results, self.source))
         folder.write_text(text, encoding="utf-8")
         return folder
 
@@ -287,79 +254,8 @@ def report(
 
 def as_text(report: dict[str, Any]) -> str:
     """Format a report as JSON, with each list of numbers on one line."""
-
     text = json.dumps(report, indent=1)
     return re.sub(r"\[[-\d\s.,]+\]", lambda found: " ".join(found[0].split()), text) + "\n"
-
-
-def show(results: Sequence[Result], console: Console) -> None:
-    """Print a row per setup, and a matrix if there are several nx, in at most 80 columns."""
-    reached = any(one.steps is not None for one in results)
-    table = narrow_table(
-        (*_SETUP, "success", "95 % interval", *(["steps"] if reached else []), "return"),
-        left=_SETUP[:3],
-    )
-    for one in results:
-        table.add_row(
-            one.policy,
-            one.task,
-            one.split,
-            str(one.nx),
-            f"{100 * one.success_rate:.1f} %",
-            f"{100 * one.low:.1f} to {100 * one.high:.1f} %",
-            *(["" if one.steps is None else f"{one.steps:.1f}"] if reached else []),
-            f"{one.mean_return:.2f}",
-        )
-    console.print(table)
-    for one in results:
-        if one.planned_actions:
-            console.print(
-                f"{one.policy}, {one.task} nx {one.nx}, {one.split}: planned with"
-                f" {one.planned_actions:.0f} actions, {one.planning_seconds:.2f} s an episode",
-                highlight=False,
-            )
-    for task, nx in dict.fromkeys(
-        (one.task, one.nx)
-        for one in results
-        if {one.start_states, one.goal_states} == {OWN, SHIPPED}
-    ):
-        console.print(
-            f"{task} nx {nx}: the state file has no plain loops; the included ones are used.",
-            highlight=False,
-        )
-    for line in reference_lines(results):
-        console.print(line, highlight=False)
-    columns = list(dict.fromkeys(one.nx for one in results))
-    if len(columns) > 1:
-        matrix = narrow_table(
-            (*_SETUP[:3], *(f"nx {nx}" for nx in columns)), title="success, %", left=_SETUP[:3]
-        )
-        for key in dict.fromkeys((one.policy, one.task, one.split) for one in results):
-            cells = {
-                one.nx: f"{100 * one.success_rate:.1f}"
-                for one in results
-                if (one.policy, one.task, one.split) == key
-            }
-            matrix.add_row(*key, *(cells[nx] for nx in columns))
-        console.print(matrix)
-
-
-def reference_lines(results: Sequence[Result]) -> list[str]:
-    """Return a line per task and nx with reference returns to compare a result with.
-
-    References are always measured on readable states.
-    """
-    known = reference_scores()
-    lines = []
-    for task, nx in dict.fromkeys((one.task, one.nx) for one in results):
-        scores = known.get(f"{task}-nx{nx}")
-        if scores is not None:
-            lines.append(
-                f"for reference, mean return of {task} nx {nx}: random {scores['random']:.2f},"
-                f" expert {scores['expert']:.2f} ({scores['episodes']} episodes, test split,"
-                " readable states)"
-            )
-    return lines
 
 
 def run(
@@ -396,33 +292,29 @@ def run(
 
         require_film(video)
         config = replace(config, filmed=config.filmed or 2)
-    for policy, task in config.setups():  # refuses before any work is done
-        make_policy(policy).suited(task)
-        state_origins(task)
     recipe = EvaluationRecipe(config, video, options.overwrite)
     spent = sum(policy.core_seconds for policy, _ in config.setups()) * config.episodes
     tell_if_long(progress, spent, options.workers)
     if out is not None:
         run_recipe(recipe, out, options, progress, is_folder=False, made_by=_request_in)
-        results = recipe.results or [Result(**row) for row in read_json(out)["results"]]
+        if not recipe.results:  # it was finished already
+            recipe.results = [Result(**row) for row in read_json(out)["results"]]
         if video is not None and not video.exists():
             raise Occupied(
                 f"{out} is finished already, but the film {video} isn't there; --overwrite without"
                 " --resume makes both again"
             )
     else:
-        source = sources_of(config)
         recipe.begin()
         compile_first(progress)
         with executor(options.workers, options.scheduler) as pool:
-            results, recipe.films = evaluate(config, pool, progress)
-        require_unchanged(source, sources_of(config))
+            recipe.play(pool, progress)
         recipe.write_film()
     if not options.quiet:
-        show(results, progress.console)
+        show(recipe.results, progress.console)
     if video is not None:
         progress.say(f"{video}: {len(recipe.films)} episodes")
-    return results
+    return recipe.results
 
 
 def _request_in(out: Path) -> dict[str, Any] | None:

@@ -31,8 +31,8 @@ from knotgym.generate.episodes.collect import (
     EpisodeRecipe,
     collect,
     plain_id,
-    reference_scores,
 )
+from knotgym.generate.episodes.results import reference_scores
 from knotgym.generate.episodes.suite_card import suite_card
 from knotgym.generate.episodes.suite_scores import read_scores
 from knotgym.runs.engine import is_finished, request_of, require_resumable, whole_request

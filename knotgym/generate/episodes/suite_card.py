@@ -34,7 +34,7 @@ def suite_card(report: Mapping[str, Any], references: Mapping[str, Any]) -> str:
     Args:
         report: content of suite.json.
         references: mean returns of a random and an expert policy by setup, see
-            `collect.reference_scores`.
+            `results.reference_scores`.
     """
     sets = report["sets"]
     return "\n".join(
