@@ -69,8 +69,8 @@ def _options() -> list[Option]:
         ),
         *options_of(
             config,
-            "task.states task.hold task.tow_limit task.reset_noise task.integrator_steps"
-            " task.camera",
+            "task.states task.hold task.tow_limit task.reset_noise task.engine"
+            " task.integrator_steps task.camera",
             ENVIRONMENT,
         ),
         option("--out", Path, "Folder to write."),

@@ -8,6 +8,7 @@ from typing import Any
 import typer
 
 from knotgym.cli.options import (
+    ENVIRONMENT,
     EXISTING,
     RUN,
     SETTINGS,
@@ -73,6 +74,7 @@ def _generate_options() -> list[Option]:
             group=_SEARCH,
         ),
         *options_of(config, "attempts cycles", _SEARCH),
+        *options_of(config, "engine", ENVIRONMENT),
         *options_of(config, "seed", RUN),
         *_run_options(),
     ]
@@ -118,6 +120,7 @@ def generate(given: Given) -> None:
         "" if given["split_by"] == "state" else f"by-{given['split_by']}",
         codes.stem if codes else "",
         "" if given["demonstrations"] else "states",
+        "" if given["engine"] == "mujoco" else given["engine"],
         made_from(archive),
         f"seed{given['seed']}" if given["seed"] else "",
     )
@@ -176,6 +179,7 @@ def _images_options() -> list[Option]:
             vary={"default": "none", "read": varied},
             sizes={"names": "--size"},
         ),
+        *options_of(config, "engine", ENVIRONMENT),
         *options_of(config, "seed", RUN),
         *_run_options(),
     ]
@@ -201,6 +205,7 @@ def images(given: Given) -> None:
     folder = given["out"] or default_folder(
         f"images-nx{given.text('nx')}",
         made_from(archive or states),
+        "" if given["engine"] == "mujoco" else given["engine"],
         "varied" if given["appearance.vary"] else "",
         "" if size == "128" else f"{size}px",
         f"seed{given['seed']}" if given["seed"] else "",

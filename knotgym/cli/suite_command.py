@@ -38,7 +38,7 @@ def _options() -> list[Option]:
             default="",
             show_default=",".join(f"{policy}={count}" for policy, count in EPISODES.items()),
         ),
-        *options_of(config, "observation", ENVIRONMENT),
+        *options_of(config, "engine observation", ENVIRONMENT),
         *options_of(config, "budget", "Who acts"),
         MINARI_ROOT,
         option(

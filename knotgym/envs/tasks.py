@@ -10,12 +10,14 @@ from knotgym.common.errors import KnotgymError
 from knotgym.envs.reward import FAILURE_REWARD, SUCCESS_REWARD, RewardRule
 from knotgym.quality.limits import RESET_NOISE
 from knotgym.rendering.views import check_depth, checked_views
+from knotgym.rope.engines import ENGINES, MUJOCO
 from knotgym.states.schema import CODE_SPLITS, STATE_SPLITS
 
 if TYPE_CHECKING:
     from knotgym.rope.model import RopeConfig
 
 OBSERVATIONS = ("pixels", "state", "both", "symbolic")
+ACTIONS = ("pull", "bead", "macro")  # see `knotgym.rope.action_views`
 LAYOUTS = ("beside", "stacked")  # arrangement of the rope's and the goal's picture
 MAX_NX = 11  # crossings of the largest hard unknots; the rope hardly has room for more
 
@@ -52,12 +54,16 @@ class TaskConfig:
         states: set of states: readable (default), random-walk or hard-unknots, which are included;
             or a state file, or the folder of the run that made it, or the id of a Minari dataset
             that contains one. If a file has no plain loops, they come from the readable set.
+        engine: simulation engine: mujoco, the reference, or chain, which is many times as fast.
         observation: observation: pixels, state, both or symbolic.
+        action: "pull", six numbers; "bead", a bead and binned forces; or "macro", a bead led past a
+            strand by up to ten pulls. See `knotgym.rope.action_views`.
         max_goals: use only the first N goal states of the split, in file order; all by default.
         image_size: side of each half of the picture (rope and goal), in pixels.
         views: camera views in the picture, comma-separated: top, left, front.
         depth: add depth as a fourth image channel.
-        horizon: steps before an episode is truncated.
+        horizon: steps before an episode is truncated. A macro-action is as many steps as it has
+            pulls.
         hold: consecutive steps that the rope must show the goal code.
         tow_limit: furthest that the rope's centre may be towed, in metres; no limit by default.
             Beyond it no state counts as the goal, and the episode is truncated. With 0.04,
@@ -78,7 +84,9 @@ class TaskConfig:
     nx: int = 2
     split: str = "train"
     states: str | None = None
+    engine: str = MUJOCO
     observation: str = "pixels"
+    action: str = "pull"
     max_goals: int | None = None
     horizon: int = 50
     hold: int = 1
@@ -99,7 +107,9 @@ class TaskConfig:
         for name, known in {
             "task": tuple(TASKS),
             "split": (*STATE_SPLITS, *CODE_SPLITS),
+            "engine": ENGINES,
             "observation": OBSERVATIONS,
+            "action": ACTIONS,
             "layout": LAYOUTS,
             "camera": ("orthographic", "perspective"),
             "renderer": ("auto", "opencv", "mujoco"),
@@ -127,6 +137,11 @@ class TaskConfig:
             raise InvalidSetting(
                 f"split {self.split!r} needs several diagrams, and with nx = {self.nx} there is"
                 " only one up to symmetry; use an nx of at least 2, or split 'train' or 'test'"
+            )
+        if self.engine != MUJOCO and self.integrator_steps != 24:
+            raise InvalidSetting(
+                f"integrator_steps are steps of MuJoCo, and engine {self.engine!r} chooses its own;"
+                f" leave it at 24, got {self.integrator_steps}"
             )
         if self.hold > self.horizon:
             raise InvalidSetting(

@@ -311,7 +311,7 @@ def run(
             recipe.play(pool, progress)
         recipe.write_film()
     if not options.quiet:
-        show(recipe.results, progress.console)
+        show(recipe.results, progress.console, config.task.engine)
     if video is not None:
         progress.say(f"{video}: {len(recipe.films)} episodes")
     return recipe.results
@@ -374,6 +374,7 @@ def _result(policy: PolicyConfig, task: TaskConfig, played: Sequence[PlayedEpiso
         task=task.task,
         nx=task.nx,
         split=task.split,
+        action=make_policy(policy).suited(task).action,
         episodes=len(played),
         successes=successes,
         success_rate=successes / len(played),

@@ -11,6 +11,7 @@ from typing import Any
 from rich.console import Console
 
 from knotgym.envs.episode_batch import OWN, SHIPPED
+from knotgym.rope.engines import MUJOCO
 from knotgym.runs.tables import narrow_table
 
 _SETUP = ("policy", "task", "split", "nx")  # columns
@@ -23,6 +24,7 @@ class Result:
 
     Attributes:
         policy, task, nx, split: the setup.
+        action: the view that the policy acted in, see `TaskConfig`.
         episodes, successes: numbers of episodes.
         success_rate, low, high: success rate and the 95 % interval of `cluster_interval`.
         steps: mean over successful episodes; None if there are none.
@@ -39,6 +41,7 @@ class Result:
     task: str
     nx: int
     split: str
+    action: str
     episodes: int
     successes: int
     success_rate: float
@@ -54,7 +57,7 @@ class Result:
     outcomes: dict[str, list[int]]
 
 
-def show(results: Sequence[Result], console: Console) -> None:
+def show(results: Sequence[Result], console: Console, engine: str = MUJOCO) -> None:
     """Print a row per setup, and a matrix if there are several nx, in at most 80 columns."""
     reached = any(one.steps is not None for one in results)
     table = narrow_table(
@@ -63,7 +66,7 @@ def show(results: Sequence[Result], console: Console) -> None:
     )
     for one in results:
         table.add_row(
-            one.policy,
+            _acting(one),
             one.task,
             one.split,
             str(one.nx),
@@ -89,31 +92,39 @@ def show(results: Sequence[Result], console: Console) -> None:
             f"{task} nx {nx}: the state file has no plain loops; the included ones are used.",
             highlight=False,
         )
-    for line in reference_lines(results):
-        console.print(line, highlight=False)
+    if engine == MUJOCO:
+        for line in reference_lines(results):
+            console.print(line, highlight=False)
+    else:
+        console.print(f"engine {engine}, not the reference engine {MUJOCO}", highlight=False)
     columns = list(dict.fromkeys(one.nx for one in results))
     if len(columns) > 1:
         matrix = narrow_table(
             (*_SETUP[:3], *(f"nx {nx}" for nx in columns)), title="success, %", left=_SETUP[:3]
         )
-        for key in dict.fromkeys((one.policy, one.task, one.split) for one in results):
+        for key in dict.fromkeys((_acting(one), one.task, one.split) for one in results):
             cells = {
                 one.nx: f"{100 * one.success_rate:.1f}"
                 for one in results
-                if (one.policy, one.task, one.split) == key
+                if (_acting(one), one.task, one.split) == key
             }
             matrix.add_row(*key, *(cells[nx] for nx in columns))
         console.print(matrix)
 
 
+def _acting(result: Result) -> str:
+    """Name the policy, and the view that it acted in unless that is "pull"."""
+    return result.policy if result.action == "pull" else f"{result.policy} ({result.action})"
+
+
 def reference_lines(results: Sequence[Result]) -> list[str]:
     """Return a line per task and nx with reference returns to compare a result with.
 
-    References are always measured on readable states.
+    References are always measured on readable states, with MuJoCo.
     """
     known = reference_scores()
     lines = []
-    for task, nx in dict.fromkeys((one.task, one.nx) for one in results):
+    for task, nx in dict.fromkeys((one.task, one.nx) for one in results if one.action == "pull"):
         scores = known.get(f"{task}-nx{nx}")
         if scores is not None:
             lines.append(

@@ -20,6 +20,7 @@ from knotgym.control.action_sequence import step_ropes
 from knotgym.quality.difficulty import ease
 from knotgym.quality.label_limits import LabelLimits, pressed_together, visits_too_close
 from knotgym.quality.measures import Limits, measure
+from knotgym.rope.engines import simulation_of
 from knotgym.rope.macro_actions import (
     MacroAction,
     MacroActionConfig,
@@ -29,7 +30,6 @@ from knotgym.rope.macro_actions import (
 )
 from knotgym.rope.model import Array, Rope, RopeConfig
 from knotgym.rope.relaxation import RelaxationConfig, relaxed
-from knotgym.rope.simulation_pool import simulation_of
 from knotgym.topology.crossings import count_crossings, find_crossings
 from knotgym.topology.reference_labeller import pyknotid_code
 
@@ -84,6 +84,7 @@ class Unit:
         steps: steps per walk.
         stride: steps between examined frames.
         max_nx: frames with more crossings are dropped.
+        engine: the engine that moves the ropes.
         config: how walks are made.
     """
 
@@ -93,6 +94,7 @@ class Unit:
     steps: int
     stride: int
     max_nx: int
+    engine: str
     config: WalkConfig
 
 
@@ -137,7 +139,7 @@ class _Met(NamedTuple):
 def make_walks(unit: Unit) -> Frames:
     """Make the walks of a unit; each depends on its number, its seed state and the seed alone."""
     count, config = len(unit.walks), unit.config
-    simulation, ids = simulation_of(WALKS, RopeConfig()), np.arange(count)
+    simulation, ids = simulation_of(WALKS, RopeConfig(), unit.engine), np.arange(count)
     simulation.restore(unit.states, ids)
     rngs = [generator(Stream.IMAGE_WALK, unit.seed, walk.number) for walk in unit.walks]
     gentle = [bool(rng.random() < config.gentle) for rng in rngs]

@@ -20,9 +20,9 @@ from knotgym.drawing.drawn_curve import UndrawnCode, drawn_curve
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.random_walk import RESET_NOISE
 from knotgym.quality.measures import Limits, Quality, measure, noise_survival
+from knotgym.rope.engines import simulation_of
 from knotgym.rope.model import Array, RopeConfig
 from knotgym.rope.simulation import Simulation
-from knotgym.rope.simulation_pool import simulation_of
 from knotgym.states.schema import DRAWING
 from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.diagrams import chiralities
@@ -94,7 +94,7 @@ class DrawnOnes:
 
 def draw_states(unit: DrawnUnit) -> DrawnOnes:
     """Draw a unit's code until enough states are accepted; the same unit gives the same bytes."""
-    simulation = simulation_of(1, RopeConfig())
+    simulation = simulation_of(1, RopeConfig(), unit.config.engine)
     own, made = unit.code.chirality, DrawnOnes()
     letters = _letters(unit.code, unit.knot) if own is None else (own,)
     for number in range(unit.first, unit.first + unit.drawings):

@@ -11,6 +11,7 @@ from knotgym.drawing.drawn_curve import DrawingConfig
 from knotgym.envs.tasks import MAX_NX
 from knotgym.generate.states.search import SearchSettings
 from knotgym.quality.measures import Limits
+from knotgym.rope.engines import MUJOCO, require_engine
 from knotgym.topology.diagrams import NotPlanar, is_planar
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import LISTED_NX
@@ -48,6 +49,7 @@ class GenerateConfig:
         knot: knot type of the rope: 0_1, a prime knot of up to 10 crossings (8_19), a mirror image
             (m3_1) or a sum (3_1#4_1); or a file with a closed curve, as .npy or three numbers per
             line, from which action sequences start.
+        engine: simulation engine: mujoco, the reference, or chain, which is many times as fast.
         demonstrations: search for an action sequence that reaches the Gauss code of every state,
             and write the sequences as Minari datasets; up to 6 crossings.
         seed: random seed; the same seed gives the same bytes.
@@ -78,6 +80,7 @@ class GenerateConfig:
     split_by: str = "state"
     train_share: float = 0.5
     knot: str = "0_1"
+    engine: str = MUJOCO
     demonstrations: bool = True
     seed: int = 0
     attempts: int = 100
@@ -106,6 +109,7 @@ class GenerateConfig:
             error=InvalidGenerateConfig,
         )
         check_nx(self.nx, MAX_NX)
+        require_engine(self.engine)
         if self.split_by not in ("state", "code"):
             raise InvalidGenerateConfig(
                 f'split_by must be "state" or "code", got {self.split_by!r}'
