@@ -7,7 +7,6 @@ from pathlib import Path
 
 from knotgym.cli.options import (
     EXISTING,
-    SETTINGS,
     Given,
     Option,
     command,
@@ -29,7 +28,7 @@ def _options() -> list[Option]:
             default=...,
         ),
         *options_of(TrainConfig(), "steps"),
-        SETTINGS,
+        *run_options("settings"),
         *options_of(TrainConfig(), "seed"),
         *run_options(EXISTING),
     ]

@@ -44,7 +44,7 @@ TASK = (
     " task.horizon task.hold task.tow_limit task.reset_noise task.engine task.integrator_steps"
     " task.camera"
 )  # what collect and evaluate let users set of the environment
-EXISTING = "resume restart overwrite quiet"
+EXECUTION, EXISTING = "workers executor scheduler settings", "resume restart overwrite quiet"
 Config = TypeVar("Config", bound="DataclassInstance")
 
 
@@ -61,7 +61,7 @@ class Option:
         group: heading in --help; "" for the first.
         read: converts what was typed to the field's type; called with the value and `names`.
         of_config: whether it sets a field of the configuration.
-        metavar, show_default, min: see `typer.Option`.
+        metavar, show_default: see `typer.Option`.
     """
 
     path: str
@@ -74,7 +74,6 @@ class Option:
     of_config: bool = False
     metavar: str | None = None
     show_default: bool | str = True
-    min: int | None = None
 
     def parameter(self) -> inspect.Parameter:
         """Return it as a parameter of a function, as typer reads it."""
@@ -85,7 +84,6 @@ class Option:
                 help=self.help,
                 rich_help_panel=self.group or None,
                 show_default=self.show_default,
-                min=self.min,
             )
         else:
             info = typer.Argument(help=self.help, metavar=self.metavar)
@@ -141,19 +139,21 @@ def option(
 
 
 def run_options(names: str) -> list[Option]:
-    """Return options of a run, see `RunOptions`."""
+    """Return options of a run, see `RunOptions`; and `settings`, a file of the configuration."""
     shard = {"kind": str, "default": "", "read": lambda text, _: Shard.parse(text)}
-    found = options_of(RunOptions(), names, RUN, shard=shard)
-    return [replace(option, of_config=False) for option in found]
-
-
-SETTINGS = option(
-    "--settings",
-    Path,
-    "JSON or TOML file with more settings, using the names of `config` in manifest.json; options"
-    " that are typed take precedence.",
-    group=RUN,
-)
+    fields = names.replace("settings", "")
+    found = {
+        one.path: replace(one, of_config=False)
+        for one in options_of(RunOptions(), fields, RUN, shard=shard)
+    }
+    found["settings"] = option(
+        "--settings",
+        Path,
+        "JSON or TOML file with more settings, using the names of `config` in manifest.json;"
+        " options that are typed take precedence.",
+        group=RUN,
+    )
+    return [found[name] for name in names.split()]
 
 
 def field_help(kind: type, name: str) -> str:
@@ -172,13 +172,11 @@ def field_help(kind: type, name: str) -> str:
     return ""
 
 
-def option_of(kind: type, name: str) -> Any:
-    """Return a typer option for a field, for commands that have no configuration."""
-    return typer.Option(f"--{name}", help=field_help(kind, name))
-
-
-OverwriteOption = Annotated[bool, option_of(RunOptions, "overwrite")]
-QuietOption = Annotated[bool, option_of(RunOptions, "quiet")]
+# for commands without a configuration
+OverwriteOption = Annotated[
+    bool, typer.Option("--overwrite", help=field_help(RunOptions, "overwrite"))
+]
+QuietOption = Annotated[bool, typer.Option("--quiet", help=field_help(RunOptions, "quiet"))]
 
 
 class Given:

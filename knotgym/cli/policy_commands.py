@@ -12,9 +12,9 @@ import typer
 from knotgym.cli.options import (
     ACTING,
     ENVIRONMENT,
+    EXECUTION,
     EXISTING,
     RUN,
-    SETTINGS,
     TASK,
     Given,
     Option,
@@ -78,9 +78,7 @@ def _collect_options() -> list[Option]:
             author_email=repeated,
         ),
         *options_of(config, "seed", RUN),
-        *run_options("workers executor scheduler"),
-        SETTINGS,
-        *run_options(f"shard {EXISTING}"),
+        *run_options(f"{EXECUTION} shard {EXISTING}"),
     ]
 
 
@@ -153,9 +151,7 @@ def _evaluate_options() -> list[Option]:
             " or .onnx model gets what it was trained on.",
         ),
         *options_of(config, "seed", RUN),
-        *run_options("workers executor scheduler"),
-        SETTINGS,
-        *run_options(EXISTING),
+        *run_options(f"{EXECUTION} {EXISTING}"),
     ]
 
 

@@ -11,7 +11,6 @@ from knotgym.cli.options import (
     ENVIRONMENT,
     EXISTING,
     RUN,
-    SETTINGS,
     Given,
     Option,
     command,
@@ -76,8 +75,7 @@ def _options() -> list[Option]:
         option("--out", Path, "Folder to write."),
         option("--side-by-side", int, "Concurrent requests to the server.", default=4, group=RUN),
         *options_of(config, "seed", RUN),
-        SETTINGS,
-        *run_options(EXISTING),
+        *run_options(f"settings {EXISTING}"),
     ]
 
 

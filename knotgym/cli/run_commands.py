@@ -9,9 +9,9 @@ import typer
 
 from knotgym.cli.options import (
     ENVIRONMENT,
+    EXECUTION,
     EXISTING,
     RUN,
-    SETTINGS,
     Given,
     Option,
     command,
@@ -25,14 +25,6 @@ from knotgym.cli.options import (
 from knotgym.topology.gauss import GaussCode
 
 _CHOICE, _SEARCH, _SPLITS = "Which states", "The search", "Splits"
-
-
-def _run_options() -> list[Option]:
-    return [
-        *run_options("workers executor scheduler"),
-        SETTINGS,
-        *run_options(f"shard {EXISTING}"),
-    ]
 
 
 def _generate_options() -> list[Option]:
@@ -76,7 +68,7 @@ def _generate_options() -> list[Option]:
         *options_of(config, "attempts cycles", _SEARCH),
         *options_of(config, "engine", ENVIRONMENT),
         *options_of(config, "seed", RUN),
-        *_run_options(),
+        *run_options(f"{EXECUTION} shard {EXISTING}"),
     ]
 
 
@@ -181,7 +173,7 @@ def _images_options() -> list[Option]:
         ),
         *options_of(config, "engine", ENVIRONMENT),
         *options_of(config, "seed", RUN),
-        *_run_options(),
+        *run_options(f"{EXECUTION} shard {EXISTING}"),
     ]
 
 

@@ -9,8 +9,8 @@ import typer
 
 from knotgym.cli.options import (
     ENVIRONMENT,
+    EXECUTION,
     EXISTING,
-    SETTINGS,
     Given,
     Option,
     command,
@@ -48,9 +48,7 @@ def _options() -> list[Option]:
             " the folder `evaluations` next to the card; may be repeated.",
         ),
         *options_of(config, "seed"),
-        *run_options("workers executor scheduler"),
-        SETTINGS,
-        *run_options(EXISTING),
+        *run_options(f"{EXECUTION} {EXISTING}"),
     ]
 
 

@@ -12,6 +12,7 @@ import pytest
 from rich.console import Console
 
 from knotgym.common.atomic_files import Occupied, sha256
+from knotgym.common.configuration import InvalidConfig
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig, make_policy
 from knotgym.control.rollouts import DATASET, EVALUATION, episode_seed, rollout
@@ -19,7 +20,6 @@ from knotgym.envs.tasks import InvalidSetting, TaskConfig
 from knotgym.generate.episodes import evaluate as evaluation
 from knotgym.generate.episodes.evaluate import (
     EvaluateConfig,
-    InvalidEvaluation,
     evaluate,
     film,
     report,
@@ -155,7 +155,7 @@ def test_a_film_shows_every_view_in_colours(states_path: str) -> None:
 def test_settings_that_make_no_sense_are_refused(
     settings: dict[str, object], states_path: str
 ) -> None:
-    with pytest.raises(InvalidEvaluation):
+    with pytest.raises(InvalidConfig):
         config(states_path, **settings)
 
 
@@ -261,7 +261,7 @@ def test_an_evaluation_of_other_settings_is_not_gone_on_with(
     interrupted.write_text('{"version": 1}')
     with pytest.raises(Occupied, match="exists already"):
         to_file(config(states_path, episodes=2), interrupted, resume=True)
-    with pytest.raises(InvalidEvaluation, match="--resume and --restart need the --out"):
+    with pytest.raises(InvalidConfig, match="--resume and --restart need the --out"):
         run(config(states_path), replace(QUIET, resume=True))
 
 

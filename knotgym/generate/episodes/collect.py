@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from knotgym.common.atomic_files import require_output, sha256
-from knotgym.common.configuration import as_json, check_numbers, differences
-from knotgym.common.errors import KnotgymError
+from knotgym.common.configuration import InvalidConfig, as_json, check_numbers, differences
 from knotgym.control.expert import Expert
 from knotgym.control.policies import Effort, PolicyConfig, make_policy
 from knotgym.control.rollouts import Rollout, rollout
@@ -39,10 +38,6 @@ from knotgym.states.state_file import minari_root, read_states, ships, states_fi
 REPORT = "collection.json"
 LABELS = ("", "expert")
 OBSERVATION = "both"  # stored by `knotgym collect` by default
-
-
-class InvalidCollection(KnotgymError, ValueError):
-    """The requested collection can't be made."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,16 +80,16 @@ class CollectConfig:
 
     def __post_init__(self) -> None:
         if self.policy.policy.startswith("prompt:"):
-            raise InvalidCollection(
+            raise InvalidConfig(
                 "transcripts can only be evaluated, not collected; give knotgym evaluate --policy"
                 f" {self.policy.policy}"
             )
         if self.labels not in LABELS:
-            raise InvalidCollection(f"labels must be expert or empty, got {self.labels!r}")
+            raise InvalidConfig(f"labels must be expert or empty, got {self.labels!r}")
         counts = ("episodes", "episodes_per_file", "attempts")
-        check_numbers(self, counts=counts, whole=("seed",), error=InvalidCollection)
+        check_numbers(self, counts=counts, whole=("seed",))
         if self.seen not in ("", *OBSERVATIONS):
-            raise InvalidCollection(f"seen must be of {', '.join(OBSERVATIONS)}, got {self.seen!r}")
+            raise InvalidConfig(f"seen must be of {', '.join(OBSERVATIONS)}, got {self.seen!r}")
         if not self.dataset_id:
             marks = collection_marks(self.attempts, self.labels)
             object.__setattr__(self, "dataset_id", plain_id(self.task, self.policy, *marks))
@@ -224,7 +219,7 @@ def collect(
 
     Raises:
         Occupied, InvalidRun: as in `runs.engine.run`.
-        InvalidCollection: no episode is left to keep.
+        InvalidConfig: no episode is left to keep.
     """
     folder = _folder(config, out, options)
     recipe = EpisodeRecipe(config, options)
@@ -265,7 +260,7 @@ class EpisodeRecipe(Recipe):
         self.numbers = options.shard.share(config.episodes)
         self.files: list[_EpisodeFile] = []
         if not self.numbers:
-            raise InvalidCollection(
+            raise InvalidConfig(
                 f"shard {options.shard} of {config.episodes} episodes has none: split the run into"
                 " fewer shards"
             )
@@ -346,10 +341,10 @@ def write_whole(
         machines: the machines that played the episodes; this one by default.
 
     Raises:
-        InvalidCollection: no episode is left to keep.
+        InvalidConfig: no episode is left to keep.
     """
     if not tally.kept:
-        raise InvalidCollection(
+        raise InvalidConfig(
             f"none of {tally.played} episodes reached the goal and failed ones are dropped, so"
             " nothing is left to write"
         )
@@ -436,30 +431,22 @@ def _metadata(config: CollectConfig, tally: Tally) -> MinariMetadata:
     task, policy = config.task, config.policy
     measured = task.engine == MUJOCO and task.rope == RopeConfig()
     scores = reference_scores().get(f"{task.task}-nx{task.nx}", {}) if measured else {}
-    noise = (
-        f", each pull a random one with probability {policy.noise}"
-        if policy.policy in ("noisy-expert", "mixed")
-        else ""
-    )
+    is_noisy = policy.policy in ("noisy-expert", "mixed")
+    noise = f", each pull a random one with probability {policy.noise}" * is_noisy
+    planned = tally.planned_actions / max(tally.played, 1)
     planning = (
-        f" Planning took {tally.planned_actions / tally.played:.0f} simulated actions an episode,"
-        f" of {policy.planner.budget} allowed."
-        if tally.planned_actions
-        else ""
+        f" Planning took {planned:.0f} simulated actions an episode, of {policy.planner.budget}"
+        " allowed."
     )
-    labels = (
-        " At every state stands what an expert would do there (infos/expert_action)."
-        if config.labels
-        else ""
-    )
-    tried = f", the best of {config.attempts} attempts each" if config.attempts > 1 else ""
+    labels = " At every state stands what an expert would do there (infos/expert_action)."
+    tried = f", the best of {config.attempts} attempts each" * (config.attempts > 1)
     text = (
         f"KnotGym, task {task.task} with {task.nx} crossings, {task.split} split, engine"
-        f" {task.engine}: {tally.kept}"
-        f" episodes of policy {policy.policy}{noise}{tried}, seed {config.seed}."
-        f" {tally.succeeded} of"
-        f" {tally.played} episodes played reached the goal within {task.horizon} steps; failed ones"
-        f" are {'kept' if config.keep_failed else 'dropped'}.{labels}{planning}"
+        f" {task.engine}: {tally.kept} episodes of policy {policy.policy}{noise}{tried}, seed"
+        f" {config.seed}. {tally.succeeded} of {tally.played} episodes played reached the goal"
+        f" within {task.horizon} steps; failed ones are"
+        f" {'kept' if config.keep_failed else 'dropped'}.{labels * bool(config.labels)}"
+        f"{planning * bool(planned)}"
     )
     return MinariMetadata(
         dataset_id=config.dataset_id,

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 import knotgym
 from knotgym.common.atomic_files import Occupied, atomic_write, require_output
-from knotgym.common.configuration import as_json, check_numbers, read_json
-from knotgym.common.errors import KnotgymError
+from knotgym.common.configuration import InvalidConfig, as_json, check_numbers, read_json
 from knotgym.control.policies import PolicyConfig, make_policy, training_card
 from knotgym.control.rollouts import EVALUATION, Rollout, rollout
 from knotgym.datasets.trajectory import Episode
@@ -37,10 +36,6 @@ from knotgym.runs.run_options import RunOptions
 from knotgym.runs.sealed_json import read_sealed, write_sealed
 
 SIDE_BY_SIDE = 8  # episodes per piece of work
-
-
-class InvalidEvaluation(KnotgymError, ValueError):
-    """The requested evaluation can't be done."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,9 +64,9 @@ class EvaluateConfig:
     filmed: int = 0
 
     def __post_init__(self) -> None:
-        check_numbers(self, counts=("episodes",), whole=("seed", "filmed"), error=InvalidEvaluation)
+        check_numbers(self, counts=("episodes",), whole=("seed", "filmed"))
         if not all((self.policies, self.tasks, self.nx, self.splits)):
-            raise InvalidEvaluation("give at least one policy, task, number of crossings and split")
+            raise InvalidConfig("give at least one policy, task, number of crossings and split")
         list(self.setups())  # raises if an environment can't be made
 
     def setups(self) -> Iterator[tuple[PolicyConfig, TaskConfig]]:
@@ -276,7 +271,7 @@ def run(
         progress: where to show progress; none by default.
 
     Raises:
-        InvalidEvaluation: resume or restart is requested without `out`.
+        InvalidConfig: resume or restart is requested without `out`.
         InvalidRun, Occupied, Unwritable: as in `runs.engine.run`, and for `video`.
         PictureError: the video format can't be written here.
         InvalidSetting: the state file lacks states that a task needs.
@@ -284,9 +279,7 @@ def run(
     if progress is None:
         progress = Progress(quiet=True)
     if out is None and (options.resume or options.restart):
-        raise InvalidEvaluation(
-            "--resume and --restart need the --out of the evaluation; give it too"
-        )
+        raise InvalidConfig("--resume and --restart need the --out of the evaluation; give it too")
     if video is not None:
         from knotgym.rendering.video import require_film
 

@@ -44,7 +44,7 @@ def evaluate_learner(
 
     Raises:
         InvalidPolicy: a policy of this name exists already.
-        InvalidEvaluation, InvalidSetting: the settings are invalid.
+        InvalidConfig, InvalidSetting: the settings are invalid.
     """
     register_policy(name, lambda _: policy, files)
     config = EvaluateConfig(policies=(PolicyConfig(policy=name),), **settings)

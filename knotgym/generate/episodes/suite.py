@@ -20,8 +20,8 @@ from typing import Any
 
 import knotgym
 from knotgym.common.atomic_files import Occupied, atomic_write, require_output, sha256
-from knotgym.common.configuration import read_json
-from knotgym.common.errors import KnotgymError, one_line
+from knotgym.common.configuration import InvalidConfig, read_json
+from knotgym.common.errors import one_line
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import MIXED, PolicyConfig
 from knotgym.envs.tasks import TASKS, TaskConfig
@@ -54,10 +54,6 @@ SEED = 1
 _FORMAT = "knotgym-suite"
 _CARD = ("suite.json", "README.md")
 _RATES = Path(__file__).parent / "data" / "suite_rates.json"
-
-
-class InvalidSuite(KnotgymError, ValueError):
-    """The requested benchmark, or part of it, can't be made."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,13 +95,13 @@ class SuiteConfig:
             given = getattr(self, name)
             wrong = [one for one in given if one not in known]
             if wrong or not given:
-                raise InvalidSuite(
+                raise InvalidConfig(
                     f"the suite's {name} must be among {', '.join(map(str, known))}; got"
                     f" {', '.join(map(str, wrong)) or 'none'}"
                 )
         unknown = [one for one in self.episodes if one not in POLICIES]
         if unknown:
-            raise InvalidSuite(
+            raise InvalidConfig(
                 f"episodes are set for {', '.join(POLICIES)}; got {', '.join(unknown)}"
             )
         object.__setattr__(self, "episodes", {**EPISODES, **self.episodes})
@@ -180,7 +176,7 @@ def make_suite(
         Occupied: a dataset or a card exists, or an interrupted run left work, and `options` don't
             say what to do with it.
         InvalidRun: an existing dataset was made by another request.
-        InvalidSuite, InvalidScores: an existing dataset or an evaluation can't be read.
+        InvalidConfig, InvalidScores: an existing dataset or an evaluation can't be read.
     """
     if progress is None:
         with Progress(options.quiet) as progress:
@@ -270,7 +266,7 @@ def describe_set(made: Path) -> dict[str, Any]:
     """Return the size, seed and checksums of a finished dataset.
 
     Raises:
-        InvalidSuite: it wasn't made by `knotgym collect`.
+        InvalidConfig: it wasn't made by `knotgym collect`.
     """
     try:
         said = read_json(made / "data" / REPORT)
@@ -293,7 +289,7 @@ def describe_set(made: Path) -> dict[str, Any]:
             "versions": said["versions"],
         }
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InvalidSuite(
+        raise InvalidConfig(
             f"{made} is none of the suite's sets ({one_line(error)}); remove it"
         ) from error
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from knotgym.common.errors import KnotgymError
+from knotgym.common.configuration import InvalidConfig, check_numbers
 from knotgym.common.streams import Stream, generator
 from knotgym.generate.images.selection import SelectionConfig
 from knotgym.generate.images.walks import WalkConfig
@@ -12,10 +12,6 @@ from knotgym.rendering.appearance import AppearanceConfig
 from knotgym.rope.engines import MUJOCO, require_engine
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import LISTED_NX
-
-
-class InvalidImagesConfig(KnotgymError, ValueError):
-    """The requested pictures can't be made."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +62,7 @@ class ImagesConfig:
             or any(not 0 <= nx <= LISTED_NX for nx in self.nx)
             or len(set(self.nx)) != len(self.nx)
         ):
-            raise InvalidImagesConfig(
+            raise InvalidConfig(
                 f"nx takes distinct numbers of crossings from 0 to {LISTED_NX}, got"
                 f" {', '.join(map(str, self.nx)) or 'none'}"
             )
@@ -78,26 +74,21 @@ class ImagesConfig:
             or not rest
             or min(self.held_nx, default=LISTED_NX + 1) <= max(rest)
         ):
-            raise InvalidImagesConfig(
+            raise InvalidConfig(
                 f"test-nx takes the largest of the requested nx, {sorted(self.nx)}, but not all of"
                 f" them; got {sorted(self.held_nx)}"
             )
-        for name in ("count", "steps", "stride", "rows_per_file", "wave", "idle"):
-            if getattr(self, name) < 1:
-                raise InvalidImagesConfig(f"{name} must be at least 1, got {getattr(self, name)}")
+        counts = ("count", "steps", "stride", "rows_per_file", "wave", "idle")
+        check_numbers(self, counts=counts, whole=("seed",))
         if self.stride > self.steps:
-            raise InvalidImagesConfig(
-                f"stride must be at most steps, {self.steps}, got {self.stride}"
-            )
+            raise InvalidConfig(f"stride must be at most steps, {self.steps}, got {self.stride}")
         if not (
             0 <= self.test_share and 0 <= self.code_share and self.test_share + self.code_share < 1
         ):
-            raise InvalidImagesConfig(
+            raise InvalidConfig(
                 "test and code shares must be at least 0 and below 1 together, got"
                 f" {self.test_share} and {self.code_share}"
             )
-        if self.seed < 0:
-            raise InvalidImagesConfig(f"seed must be at least 0, got {self.seed}")
 
     @property
     def held_nx(self) -> tuple[int, ...]:

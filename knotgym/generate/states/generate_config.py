@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from knotgym.common.configuration import check_numbers
-from knotgym.common.errors import KnotgymError
+from knotgym.common.configuration import InvalidConfig, check_numbers
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.drawing.drawn_curve import DrawingConfig
 from knotgym.envs.tasks import MAX_NX
@@ -17,18 +16,14 @@ from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import LISTED_NX
 
 
-class InvalidGenerateConfig(KnotgymError, ValueError):
-    """The requested states can't be made."""
-
-
 def check_nx(nx: tuple[int, ...], most: int) -> None:
     """Require distinct crossing numbers in [0, most].
 
     Raises:
-        InvalidGenerateConfig: they are not, or there are none.
+        InvalidConfig: they are not, or there are none.
     """
     if not nx or any(not 0 <= one <= most for one in nx) or len(set(nx)) != len(nx):
-        raise InvalidGenerateConfig(
+        raise InvalidConfig(
             f"nx takes distinct numbers of crossings from 0 to {most}, got"
             f" {', '.join(map(str, nx)) or 'none'}"
         )
@@ -106,16 +101,13 @@ class GenerateConfig:
             whole=("every_code", "seed", "cycles", "stalled", "stir", "loop_stir"),
             shares=("train_share",),
             ranges=("force",),
-            error=InvalidGenerateConfig,
         )
         check_nx(self.nx, MAX_NX)
         require_engine(self.engine)
         if self.split_by not in ("state", "code"):
-            raise InvalidGenerateConfig(
-                f'split_by must be "state" or "code", got {self.split_by!r}'
-            )
+            raise InvalidConfig(f'split_by must be "state" or "code", got {self.split_by!r}')
         if self.every_code and max(self.nx) > LISTED_NX and not self.codes:
-            raise InvalidGenerateConfig(
+            raise InvalidConfig(
                 f"there are too many codes with {max(self.nx)} crossings to list, so every_code"
                 f" takes nx up to {LISTED_NX}; give a count"
             )
@@ -123,7 +115,7 @@ class GenerateConfig:
             if not is_planar(code):
                 raise NotPlanar(code)
             if code.nx not in self.nx:
-                raise InvalidGenerateConfig(
+                raise InvalidConfig(
                     f"nx must include the crossings of all codes, got {self.nx} and {str(code)!r}"
                 )
 

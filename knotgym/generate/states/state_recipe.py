@@ -31,7 +31,7 @@ import numpy as np
 
 import knotgym
 from knotgym.common.atomic_files import atomic_write, sha256
-from knotgym.common.configuration import as_json
+from knotgym.common.configuration import InvalidConfig, as_json
 from knotgym.common.errors import KnotgymError, MissingFile
 from knotgym.common.streams import Stream, derived_seed, key
 from knotgym.generate.states import state_folder
@@ -47,7 +47,7 @@ from knotgym.generate.states.demonstrations import (
     demonstrate,
 )
 from knotgym.generate.states.drawn_states import DrawnOnes, DrawnUnit, MadeState, draw_states
-from knotgym.generate.states.generate_config import GenerateConfig, InvalidGenerateConfig
+from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.planned_sequences import Found, Target, reach
 from knotgym.generate.states.search import SearchConfig, new_archive, replays, search_round
 from knotgym.quality.measures import Quality
@@ -107,7 +107,7 @@ def generate(
 
     Raises:
         Occupied, InvalidRun: as in `runs.engine.run`.
-        InvalidGenerateConfig: such states can't be made.
+        InvalidConfig: such states can't be made.
         NotEnough: `config.attempts` or `config.searches` were used up.
     """
     recipe = StateRecipe(config, options.shard, archive)
@@ -156,7 +156,7 @@ class StateRecipe:
         self.codes = {nx: CodeOrder(config, self.knot, self.shard, nx) for nx in config.nx}
         self.wanted = sum(codes.wanted for codes in self.codes.values())
         if not self.wanted:
-            raise InvalidGenerateConfig(
+            raise InvalidConfig(
                 f"shard {self.shard} has no state to make: split the run into fewer shards"
             )
         self.archive = Archive()
@@ -205,7 +205,7 @@ class StateRecipe:
         fresh = new_archive(self.search, None if is_loop else self.start.points)
         self.archive = Archive.load(self.given) if self.given else fresh
         if _origin(self.archive) != _origin(fresh):
-            raise InvalidGenerateConfig(
+            raise InvalidConfig(
                 f"the action sequences of {self.given} start from another curve, move another rope"
                 f" or were made with another engine than those of knot {self.config.knot} with"
                 f" engine {self.config.engine} here"
@@ -577,11 +577,11 @@ def _require_possible(config: GenerateConfig, knot: str) -> None:
     least = diagram_of(knot).nx
     for nx in config.nx:
         if nx < least:
-            raise InvalidGenerateConfig(
+            raise InvalidConfig(
                 f"no diagram of {config.knot} has {nx} crossings; it has at least {least}"
             )
         if config.demonstrations and nx > max(LISTED_NX, least):
-            raise InvalidGenerateConfig(
+            raise InvalidConfig(
                 f"action sequences are limited to {LISTED_NX} crossings, got nx {nx};"
                 " --no-demonstrations makes states without them"
             )
@@ -589,7 +589,7 @@ def _require_possible(config: GenerateConfig, knot: str) -> None:
         if not shows(code, knot):
             seen = knot_type(code)
             other_hand = " (handedness differs)" if seen == type_of(knot) else ""
-            raise InvalidGenerateConfig(
+            raise InvalidConfig(
                 f"the code {str(code)!r} shows the knot {seen}, not {config.knot}{other_hand}"
             )
 
