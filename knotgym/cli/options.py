@@ -172,11 +172,13 @@ def field_help(kind: type, name: str) -> str:
     return ""
 
 
-# for commands without a configuration
-OverwriteOption = Annotated[
-    bool, typer.Option("--overwrite", help=field_help(RunOptions, "overwrite"))
-]
-QuietOption = Annotated[bool, typer.Option("--quiet", help=field_help(RunOptions, "quiet"))]
+def _flag(name: str) -> Any:
+    help = field_help(RunOptions, name)
+    return typer.Option(f"--{name}", help=help, rich_help_panel=RUN)
+
+
+OverwriteOption = Annotated[bool, _flag("overwrite")]
+QuietOption = Annotated[bool, _flag("quiet")]
 
 
 class Given:

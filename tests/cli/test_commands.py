@@ -550,7 +550,14 @@ def test_the_version_is_told(capfd: pytest.CaptureFixture[str]) -> None:
 
 def result(policy: str, **settings: Any) -> Result:
     fields: dict[str, Any] = {
-        **{"task": "convert", "nx": 3, "split": "train", "episodes": 256, "successes": 256},
+        **{
+            "task": "convert",
+            "nx": 3,
+            "split": "train",
+            "action": "pull",
+            "episodes": 256,
+            "successes": 256,
+        },
         **{"success_rate": 1.0, "low": 0.985, "high": 1.0, "steps": 12.3, "mean_return": 5.0},
         **{"planned_actions": 0.0, "planning_seconds": 0.0, "simulation_failures": 0},
         **{"start_states": "own", "goal_states": "own", "outcomes": {}},

@@ -36,7 +36,6 @@ from knotgym.runs.staging import require_no_interrupted_run
 from knotgym.states.state_file import minari_root, read_states, ships, states_file
 
 REPORT = "collection.json"
-LABELS = ("", "expert")
 OBSERVATION = "both"  # stored by `knotgym collect` by default
 
 
@@ -84,7 +83,7 @@ class CollectConfig:
                 "transcripts can only be evaluated, not collected; give knotgym evaluate --policy"
                 f" {self.policy.policy}"
             )
-        if self.labels not in LABELS:
+        if self.labels not in ("", "expert"):
             raise InvalidConfig(f"labels must be expert or empty, got {self.labels!r}")
         counts = ("episodes", "episodes_per_file", "attempts")
         check_numbers(self, counts=counts, whole=("seed",))
@@ -97,8 +96,7 @@ class CollectConfig:
     @property
     def core_seconds(self) -> float:
         """Cost of an episode in core seconds, see `PolicyConfig.core_seconds`."""
-        labelling = 40.0 if self.labels else 0.0
-        return self.attempts * (self.policy.core_seconds + labelling)
+        return self.attempts * (self.policy.core_seconds + 40.0 * bool(self.labels))
 
     @property
     def seen_task(self) -> TaskConfig:
@@ -141,14 +139,12 @@ def distinct_id(config: CollectConfig) -> str:
     'knotgym/tie-nx2/expert-pixels-v0'
     """
     task, policy, seed = config.task, config.policy, config.seed
-    states = ""
-    if task.states not in (None, "readable"):
+    states = "" if task.states in (None, "readable") else str(task.states)
+    if not ships(task.states):
         file = states_file(task.states)
-        states = str(task.states) if ships(task.states) else ""
-        if file.is_file() and not states:
-            states = f"states{sha256(file)[:8]}"
-    plain = TaskConfig(task=task.task, nx=task.nx, split=task.split, states=task.states)
-    plain = replace(plain, engine=task.engine, observation=task.observation)
+        states = f"states{sha256(file)[:8]}" if file.is_file() else ""
+    marked = ("task", "nx", "split", "states", "engine", "observation")
+    plain = TaskConfig(**{name: getattr(task, name) for name in marked})
     rules = list(differences(as_json(plain), as_json(task)))
     if config.labels or policy.policy in ("noisy-expert", "mixed", "expert"):
         usual = PolicyConfig(policy=policy.policy)
@@ -224,8 +220,7 @@ def collect(
     folder = _folder(config, out, options)
     recipe = EpisodeRecipe(config, options)
     if progress is not None:
-        spent = config.core_seconds * len(recipe.numbers)
-        tell_if_long(progress, spent, options.workers)
+        tell_if_long(progress, config.core_seconds * len(recipe.numbers), options.workers)
     return run(recipe, folder, options, progress)
 
 
@@ -270,14 +265,9 @@ class EpisodeRecipe(Recipe):
 
     def batches(self, folder: Path) -> Iterator[Batch]:
         size = self.config.episodes_per_file
-        self.files = [
-            _EpisodeFile(
-                self.config,
-                self.numbers[first : first + size],
-                folder / f"episodes-{first // size:06d}.h5",
-            )
-            for first in range(0, len(self.numbers), size)
-        ]
+        for first in range(0, len(self.numbers), size):
+            few, path = self.numbers[first : first + size], f"episodes-{first // size:06d}.h5"
+            self.files.append(_EpisodeFile(self.config, few, folder / path))
         finished = {file.path: _finished(file.path) for file in self.files}
         self.tally = sum((tally for tally in finished.values() if tally is not None), Tally())
 
@@ -362,13 +352,12 @@ def _report(
     files: dict[str, str] | None = None,
     machines: Sequence[dict[str, str]] | None = None,
 ) -> None:
-    counted = {**asdict(tally), "planning_seconds": round(tally.planning_seconds, 1)}
     said = {
         "format": "knotgym-collection",
         "format_version": 1,
         **request,
         "machines": machines or [machine()],
-        "tally": counted,
+        "tally": {**asdict(tally), "planning_seconds": round(tally.planning_seconds, 1)},
         **({"files": files} if files else {}),
     }
     path.write_text(json.dumps(said, indent=1, sort_keys=True), encoding="utf-8")
@@ -392,9 +381,8 @@ def play(file: _EpisodeFile) -> Tally:
         planning_seconds=sum(played.effort.seconds for played in rollouts),
         simulation_failures=sum(bool(played.episode.simulation_failed[-1]) for played in rollouts),
     )
-    write_sealed(
-        file.path.with_suffix(".json"), {"sha256": sha256(file.path), "tally": asdict(tally)}
-    )
+    sealed = {"sha256": sha256(file.path), "tally": asdict(tally)}
+    write_sealed(file.path.with_suffix(".json"), sealed)
     return tally
 
 
