@@ -252,7 +252,7 @@ class Given:
         return RunOptions(**{name: self[name] for name in names if name in self._options})
 
 
-class Command(NamedTuple):
+class Declared(NamedTuple):
     """A command with derived options.
 
     Attributes:
@@ -275,7 +275,7 @@ def command(
         def placeholder() -> None: ...
 
         placeholder.__name__, placeholder.__doc__ = function.__name__, function.__doc__
-        vars(placeholder)["command"] = Command(function, options, lines)
+        vars(placeholder)["declared"] = Declared(function, options, lines)
         return placeholder
 
     return declare
@@ -291,13 +291,13 @@ class DerivedCommand(TyperCommand):
     _params: list[Any]
 
     @property
-    def _command(self) -> Command | None:
-        return getattr(self.callback, "command", None)
+    def _declared(self) -> Declared | None:
+        return getattr(self.callback, "declared", None)
 
     @property
     def params(self) -> list[Any]:
-        if self._command is not None and not self._params:
-            self._made = self._command.options()
+        if self._declared is not None and not self._params:
+            self._made = self._declared.options()
             app = typer.Typer(add_completion=False)
 
             def typed(**_: Any) -> None: ...
@@ -314,8 +314,8 @@ class DerivedCommand(TyperCommand):
         self._params = value
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        if self._command is not None and not {"--help", "-h"} & set(args):
-            progress = Progress("--quiet" in args, lines=self._command.lines)
+        if self._declared is not None and not {"--help", "-h"} & set(args):
+            progress = Progress("--quiet" in args, lines=self._declared.lines)
             ctx.obj = ctx.with_resource(progress)
         try:
             return list(super().parse_args(ctx, args))
@@ -324,9 +324,9 @@ class DerivedCommand(TyperCommand):
             raise
 
     def invoke(self, ctx: Any) -> Any:
-        if self._command is None:
+        if self._declared is None:
             return super().invoke(ctx)
-        return self._command.function(Given(ctx, self._made))
+        return self._declared.function(Given(ctx, self._made))
 
 
 def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
