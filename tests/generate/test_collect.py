@@ -469,7 +469,8 @@ def test_a_file_swapped_in_between_is_refused_by_name(
 
 
 def interrupted(file: Any) -> Any:
-    """As a person who stops the run."""
+    """As a person who stops the run while a file is written."""
+    file.path.touch()
     raise KeyboardInterrupt
 
 
