@@ -252,6 +252,7 @@ class EpisodeRecipe(Recipe):
         if not ships(config.task.states):
             read_states(states_file(config.task.states), images=False)
         self.config, self.shard, self.tally = config, options.shard, Tally()
+        self.engine = config.task.engine
         self.numbers = options.shard.share(config.episodes)
         self.files: list[_EpisodeFile] = []
         if not self.numbers:

@@ -139,7 +139,7 @@ class EvaluationRecipe(Recipe):
         for policy, task in config.setups():  # refuses before any work is done
             make_policy(policy).suited(task)
         self.config, self.video, self.overwrite = config, video, overwrite
-        self.source = sources_of(config)
+        self.engine, self.source = config.task.engine, sources_of(config)
         self.played: dict[_Piece, list[PlayedEpisode]] = {}
         self.films: list[Episode] = []
         self.results: list[Result] = []
@@ -299,7 +299,7 @@ def run(
             )
     else:
         recipe.begin()
-        compile_first(progress)
+        compile_first(progress, recipe.engine)
         with executor(options.workers, options.scheduler) as pool:
             recipe.play(pool, progress)
         recipe.write_film()

@@ -81,6 +81,7 @@ class ImageRecipe(Recipe):
 
     def __init__(self, config: ImagesConfig, options: RunOptions, start: SeedStates) -> None:
         self.config, self.shard, self.start = config, options.shard, start
+        self.engine = config.engine
         codes = {
             nx: sorted({code for knot in start.knots for code in codes_of(knot, nx)}, key=_visits)
             for nx in config.nx

@@ -76,6 +76,7 @@ class RandomWalkRecipe(Recipe):
 
     def __init__(self, config: RandomWalkConfig) -> None:
         self.config = config
+        self.engine = config.engine
         self.walked = 0  # ropes
         self.accepted: list[WalkState] = []
         self.rejected: dict[int, Counter[str]] = {nx: Counter() for nx in config.nx}

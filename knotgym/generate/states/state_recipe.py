@@ -147,6 +147,7 @@ class StateRecipe:
         if archive is not None and not archive.is_file():
             raise MissingFile(f"no archive at {archive}")
         self.config, self.shard, self.given = config, shard or Shard(), archive
+        self.engine = config.engine
         self._start: Start | None = None
         self.knot = config.knot if _is_tabled(config.knot) else self.start.knot
         if type_of(self.knot) == UNKNOT:
