@@ -9,9 +9,14 @@ from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes import evaluate as evaluation
-from knotgym.generate.episodes.evaluate import EvaluateConfig, as_text, report, sources_of
+from knotgym.generate.episodes.evaluate import (
+    EvaluateConfig,
+    PlayedEpisode,
+    as_text,
+    report,
+    sources_of,
+)
 from knotgym.generate.episodes.suite_scores import InvalidScores, read_scores, score_tables
-from knotgym.generate.episodes.unfinished_evaluation import PlayedEpisode
 from knotgym.runs.intervals import cluster_interval
 
 STARTS = 8
