@@ -56,6 +56,14 @@ def encode_actions(
     return np.clip(np.concatenate([position, force], axis=1), -1, 1).astype(np.float32)
 
 
+FORCE_BINS = 127  # a quantized component is one of 2 * 127 + 1 multiples of max_force / 127
+
+
+def quantized(forces: ArrayLike) -> Array:
+    """Round forces in units of the largest force to multiples of 1 / FORCE_BINS."""
+    return np.rint(np.asarray(forces, dtype=np.float64) * FORCE_BINS) / FORCE_BINS
+
+
 def steps_taken(
     actions: ArrayLike, points: Array, rope: RopeConfig
 ) -> tuple[NDArray[np.int64], Array]:

@@ -305,6 +305,14 @@ class WaypointController:
             near = np.linalg.norm(self._offsets(points), axis=1) < self._config.arrived
             self._stage += near & ~self.idle
 
+    def advance_one(self, index: int, points: Array) -> None:
+        """The same as `advance` for rope `index` alone, at `points`, float64 (beads, 3)."""
+        for _ in range(_WAYPOINTS):
+            stage = self._stage[index]
+            if stage < _WAYPOINTS:
+                offset = self._waypoints[index, stage] - points[self.beads[index]]
+                self._stage[index] += np.linalg.norm(offset) < self._config.arrived
+
     def forces(self, points: Array) -> Array:
         """Forces on the led beads, float64 (n, 3), in units of the largest force; 0 on idle ropes.
 
