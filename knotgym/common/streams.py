@@ -65,6 +65,8 @@ class Stream(IntEnum):
     LEARN_PICTURES = 50  # step of training the reader
     LEARN_ROPE = 51  # fitting the rope model
     LEARN_PLACES = 52  # the start positions of ropes that are kept
+    PASS_STARTS = 60  # task: the starts of play that counts passes
+    PASS_PLAY = 61  # round, episode of that play
 
 
 def key(stream: Stream, seed: int, *counters: int) -> tuple[int, ...]:

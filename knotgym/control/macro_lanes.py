@@ -1,6 +1,6 @@
-"""Macro-actions on many ropes at once, in the lanes of one chain simulation.
+"""Passes on many ropes at once, in the lanes of one chain simulation.
 
-The chain engine steps 64 ropes in little more time than a few. A search that tries one macro-action
+The chain engine steps a hundred ropes in little more time than eight. A search that tries one pass
 after another can't use that alone, so hundreds of searches run side by side: each is a generator
 that yields a `Trial` and is sent its `Outcome`. What a search finds doesn't depend on its company.
 """
@@ -8,42 +8,47 @@ that yields a `Trial` and is sent its `Outcome`. What a search finds doesn't dep
 from __future__ import annotations
 
 from collections.abc import Generator, Iterable, Iterator
-from typing import NamedTuple, TypeVar
+from dataclasses import dataclass
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from knotgym.rope.actions import quantized
 from knotgym.rope.chain.chain_simulation import ChainSimulation
-from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, pass_straight
+from knotgym.rope.macro_actions import (
+    LONGEST,
+    MacroActionConfig,
+    Pass,
+    WaypointController,
+    pass_straight,
+)
 from knotgym.rope.model import Array, Rope
 from knotgym.topology.crossings import label_many
 from knotgym.topology.gauss import GaussCode
 
-LONGEST = 10  # pulls of a macro-action at most
 Result = TypeVar("Result")
 
 
-class Pass(NamedTuple):
-    """A macro-action without chance: lead `bead` over (+1) or under (-1) the bead `target`."""
-
-    bead: int
-    target: int
-    side: int
-
-
 class Trial(NamedTuple):
-    """A macro-action to try from a state of the chain engine, for at most `pulls` actions."""
+    """A pass to try.
+
+    Attributes:
+        state: of the chain engine.
+        move: the pass; it ends with its last waypoint, or at the goal.
+        goal: compared without chirality.
+        pulls: actions that it may take.
+    """
 
     state: Array
     move: Pass
+    goal: GaussCode
     pulls: int = LONGEST
 
 
 class Outcome(NamedTuple):
-    """Where a trial ended: at the first change of code, or with the macro-action.
+    """Where a trial ended.
 
     Attributes:
-        state: at rest, float64 (states,).
+        state: at rest.
         points: float64 (beads, 3), metres.
         code: with chirality.
         pulls: actions taken.
@@ -58,81 +63,91 @@ class Outcome(NamedTuple):
 Search = Generator[Trial, Outcome, Result]
 
 
+@dataclass(eq=False)
+class _Lane(Generic[Result]):
+    """A search, its number, and the trial under way with the actions taken so far."""
+
+    number: int
+    search: Search[Result]
+    trial: Trial | None = None
+    pulls: int = 0
+
+
 class MacroLanes:
-    """Runs searches side by side, one rope each."""
+    """Runs searches side by side, one rope each.
+
+    Attributes:
+        simulation: the ropes.
+        spent: actions simulated so far.
+    """
 
     def __init__(
         self, count: int, config: MacroActionConfig, rope: Rope | None = None, threads: int = 1
     ) -> None:
         self.simulation = ChainSimulation(count, rope, threads)
+        self.spent = 0
         self._config = config
         self._controller = WaypointController(count, config)
-        self.spent = 0  # actions simulated
 
     def run(self, searches: Iterable[Search[Result]]) -> Iterator[tuple[int, Result]]:
         """Yield the number of each search and what it returns, as they end."""
         waiting = enumerate(searches)
-        lanes: dict[int, tuple[int, Search[Result]]] = {}
-        free = list(range(self.simulation.count))[::-1]
-        pulls = np.zeros(self.simulation.count, dtype=np.int64)
-        limits = pulls.copy()
-        codes: dict[int, GaussCode] = {}
-
-        def resume(lane: int, outcome: Outcome | None) -> tuple[int, Result] | None:
-            """Go on with a lane's search until a trial needs an action, or the search ends."""
-            number, search = lanes[lane]
-            try:
-                while True:
-                    trial = next(search) if outcome is None else search.send(outcome)
-                    self.simulation.restore(trial.state[None], [lane])
-                    points = self.simulation.points[lane]
-                    self._controller.begin(lane, pass_straight(points, *trial.move, self._config))
-                    self._controller.advance_one(lane, points)
-                    codes[lane] = label_many(points[None])[0]
-                    pulls[lane], limits[lane] = 0, trial.pulls
-                    if not self._controller.idle[lane] and trial.pulls > 0:
-                        return None
-                    outcome = self._outcome(lane, codes[lane], 0)
-            except StopIteration as stop:
-                del lanes[lane]
-                free.append(lane)
-                return number, stop.value
-
+        free = list(range(self.simulation.count))
+        lanes: dict[int, _Lane[Result]] = {}
         while True:
-            while free:
-                try:
-                    item = next(waiting)
-                except StopIteration:
-                    break
-                lane = free.pop()
-                lanes[lane] = item
-                ended = resume(lane, None)
-                if ended is not None:
-                    yield ended
+            while free and (item := next(waiting, None)) is not None:
+                index = free.pop(0)
+                lanes[index] = _Lane(*item)
+                yield from self._go_on(index, None, lanes, free)
             if not lanes:
                 return
             ids = np.array(sorted(lanes))
-            simulation = self.simulation
-            forces = quantized(self._controller.forces(simulation.points)[ids])
-            stable = simulation.step(
-                self._controller.beads[ids], forces * simulation.max_force, ids
-            )
-            self.spent += len(ids)
-            pulls[ids] += 1
-            self._controller.advance(simulation.points)
-            over = self._controller.idle | (pulls >= limits)
-            shown = label_many(simulation.points[ids])
-            for row, lane in enumerate(ids.tolist()):
-                if over[lane] or shown[row] != codes[lane] or not stable[row]:
-                    outcome = self._outcome(lane, shown[row], int(pulls[lane]))
-                    ended = resume(lane, outcome)
-                    if ended is not None:
-                        yield ended
+            stable = self._pull(ids)
+            codes = label_many(self.simulation.points[ids])
+            idle = self._controller.idle
+            for row, index in enumerate(ids.tolist()):
+                lane = lanes[index]
+                assert lane.trial is not None
+                lane.pulls += 1
+                reached = codes[row].matches(lane.trial.goal)
+                if idle[index] or reached or not stable[row] or lane.pulls >= lane.trial.pulls:
+                    outcome = self._outcome(index, codes[row], lane.pulls)
+                    yield from self._go_on(index, outcome, lanes, free)
 
-    def _outcome(self, lane: int, code: GaussCode, pulls: int) -> Outcome:
-        return Outcome(
-            self.simulation.at_rest([lane])[0],
-            self.simulation.points[lane].copy(),
-            code,
-            pulls,
-        )
+    def _pull(self, ids: np.ndarray) -> np.ndarray:
+        """Take one action in each lane of `ids`; return which ropes stayed finite."""
+        simulation, controller = self.simulation, self._controller
+        forces = controller.forces(simulation.points)[ids] * simulation.max_force
+        stable = simulation.step(controller.beads[ids], forces, ids)
+        self.spent += len(ids)
+        controller.advance(simulation.points)
+        return stable
+
+    def _go_on(
+        self,
+        index: int,
+        outcome: Outcome | None,
+        lanes: dict[int, _Lane[Result]],
+        free: list[int],
+    ) -> Iterator[tuple[int, Result]]:
+        """Send a lane's search an outcome, until a trial takes an action or the search ends."""
+        lane, controller = lanes[index], self._controller
+        while True:
+            try:
+                trial = next(lane.search) if outcome is None else lane.search.send(outcome)
+            except StopIteration as stop:
+                del lanes[index]
+                free.append(index)
+                yield lane.number, stop.value
+                return
+            self.simulation.restore(trial.state[None], [index])
+            points = self.simulation.points[index]
+            controller.begin(index, pass_straight(points, *trial.move, self._config), points)
+            lane.trial, lane.pulls = trial, 0
+            if trial.pulls > 0 and not controller.idle[index]:
+                return
+            outcome = self._outcome(index, label_many(points[None])[0], 0)
+
+    def _outcome(self, index: int, code: GaussCode, pulls: int) -> Outcome:
+        state = self.simulation.at_rest([index])[0]
+        return Outcome(state, self.simulation.points[index].copy(), code, pulls)

@@ -99,6 +99,10 @@ class EpisodeBatch:
             return rows
         return rows[self._goals.gauss_code[rows] != self._starts.gauss_code[start]]
 
+    def goal_codes(self) -> list[GaussCode]:
+        """Return the distinct codes of the goals, without chirality, in order of their text."""
+        return [GaussCode.parse(code) for code in sorted({*self._goals.gauss_code[self._rows["goal"]].tolist()})]
+
     def begin(
         self, index: int, rng: np.random.Generator, options: dict[str, Any] | None = None
     ) -> None:
