@@ -114,6 +114,12 @@ class MacroLanes:
                     outcome = self._outcome(index, codes[row], lane.pulls)
                     yield from self._go_on(index, outcome, lanes, free)
 
+    def at_rest(self, qpos: Array) -> tuple[Array, Array]:
+        """States and points, float64 (n, beads, 3), of ropes laid at qpos (n, nq); n lanes."""
+        ids = np.arange(len(qpos))
+        self.simulation.lay(qpos, ids)
+        return self.simulation.states(ids), self.simulation.points[ids]
+
     def _pull(self, ids: np.ndarray) -> np.ndarray:
         """Take one action in each lane of `ids`; return which ropes stayed finite."""
         simulation, controller = self.simulation, self._controller

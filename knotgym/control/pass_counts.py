@@ -251,8 +251,7 @@ class DiagramValues:
         origins = table[self._start, 0]
         edges = [*np.flatnonzero(np.diff(origins, prepend=-1)).tolist(), len(origins)]
         self._passes = {
-            int(origins[begin]): (begin, end)
-            for begin, end in itertools.pairwise(edges)
+            int(origins[begin]): (begin, end) for begin, end in itertools.pairwise(edges)
         }
         self._values: dict[GaussCode, _GoalValues] = {}
         self._orders: dict[tuple[GaussCode, SeenDiagram], list[tuple[float, int]]] = {}
@@ -320,9 +319,7 @@ class DiagramValues:
             shown = np.array([float(one.code.matches(goal)) for one in self._diagrams])
             reach = shown
             for _ in range(self._SWEEPS if len(self._start) else 0):
-                reach = self._swept(
-                    shown, [self._chance * reach[after] for after in self._after]
-                )
+                reach = self._swept(shown, [self._chance * reach[after] for after in self._after])
             first = shown
             for _ in range(self._SWEEPS if len(self._start) else 0):
                 outcomes = [self._worth(first, reach, k) for k in range(len(ELEMENTS))]

@@ -61,8 +61,8 @@ class MacroActionConfig:
     spread_angle: float = 0.5
     pass_angle: float = 0.3
     beyond: tuple[float, float] = (0.02, 0.09)
-    straight_lift: float = 0.045
-    straight_beyond: float = 0.08
+    straight_lift: float = 0.06
+    straight_beyond: float = 0.1
     farthest: float = 0.3
     pass_apart: int = 12
     curl_apart: tuple[int, int] = (6, 24)
