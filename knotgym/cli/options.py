@@ -16,7 +16,7 @@ from knotgym.topology.gauss import GaussCode
 ENVIRONMENT, ACTING = "The environment", "Who acts"
 RUN, METADATA = "How it is run", "Metadata"
 _POLICIES = (
-    "random, constant, scripted, expert, noisy, mixed or pretrained; a folder written by"
+    "random, constant, scripted, expert, noisy, planner, mixed or pretrained; a folder written by"
     " `knotgym train`; a .zip (SB3), .onnx or .pt file; prompt:FILE, to score transcripts of"
     " `knotgym prompt`; or module:name for your own code: a function of (observation) or"
     " (observation, info, generator), or an object with reset and act."

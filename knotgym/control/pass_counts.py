@@ -107,6 +107,7 @@ def templates(nx: int) -> tuple[PassTemplate, ...]:
     at a few fractions of any two arcs; or the strand is some beads away, which makes a kink.
     """
     places: list[tuple[float, float, int]] = []
+    fractions: tuple[float, ...]
     if nx == 0:
         for bead in range(5, 100, 5):
             for apart in (8, 11, 14, 18, 24, 32, 40, 50):
@@ -120,6 +121,32 @@ def templates(nx: int) -> tuple[PassTemplate, ...]:
         along = [arc + part for arc in range(2 * nx + 1) for part in fractions]
         places += [(bead, 0.0, apart) for bead in along for apart in (10, 14, 18, -10, -14, -18)]
     return tuple(PassTemplate(*place, side) for place in places for side in (1, -1))
+
+
+@lru_cache
+def template_images(nx: int, element: int) -> dict[int, int]:
+    """Map the numbers of templates to those of their images under a symmetry element."""
+    reverse, switch, _ = ELEMENTS[element]
+    flip = 2 * nx + 1 if reverse else 0
+    # positions are compared in hundredths of an arc, of which each is a whole number
+    numbers = {
+        (round(100 * one.bead), round(100 * one.target), one.apart, one.side): number
+        for number, one in enumerate(templates(nx))
+    }
+    return {
+        number: numbers[
+            abs(100 * flip - bead),
+            target if apart else abs(100 * flip - target),
+            -apart if reverse else apart,
+            -side if switch else side,
+        ]
+        for (bead, target, apart, side), number in numbers.items()
+    }
+
+
+def own_symmetries(diagram: SeenDiagram) -> list[int]:
+    """Return the numbers of the elements that leave a diagram as it is."""
+    return [element for element in range(len(ELEMENTS)) if diagram.image(element) == diagram]
 
 
 @dataclass
@@ -228,13 +255,16 @@ class DiagramValues:
         self._diagrams: list[SeenDiagram] = []
         self._index: dict[SeenDiagram, int] = {}  # the first index of each diagram
         tried = Counter[tuple[int, int]]()
-        led: list[tuple[int, int, int, int]] = []
+        outcomes = Counter[tuple[int, int, int]]()
         for (before, template, after), count in counts.seen.items():
             index = self._add(before)
-            tried[index, template] += count
-            if after is not None:
-                led.append((index, template, self._add(after), count))
-        led.sort()
+            # what is counted for a pass holds for its image under the diagram's own symmetries
+            for element in own_symmetries(before):
+                image = template_images(before.nx, element)[template]
+                tried[index, image] += count
+                if after is not None:
+                    outcomes[index, image, self._add(after.image(element))] += count
+        led = [(*key, outcomes[key]) for key in sorted(outcomes)]
         table = np.array(led, dtype=np.int64).reshape(-1, 4)
         passes = np.array([tried[before, template] for before, template, _, _ in led], dtype=float)
         self._chance = self._DISCOUNT * table[:, 3] / (passes + self._DOUBT)

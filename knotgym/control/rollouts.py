@@ -136,8 +136,9 @@ def rollout(
             choice = policy.act(episodes, deciding)
             episodes.view.begin(choice.actions, deciding)
             moves |= dict(zip(deciding.tolist(), choice.moves, strict=True))
-            for row, index in enumerate(deciding.tolist() if choice.macros is not None else ()):
-                tracks[index].macros.append(tuple(choice.macros[row].tolist()))
+            if choice.macros is not None:
+                for index, macro in zip(deciding.tolist(), choice.macros.tolist(), strict=True):
+                    tracks[index].macros.append(tuple(macro))
         # whatever the view, an episode is its pulls
         pulls = episodes.view.next_pulls(under_way).astype(np.float32)
         rewards, terminated, truncated = episodes.step(pulls, under_way)
