@@ -166,6 +166,28 @@ class PassCounts:
             after = after.image(choice.element) if after.nx <= COUNTED_NX else None
         self.seen[before.image(choice.element), choice.template, after] += 1
 
+    def pruned(self, goals: list[GaussCode], most: int, least: int) -> PassCounts:
+        """Keep, at every diagram, the passes that are among the best `most` for one of the goals.
+
+        Diagrams at which fewer than `least` passes began are left out.
+        """
+        values = DiagramValues(self)
+        kept: set[tuple[SeenDiagram, int]] = set()
+        tried = Counter[SeenDiagram]()
+        for (before, _, _), count in self.seen.items():
+            tried[before] += count
+        for before in [diagram for diagram, count in tried.items() if count >= least]:
+            for goal in goals:
+                for image in range(len(ELEMENTS)):
+                    order = values.order(goal, before.image(image))[:most]
+                    for choice in order:
+                        # the element brings the image back to `before`, by another way perhaps
+                        own = image ^ choice.element
+                        number = template_images(before.nx, own)[choice.template]
+                        kept |= {(before, choice.template), (before, number)}
+        left = {key: count for key, count in self.seen.items() if key[:2] in kept}
+        return PassCounts(Counter(left))
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the counts to a file."""
         known: dict[SeenDiagram, int] = {}

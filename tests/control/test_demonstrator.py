@@ -181,4 +181,5 @@ def test_a_way_in_the_engine_of_the_episode_leads_to_the_goal() -> None:
         assert episode.macro_start is not None and episode.macro_bead is not None
         begun = np.flatnonzero(episode.macro_start)
         assert begun[0] == 1 and np.array_equal(episode.macro_bead[begun], episode.bead[begun])
+        assert episode.move is not None
         assert all(str(why).startswith(("choice", "planner")) for why in episode.move[1:])
