@@ -4,8 +4,8 @@
 
 Plays in the chain engine from starts of the train split towards its goals, counts what passes do to
 diagrams, and takes the counts into the order after every round. Diagrams keep the passes that are
-among the best `--most` for one of the goals, unless fewer than `--least` began there. It takes about
-ten minutes of a core.
+among the best `--most` for one of the goals, unless fewer than `--least` began there. It takes
+about ten minutes of a core.
 """
 
 import argparse
@@ -31,8 +31,8 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=14)
     parser.add_argument("--episodes", type=int, default=3000, help="of a round")
     parser.add_argument("--starts", type=int, default=256, help="resets of each task")
-    parser.add_argument("--most", type=int, default=12)
-    parser.add_argument("--least", type=int, default=10, help="passes from a diagram that is kept")
+    parser.add_argument("--most", type=int, default=10)
+    parser.add_argument("--least", type=int, default=12, help="passes from a diagram that is kept")
     parser.add_argument("--lanes", type=int, default=192, help="other numbers give other counts")
     parser.add_argument("--split", default="train", help="train-code for sets split by code")
     parser.add_argument("--seed", type=int, default=0)

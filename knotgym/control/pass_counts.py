@@ -200,7 +200,7 @@ class PassCounts:
             (known[before], template, NOWHERE if after is None else known[after], count)
             for (before, template, after), count in self.seen.items()
         ]
-        values = np.array(rows, dtype=np.int32).reshape(-1, 4)
+        values = np.array(sorted(rows), dtype=np.int32).reshape(-1, 4)  # sorted, they pack better
         squeezed = {"compression": "gzip", "compression_opts": 9, "shuffle": True}
         with atomic_write(path) as temporary, h5py.File(temporary, "w") as file:
             file.attrs["format"], file.attrs["format_version"] = FORMAT, FORMAT_VERSION
