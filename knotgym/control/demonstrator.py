@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from knotgym.common.configuration import check_numbers
 from knotgym.control.expert import Expert
-from knotgym.control.macro_lanes import MacroLanes, Outcome, Search, Trial
+from knotgym.control.macro_lanes import Landing, MacroLanes, Search, Trial
 from knotgym.control.pass_counts import DiagramValues, shipped_values, templates
 from knotgym.control.planner import REST
 from knotgym.control.planner_config import PlannerConfig
@@ -112,7 +112,7 @@ class _Look:
         for rank, move in enumerate(self._passes(diagram, arcs, len(points)), 1):
             if rank > self.config.candidates or self.spent >= self.config.budget:
                 return None
-            outcome: Outcome = yield Trial(state, move, self.goal, min(LONGEST, steps))
+            outcome: Landing = yield Trial(state, move, self.goal, min(LONGEST, steps))
             self.spent += outcome.pulls
             if self.bound is not None and self.bound.exceeded(outcome.points[None])[0]:
                 continue
@@ -158,7 +158,7 @@ def find_way(
 
 
 @dataclass(eq=False)
-class _Progress:
+class _Acting:
     """The demonstrator's state in one episode.
 
     Attributes:
@@ -195,14 +195,14 @@ class Demonstrator(Policy):
         planner = planner or PlannerConfig()
         least = min(planner.budget, self.config.last_resort)
         self._planner = Expert(replace(planner, budget=least))
-        self._progress: dict[int, _Progress] = {}
+        self._progress: dict[int, _Acting] = {}
         self._controller = WaypointController(0, self.config.macro_actions)
         self._lanes: MacroLanes | None = None
 
     def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
         if len(self._controller.beads) != episodes.count:
             self._controller = WaypointController(episodes.count, self.config.macro_actions)
-        self._progress[index] = _Progress()
+        self._progress[index] = _Acting()
         self._planner.begin(episodes, index, rng)
 
     def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:

@@ -2,7 +2,7 @@
 
 The chain engine steps a hundred ropes in little more time than eight. A search that tries one pass
 after another can't use that alone, so hundreds of searches run side by side: each is a generator
-that yields a `Trial` and is sent its `Outcome`. What a search finds doesn't depend on its company.
+that yields a `Trial` and is sent its `Landing`. What a search finds doesn't depend on its company.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Trial(NamedTuple):
     pulls: int = LONGEST
 
 
-class Outcome(NamedTuple):
+class Landing(NamedTuple):
     """Where a trial ended.
 
     Attributes:
@@ -60,7 +60,7 @@ class Outcome(NamedTuple):
     pulls: int
 
 
-Search = Generator[Trial, Outcome, Result]
+Search = Generator[Trial, Landing, Result]
 
 
 @dataclass(eq=False)
@@ -132,7 +132,7 @@ class MacroLanes:
     def _go_on(
         self,
         index: int,
-        outcome: Outcome | None,
+        outcome: Landing | None,
         lanes: dict[int, _Lane[Result]],
         free: list[int],
     ) -> Iterator[tuple[int, Result]]:
@@ -154,6 +154,6 @@ class MacroLanes:
                 return
             outcome = self._outcome(index, label_many(points[None])[0], 0)
 
-    def _outcome(self, index: int, code: GaussCode, pulls: int) -> Outcome:
+    def _outcome(self, index: int, code: GaussCode, pulls: int) -> Landing:
         state = self.simulation.at_rest([index])[0]
-        return Outcome(state, self.simulation.points[index].copy(), code, pulls)
+        return Landing(state, self.simulation.points[index].copy(), code, pulls)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from knotgym.common.configuration import check_numbers
 from knotgym.common.streams import Stream, generator
-from knotgym.control.macro_lanes import Outcome, Search, Trial
+from knotgym.control.macro_lanes import Landing, Search, Trial
 from knotgym.control.pass_counts import (
     COUNTED_NX,
     DiagramValues,
@@ -135,7 +135,7 @@ class PassPlay:
             arcs = ArcCoordinates(crossings, len(points))
             template = templates(diagram.nx)[choice.template]
             move = template.on(arcs, choice.element, diagram.nx, len(points))
-            outcome: Outcome = yield Trial(state, move, goal, min(LONGEST, left))
+            outcome: Landing = yield Trial(state, move, goal, min(LONGEST, left))
             after = None
             if outcome.code != diagram.code and outcome.code.nx <= COUNTED_NX:
                 after = seen_diagram(outcome.points, find_crossings(outcome.points))

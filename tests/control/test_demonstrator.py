@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from knotgym.control.demonstrator import Demonstrator
-from knotgym.control.macro_lanes import MacroLanes, Outcome, Search, Trial
+from knotgym.control.macro_lanes import Landing, MacroLanes, Search, Trial
 from knotgym.control.pass_counts import (
     PASSES,
     DiagramValues,
@@ -145,7 +145,7 @@ def test_searches_find_the_same_in_any_company() -> None:
     lanes = MacroLanes(3, MacroActionConfig())
     states, _ = lanes.at_rest(lanes.simulation.qpos([0, 1]))
 
-    def search(bead: int) -> Search[Outcome]:
+    def search(bead: int) -> Search[Landing]:
         outcome = yield Trial(states[0], Pass(bead, bead + 14, 1), KINK)
         outcome = yield Trial(outcome.state, Pass(70, 50, -1), KINK)
         return outcome
