@@ -6,7 +6,7 @@ scripted        one macro-action after another, without a goal
 expert          does the same thing in the same state, see `demonstrator`
 noisy           the expert, but each pull is a random one with probability `noise`, after which it
                 looks again; half of the episodes begin with a random pass
-planner         plans in the simulator from the rope's current state, see `expert`
+planner         plans in the chain engine from the rope's current state, see `expert`
 mixed           draws one of random, scripted, noisy and expert for each episode
 module:name     user code: a function of (observation) or (observation, info, generator), or an
                 object with `reset` and `act`, see `own_policies`; the module may lie in the

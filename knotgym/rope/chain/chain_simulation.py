@@ -31,7 +31,7 @@ from knotgym.rope.chain.dynamics import (
 )
 from knotgym.rope.chain.simd import LANES
 from knotgym.rope.chain.solver import LOST, SCHEDULE, STATE, TICKS, advance
-from knotgym.rope.model import Array, InvalidRope, Rope, sub_chains
+from knotgym.rope.model import Array, InvalidRope, Rope, RopeConfig, sub_chains
 from knotgym.rope.simulation import Ids, Simulation
 
 _STIFF = 1e4  # N s/m, what an edge resists being stretched with
@@ -67,6 +67,13 @@ class ChainSimulation(Simulation):
                 "the chain engine takes ropes whose beads are at most"
                 f" {1000 * longest:.2f} mm long, got {1000 * self.rope.config.bead_length:.2f} mm"
             )
+        for name in ("closure_solref", "closure_solimp"):
+            given, usual = getattr(self.rope.config, name), getattr(RopeConfig(), name)
+            if given != usual:
+                raise InvalidRope(
+                    f"the chain engine closes the rope exactly and has no {name}; leave it at"
+                    f" {usual}, got {given}"
+                )
         self._schedule = np.array(schedule, dtype=np.int64)
         self._numbers, self._damping, self._contact = parameters(self.rope)
         workers = min(threads or cpu_count() or 1, -(-count // LANES))
@@ -111,17 +118,44 @@ class ChainSimulation(Simulation):
         """
         where = self._all(ids)
         rows = np.broadcast_to(qpos, (len(where), self.rope.nq))
-        points, lanes = self.rope.points(rows), -(-len(where) // LANES) * LANES
-        closed = np.empty((lanes, *points.shape[1:]))
-        closed[: len(where)], closed[len(where) :] = points, points[:1]
-        for first in range(0, lanes, LANES):
-            group = np.ascontiguousarray(closed[first : first + LANES].transpose(1, 2, 0))
-            set_lengths(group, self.rope.config.bead_length, 6)
-            closed[first : first + LANES] = group.transpose(2, 0, 1)
         states = np.zeros((len(where), *self._states.shape[1:]))
-        states[:, :, :3] = closed[: len(where)]
+        states[:, :, :3] = self._with_lengths(self.rope.points(rows))
         states[:, :, 6:9] = _sides(self.rope, rows, states[:, :, :3])
         self.restore(states, where)
+
+    def lay_points(self, points: Array, velocities: Array, ids: Ids = None) -> None:
+        """Lay ropes along curves whose edges are about as long as the beads.
+
+        Args:
+            points, velocities: float64 (len(ids), beads, 3), of the vertices, metres and m/s.
+            ids: the ropes; None for all.
+        """
+        states = np.zeros((len(points), *self._states.shape[1:]))
+        states[:, :, :3] = self._with_lengths(points)
+        states[:, :, 3:6] = velocities
+        # Joints resist rates, not angles, so each bead's axis may be chosen by itself: level, as
+        # in a flat rope.
+        along = _along(states[:, :, :3])
+        sides = np.cross((0.0, 0.0, 1.0), along)
+        upright = np.abs(along[..., 2]) > 0.999
+        sides[upright] = np.cross(along[upright], (1.0, 0.0, 0.0))
+        states[:, :, 6:9] = sides / np.linalg.norm(sides, axis=2, keepdims=True)
+        self.restore(states, ids)
+
+    def velocities(self, ids: Ids = None) -> Array:
+        """Copy of the vertices' velocities: float64 (len(ids), beads, 3), m/s."""
+        return self._states[self._all(ids), :, 3:6].copy()
+
+    def _with_lengths(self, points: Array) -> Array:
+        """Move vertices a little, so that all edges are as long as the beads."""
+        lanes = -(-len(points) // LANES) * LANES
+        padded = np.empty((lanes, *points.shape[1:]))
+        padded[: len(points)], padded[len(points) :] = points, points[:1]
+        for first in range(0, lanes, LANES):
+            group = np.ascontiguousarray(padded[first : first + LANES].transpose(1, 2, 0))
+            set_lengths(group, self.rope.config.bead_length, 6)
+            padded[first : first + LANES] = group.transpose(2, 0, 1)
+        return padded[: len(points)]
 
     def step(self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None) -> NDArray[np.bool_]:
         where = self._all(ids)
