@@ -62,6 +62,8 @@ class Stream(IntEnum):
     START = 42  # the drawing of a knot that action sequences begin at
     LEARN_PICTURES = 50  # step of training the reader
     LEARN_PLACES = 52  # the start positions of ropes that are kept
+    PASS_STARTS = 60  # task: the starts of play that counts passes
+    PASS_PLAY = 61  # round, episode of that play
 
 
 def key(stream: Stream, seed: int, *counters: int) -> tuple[int, ...]:

@@ -49,7 +49,7 @@ class _Progress:
 
 
 class Expert(Policy):
-    """Policy that leads every rope to its goal code; a `policy.PlanningPolicy`."""
+    """Policy that leads every rope to its goal code."""
 
     def __init__(
         self, config: PlannerConfig | None = None, graph: TransitionGraph | None = None
@@ -108,7 +108,7 @@ class Expert(Policy):
         return self._act_without_plan(episodes, index, progress), effort
 
     def name(self, index: int) -> str:
-        return "expert"
+        return "planner"
 
     def effort(self, index: int) -> Effort:
         progress = self._progress[index]
@@ -165,5 +165,5 @@ def _action(
     episodes: EpisodeBatch, index: int, pulls: ActionSequence, step: int
 ) -> NDArray[np.float32]:
     """The action, float32 (6,), that makes one pull of a plan."""
-    forces = pulls.forces[[step]] * episodes.simulation.max_force
+    forces = pulls.forces[[step]].astype(np.float64) * episodes.simulation.max_force
     return episodes.simulation.actions(pulls.beads[[step]], forces, [index])[0]

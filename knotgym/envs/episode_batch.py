@@ -104,6 +104,13 @@ class EpisodeBatch:
             return rows
         return rows[self._goals.gauss_code[rows] != self._starts.gauss_code[start]]
 
+    def goal_codes(self) -> list[GaussCode]:
+        """Return the distinct codes of the goals, without chirality, in order of their text."""
+        return [
+            GaussCode.parse(code)
+            for code in sorted({*self._goals.gauss_code[self._rows["goal"]].tolist()})
+        ]
+
     def begin(
         self, index: int, rng: np.random.Generator, options: dict[str, Any] | None = None
     ) -> None:
@@ -152,7 +159,7 @@ class EpisodeBatch:
         """
         if self.config.action == "pull":
             return self.step(actions, ids)
-        self.view.begin(actions, ids, self.codes)
+        self.view.begin(actions, ids)
         total = Outcome(
             np.zeros(len(ids)), np.zeros(len(ids), dtype=bool), np.zeros(len(ids), dtype=bool)
         )
@@ -189,7 +196,7 @@ class EpisodeBatch:
         outcome = self.config.reward_rule.outcome(
             self.held[ids], self.steps[ids], self.failed[ids], towed
         )
-        self.view.pulled(ids, self.codes, outcome.terminated | outcome.truncated)
+        self.view.pulled(ids, outcome.terminated | outcome.truncated)
         return outcome
 
     def tow_bound(self, index: int) -> TowBound | None:

@@ -146,7 +146,7 @@ def distinct_id(config: CollectConfig) -> str:
     marked = ("task", "nx", "split", "states", "engine", "observation")
     plain = TaskConfig(**{name: getattr(task, name) for name in marked})
     rules = list(differences(as_json(plain), as_json(task)))
-    if config.labels or policy.policy in ("noisy-expert", "mixed", "expert"):
+    if config.labels or policy.policy in ("noisy", "mixed", "expert"):
         usual = PolicyConfig(policy=policy.policy)
         rules += differences(as_json(usual), as_json(policy))
     digest = f"rules{hashlib.sha256('; '.join(rules).encode()).hexdigest()[:8]}" if rules else ""
@@ -420,7 +420,7 @@ def _metadata(config: CollectConfig, tally: Tally) -> MinariMetadata:
     task, policy = config.task, config.policy
     measured = task.engine == MUJOCO and task.rope == RopeConfig()
     scores = reference_scores().get(f"{task.task}-nx{task.nx}", {}) if measured else {}
-    is_noisy = policy.policy in ("noisy-expert", "mixed")
+    is_noisy = policy.policy in ("noisy", "mixed")
     noise = f", each pull a random one with probability {policy.noise}" * is_noisy
     planned = tally.planned_actions / max(tally.played, 1)
     planning = (

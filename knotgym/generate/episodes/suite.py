@@ -56,7 +56,7 @@ class SuiteConfig:
     Attributes:
         tasks: tasks, comma-separated: unknot, tie, convert.
         nx: numbers of crossings, from 2 to 4: 3 or 2,3.
-        policies: policies, comma-separated: random, scripted, noisy-expert, expert.
+        policies: policies, comma-separated: random, scripted, noisy, expert.
         states: sets of states, comma-separated: readable, random-walk.
         episodes: policy -> episodes per setup and set of states.
         engine: simulation engine: mujoco, the reference, or chain, which is many times as fast.
