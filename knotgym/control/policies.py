@@ -75,13 +75,13 @@ class PolicyConfig:
 
     Attributes:
         policy: policy: random, constant, scripted, expert, noisy, planner, mixed or pretrained; a
-        folder written by `knotgym train`; a .zip (SB3), .onnx or .pt file; prompt:FILE, to
-        score transcripts of `knotgym prompt`; or module:name for your own code: a function of
-        (observation) or (observation, info, generator), or an object with reset and act.
-    noise: probability that a pull of the noisy policy is random.
-    shares: shares of random, scripted, noisy and expert episodes in mixed.
-    demonstrator: settings of the expert.
-    planner: settings of the planner; the scripted policy uses its macro-actions.
+            folder written by `knotgym train`; a .zip (SB3), .onnx or .pt file; prompt:FILE, to
+            score transcripts of `knotgym prompt`; or module:name for your own code: a function of
+            (observation) or (observation, info, generator), or an object with reset and act.
+        noise: probability that a pull of the noisy policy is random.
+        shares: shares of random, scripted, noisy and expert episodes in mixed.
+        demonstrator: settings of the expert.
+        planner: settings of the planner; the scripted policy uses its macro-actions.
     """
 
     policy: str = "random"
