@@ -39,10 +39,9 @@ def pixels(
     Returns:
         uint8 (n, views * size, 2 size, 3); 4 channels with depth.
     """
-    ropes = draw_many(points, picture)
-    n, height, size, channels = ropes.shape
-    seen = np.empty((n, height, 2 * size, channels), dtype=np.uint8)
-    seen[:, :, :size] = ropes
+    height, size = len(picture.views) * picture.size, picture.size
+    seen = np.empty((len(goal_pictures), height, 2 * size, picture.channels), dtype=np.uint8)
+    draw_many(points, picture, out=seen[:, :, :size])
     for one, goal in zip(seen, goal_pictures, strict=True):
         one[:, size:] = goal
     return seen
