@@ -191,11 +191,11 @@ def main() -> None:
         )
     Console().print(table)
     many = Table("engine", "ropes", "observation", "steps/s", "ropes alone", "bar")
-    for row in vector:
+    for cell in vector:
         many.add_row(
             *(
                 f"{value:.0f}" if isinstance(value, float) else str(value or "")
-                for value in row.values()
+                for value in cell.values()
             )
         )
     Console().print(many)

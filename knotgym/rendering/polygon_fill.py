@@ -42,10 +42,10 @@ def fill(canvas: NDArray[np.uint16], corners: NDArray[np.int32], value: int) -> 
         if corners[i, 0] != corners[before, 0] or corners[i, 1] != corners[before, 1]:
             _line(
                 canvas,
-                np.int64(corners[before, 0]) << _UP,
-                np.int64(corners[before, 1]) << _UP,
-                np.int64(corners[i, 0]) << _UP,
-                np.int64(corners[i, 1]) << _UP,
+                int(corners[before, 0]) << _UP,
+                int(corners[before, 1]) << _UP,
+                int(corners[i, 0]) << _UP,
+                int(corners[i, 1]) << _UP,
                 value,
             )
         if corners[i, 1] < corners[top, 1]:
@@ -56,8 +56,8 @@ def fill(canvas: NDArray[np.uint16], corners: NDArray[np.int32], value: int) -> 
     # through the corners. `at` is the corner at which a chain's current edge begins, `ends` the row
     # in which it ends, `x` where it is in the current row.
     at_0, at_1, ends_0, ends_1 = top, top, y, y
-    x_0 = x_1 = np.int64(-_ONE)
-    slope_0 = slope_1 = np.int64(0)
+    x_0 = x_1 = -_ONE
+    slope_0 = slope_1 = 0
     left = n  # edges that neither chain has come to
     while y <= last:
         if y >= ends_0:
@@ -83,7 +83,7 @@ def fill(canvas: NDArray[np.uint16], corners: NDArray[np.int32], value: int) -> 
 @numba.njit(cache=True, nogil=True)
 def _row(y: int) -> int:
     """Return the row that a coordinate rounds to."""
-    return (np.int64(y) + (1 << SHIFT >> 1)) >> SHIFT
+    return (y + (1 << SHIFT >> 1)) >> SHIFT
 
 
 @numba.njit(cache=True, nogil=True)
@@ -108,12 +108,12 @@ def _next_edge(
         left -= 1
         row = _row(corners[end, 1])
         if row > y:
-            x = np.int64(corners[start, 0]) << _UP
-            across = (np.int64(corners[end, 0]) << _UP) - x
+            x = int(corners[start, 0]) << _UP
+            across = (int(corners[end, 0]) << _UP) - x
             # half a unit is added, for rounding
             return end, row, x, _quotient(2 * across + (row - y), 2 * (row - y)), left
         start, end = end, (end + step) % n
-    return at, ends, x, slope, np.int64(-1)
+    return at, ends, x, slope, -1
 
 
 @numba.njit(cache=True, nogil=True)

@@ -222,10 +222,10 @@ def test_symbols_are_the_codes_of_rope_and_goal(make: Make) -> None:
 
 def test_of_a_code_too_long_the_first_symbols_are_kept() -> None:
     visits = tuple(label for k in range(1, 41) for label in (k, -k))
-    told = symbols([GaussCode(visits)], GaussCode((1, -1)))
+    told = symbols([GaussCode(visits)], [GaussCode((1, -1))])
     assert told[0, 0].tolist() == list(visits[:SYMBOLS]) and told[0, 1, :3].tolist() == [1, -1, 0]
     once = tuple(range(1, 41)) + tuple(-k for k in range(1, 41))
-    assert np.abs(symbols([GaussCode(once)], GaussCode(once))).max() <= SYMBOLS
+    assert np.abs(symbols([GaussCode(once)], [GaussCode(once)])).max() <= SYMBOLS
 
 
 def test_the_perspective_camera_shows_another_picture(make: Make) -> None:

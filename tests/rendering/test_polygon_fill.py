@@ -69,9 +69,10 @@ def test_a_picture_is_the_one_that_opencv_draws(config: PictureConfig) -> None:
     rope = 0.08 * trefoil()
     side = config.size * config.supersampling
     canvas = np.full((side, side, 3), config.background, dtype=np.uint8)
-    placed = _on_canvas(seen_from(config.views[0], rope[None]), config)
+    seen = _on_canvas(seen_from(config.views[0], rope[None]), config)
+    pixels, heights, radii = (array[0] for array in seen)
     colours = rope_colours(len(rope), config).tolist()
-    outlines, owners, _ = polygons(*(array[0] for array in placed), side)
+    outlines, owners, _ = polygons(pixels, heights, radii, side)
     for outline, owner in zip(outlines, owners, strict=True):
         cv2.fillConvexPoly(canvas, outline, colours[owner], cv2.LINE_8, SHIFT)
     assert np.array_equal(draw(rope, config), average(canvas, config.supersampling))
