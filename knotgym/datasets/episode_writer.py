@@ -204,6 +204,11 @@ def _require_one_kind(readers: Sequence[EpisodeReader], task: TaskConfig | None)
     if task is not None:
         replaced = {"split": task.split, "states": task.states}
     for other in readers[1:]:
+        if other.task.engine != first.task.engine:
+            raise InvalidEpisodeFile(
+                f"files to merge must be of one engine; {first.path} is of {first.task.engine},"
+                f" {other.path} of {other.task.engine}"
+            )
         for name in ("task", "rope", "stored"):
             one, two = getattr(first, name), getattr(other, name)
             if name == "task":

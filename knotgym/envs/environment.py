@@ -16,8 +16,8 @@ from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.observations import SYMBOLS
 from knotgym.envs.tasks import InvalidSetting, TaskConfig, UnknownKeyword
 from knotgym.rope.actions import choices
+from knotgym.rope.engines import warn_of_compilation
 from knotgym.rope.simulation import InvalidAction
-from knotgym.topology.crossing_kernel import warn_of_compilation
 
 if TYPE_CHECKING:
     from gymnasium.vector import AutoresetMode
@@ -59,8 +59,8 @@ class KnotEnv(gym.Env[Any, NDArray[Any]]):
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": _FPS}
 
     def __init__(self, task: str, render_mode: str | None = "rgb_array", **settings: Any) -> None:
-        warn_of_compilation()
         self.config = task_config(task, settings)
+        warn_of_compilation(self.config.engine)
         self.render_mode = _checked(render_mode, "rgb_array", "human")
         self._window: Window | None = None
         if render_mode == "human":
@@ -150,8 +150,8 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]]):
         render_mode: str | None = "rgb_array",
         **settings: Any,
     ) -> None:
-        warn_of_compilation()
         self.config = task_config(task, settings)
+        warn_of_compilation(self.config.engine)
         self.render_mode = _checked(render_mode, "rgb_array")
         self.num_envs = num_envs
         self._autoreset, self.autoreset_mode = _autoreset(autoreset_mode)

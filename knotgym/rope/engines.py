@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from knotgym.common.errors import KnotgymError
@@ -13,6 +15,8 @@ if TYPE_CHECKING:
 MUJOCO, CHAIN = "mujoco", "chain"
 ENGINES = (MUJOCO, CHAIN)  # the reference, and the fast solver of `rope.chain`
 
+_log = logging.getLogger("knotgym")
+_warned: set[str] = set()  # engines
 _shared: dict[tuple[str, int, RopeConfig], Simulation] = {}
 
 
@@ -57,3 +61,31 @@ def simulation_of(count: int, config: RopeConfig, engine: str = MUJOCO) -> Simul
     if key not in _shared:
         _shared[key] = simulation(engine, count, Rope(config))
     return _shared[key]
+
+
+def is_compiled(engine: str) -> bool:
+    """Return whether numba's cache holds the kernels of an engine and of the crossing search."""
+    from knotgym.topology import crossing_kernel
+
+    compiled = crossing_kernel.is_compiled()
+    if engine == CHAIN and compiled:
+        from knotgym.rope.chain.solver import advance
+
+        return any(Path(advance.stats.cache_path).glob("solver.advance-*.nbi"))
+    return compiled
+
+
+def compile_engine(engine: str) -> None:
+    """Compile the kernels of an engine and of the crossing search, or load them."""
+    from knotgym.topology.crossings import label
+
+    first = simulation(engine)
+    first.step([0], [[0.0, 0.0, 0.0]])
+    label(first.points[0])
+
+
+def warn_of_compilation(engine: str) -> None:
+    """Log, once per process and engine, that the first run has to wait for compilation."""
+    if engine not in _warned and not is_compiled(engine):
+        _log.warning("compiling, in the first run only; `knotgym compile` does it beforehand")
+    _warned.add(engine)

@@ -88,6 +88,10 @@ class Recipe(Protocol):
 
     flexible: tuple[str, ...]
 
+    @property
+    def engine(self) -> str:
+        """The simulation engine, whose kernels are compiled before the workers start."""
+
     def request(self) -> dict[str, Any]:
         """Return the configuration and sources as JSON: `{"config": {...}, "source": ...}`."""
 
@@ -133,7 +137,7 @@ def run(recipe: Recipe, out: Path, options: RunOptions, progress: Progress | Non
         return out
     require_output(out, folder=True, overwrite=options.overwrite)
     require_startable(out, request, options, recipe.flexible, progress)
-    compile_first(progress)
+    compile_first(progress, recipe.engine)
     if not (options.resume and recipe.load(staging_folder(out))):
         recipe.begin()
     with staging(out, options) as folder:

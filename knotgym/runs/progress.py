@@ -12,6 +12,8 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
+from knotgym.rope.engines import MUJOCO, compile_engine, is_compiled
+
 _LIVE_EVERY, _LINE_EVERY = 0.5, 10.0  # seconds between updates
 _LONG = 3600.0  # seconds; a run that would take longer prints an estimate first
 
@@ -182,14 +184,9 @@ def tell_if_long(progress: Progress, core_seconds: float, workers: int) -> None:
         )
 
 
-def compile_first(progress: Progress) -> None:
-    """Compile the crossing kernel, if it isn't, before several processes wait for it."""
-    from knotgym.topology.crossing_kernel import is_compiled
-
-    if not is_compiled():
-        from knotgym.rope.model import Rope
-        from knotgym.topology.crossings import label
-
+def compile_first(progress: Progress, engine: str = MUJOCO) -> None:
+    """Compile an engine's kernels, if they aren't, before several processes wait for them."""
+    if not is_compiled(engine):
         progress.stage("compiling, only on the first run")
-        label(Rope().loop())
+        compile_engine(engine)
     progress.stage("starting")

@@ -90,6 +90,7 @@ def card(
         bytes=f"{size / facts['pictures']:.0f}",
         version=knotgym.__version__,
         mujoco=mujoco.__version__,
+        engine=config["engine"],
         seed=config["seed"],
         code_share=f"{config['code_share']:g}",
         test_nx=", ".join(map(str, config["test_nx"])) or "none",

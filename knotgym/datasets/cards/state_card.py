@@ -76,6 +76,7 @@ def card(states: States, report: Mapping[str, Any], config: Mapping[str, Any]) -
         knot=plain(report["knot"]),
         version=report["version"],
         mujoco=report["mujoco"],
+        engine=states.engine,
         seed=config["seed"],
         holds=_holds(report, any(states.source.get("dataset", ()))),
         states=table(_STATES_HEAD, _states_rows(facts["nx"], report["existing_codes"])),

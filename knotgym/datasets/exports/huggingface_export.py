@@ -147,6 +147,12 @@ def _steps(datasets: Sequence[Path], folder: Path, count: Count) -> Iterator[Fil
     readers = [(EpisodeReader(path), dataset_name(path)) for path in datasets]
     if not readers:
         return
+    engines = sorted({reader.task.engine for reader, _ in readers})
+    if len(engines) > 1:
+        raise ExportError(
+            f"trajectories exported together must be of one engine, got {', '.join(engines)};"
+            " export those of each engine by themselves"
+        )
     pictures = all(reader.stored in ("pixels", "both") for reader, _ in readers)
     columns = step_columns(pictures, readers[0][0].column(0, "points").shape[1])
     for split in dict.fromkeys(reader.task.split for reader, _ in readers):

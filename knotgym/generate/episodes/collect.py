@@ -276,6 +276,10 @@ class EpisodeRecipe:
                 " fewer shards"
             )
 
+    @property
+    def engine(self) -> str:
+        return self.config.task.engine
+
     def request(self) -> dict[str, Any]:
         return {"config": as_json(self.config), "source": sources_of(self.config)}
 

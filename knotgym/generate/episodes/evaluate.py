@@ -364,7 +364,7 @@ def run(
     with kept_beside(out, asked, existing, progress) as unfinished:
         spent = sum(policy.core_seconds for policy, _ in config.setups()) * config.episodes
         tell_if_long(progress, spent, workers)
-        compile_first(progress)
+        compile_first(progress, config.task.engine)
         with executor(workers) as pool:
             results, films = evaluate(config, pool, progress, unfinished)
         require_unchanged(source, sources_of(config))

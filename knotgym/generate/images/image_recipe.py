@@ -110,6 +110,10 @@ class ImageRecipe:
         self.table = Path()
         self.written: list[Path] = []
 
+    @property
+    def engine(self) -> str:
+        return self.config.engine
+
     def request(self) -> dict[str, Any]:
         return {"config": as_json(self.config), "source": self.start.source}
 

@@ -80,6 +80,10 @@ class RandomWalkRecipe:
         self.accepted: list[WalkState] = []
         self.rejected: dict[int, Counter[str]] = {nx: Counter() for nx in config.nx}
 
+    @property
+    def engine(self) -> str:
+        return self.config.engine
+
     def request(self) -> dict[str, Any]:
         return {"config": as_json(self.config), "source": RANDOM_WALK}
 

@@ -190,6 +190,10 @@ class StateRecipe:
             **vars(self.config.search), max_nx=most, seed=seed, engine=self.config.engine
         )
 
+    @property
+    def engine(self) -> str:
+        return self.config.engine
+
     def request(self) -> dict[str, Any]:
         curve = Path(self.config.knot)
         source = {

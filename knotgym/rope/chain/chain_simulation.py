@@ -31,7 +31,7 @@ from knotgym.rope.chain.dynamics import (
 )
 from knotgym.rope.chain.simd import LANES
 from knotgym.rope.chain.solver import LOST, SCHEDULE, STATE, TICKS, advance
-from knotgym.rope.model import Array, InvalidRope, Rope, sub_chains
+from knotgym.rope.model import Array, InvalidRope, Rope, RopeConfig, sub_chains
 from knotgym.rope.simulation import Ids, Simulation
 
 _STIFF = 1e4  # N s/m, what an edge resists being stretched with
@@ -67,6 +67,13 @@ class ChainSimulation(Simulation):
                 "the chain engine takes ropes whose beads are at most"
                 f" {1000 * longest:.2f} mm long, got {1000 * self.rope.config.bead_length:.2f} mm"
             )
+        for name in ("closure_solref", "closure_solimp"):
+            given, usual = getattr(self.rope.config, name), getattr(RopeConfig(), name)
+            if given != usual:
+                raise InvalidRope(
+                    f"the chain engine closes the rope exactly and has no {name}; leave it at"
+                    f" {usual}, got {given}"
+                )
         self._schedule = np.array(schedule, dtype=np.int64)
         self._numbers, self._damping, self._contact = parameters(self.rope)
         workers = min(threads or cpu_count() or 1, -(-count // LANES))
