@@ -24,7 +24,7 @@ from knotgym.common.errors import KnotgymError
 from knotgym.control.policies import PolicyConfig, make_policy, training_card
 from knotgym.control.rollouts import EVALUATION, Rollout, rollout
 from knotgym.datasets.trajectory import Episode
-from knotgym.envs.episode_batch import OWN, SHIPPED, state_origins
+from knotgym.envs.task_states import OWN, SHIPPED, state_origins
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import reference_scores
 from knotgym.generate.episodes.digests import digests, require_unchanged, sources
