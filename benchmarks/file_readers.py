@@ -97,7 +97,7 @@ def told_policies(path: Path) -> Told:
 
     learned = load_policy(str(path.parent))
     arrays = {name: own.numpy() for name, own in learned.reader.state_dict().items()}
-    arrays |= {"rope": learned.rope, "places": learned.starts}
+    arrays |= {"places": learned.starts}
     return [], {name: digest(own.tobytes()) for name, own in arrays.items()}
 
 

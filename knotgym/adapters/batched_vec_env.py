@@ -1,7 +1,5 @@
 """A Stable-Baselines3 VecEnv over one batched simulation; importing it needs that library."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from typing import Any
 
@@ -24,9 +22,7 @@ Indices = int | Iterable[int] | None
 class BatchedVecEnv(VecEnv):
     """A VecEnv of ropes that are stepped together; see `sb3_vec_env`.
 
-    Attributes:
-        episodes: the batch of episodes.
-        goals: achieved and desired goals, or None without `goals=True`.
+    `goals` are achieved and desired goals, or None without `goals=True`.
     """
 
     def __init__(

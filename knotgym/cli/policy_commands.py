@@ -117,7 +117,7 @@ def collect(
     engine: EngineOption = "mujoco",
     integrator_steps: IntegratorStepsOption = 24,
     noise: NoiseOption = 0.1,
-    budget: BudgetOption = 20000,
+    budget: BudgetOption = 60000,
     shares: SharesOption = "0.25,0.25,0.25,0.25",
     author: Annotated[
         list[str] | None,
@@ -268,7 +268,7 @@ def evaluate(
     engine: EngineOption = "mujoco",
     integrator_steps: IntegratorStepsOption = 24,
     noise: NoiseOption = 0.1,
-    budget: BudgetOption = 20000,
+    budget: BudgetOption = 60000,
     shares: SharesOption = "0.25,0.25,0.25,0.25",
     seed: SeedOption = 0,
     workers: WorkersOption = 0,

@@ -10,8 +10,6 @@ True
 False
 """
 
-from __future__ import annotations
-
 from enum import IntEnum, unique
 
 import numpy as np
@@ -63,16 +61,11 @@ class Stream(IntEnum):
     DRAWING_CODES = 41  # nx: which codes are drawn, where there are too many to list
     START = 42  # the drawing of a knot that action sequences begin at
     LEARN_PICTURES = 50  # step of training the reader
-    LEARN_ROPE = 51  # fitting the rope model
     LEARN_PLACES = 52  # the start positions of ropes that are kept
 
 
 def key(stream: Stream, seed: int, *counters: int) -> tuple[int, ...]:
-    """Return the key (stream, seed, counter, counter, counter), each number in [0, 2**63).
-
-    Raises:
-        InvalidSeed: a number is out of range, or there are too many counters.
-    """
+    """Return the key (stream, seed, counter, counter, counter), each number in [0, 2**63)."""
     if len(counters) > COUNTERS:
         raise InvalidSeed(f"a stream has at most {COUNTERS} counters, got {counters}")
     numbers = (int(seed), *map(int, counters))

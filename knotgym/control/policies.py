@@ -3,7 +3,7 @@
 random          uniform in [-1, 1]^6
 constant        (1, 1, 1, 1, 1, 1) at every step, which tows the rope
 scripted        one macro-action after another, without a goal
-expert          plans in the simulator from the rope's current state, see `expert`
+expert          plans in the chain engine from the rope's current state, see `expert`
 noisy-expert    the expert, but each action is replaced by a random one with probability `noise`,
                 after which the expert replans
 mixed           draws one of random, scripted, noisy-expert and expert for each episode

@@ -2,7 +2,6 @@
 
 policy.json             format, version, training data and configuration, checksum of the weights
 weights.safetensors     reader/*    float16, the networks' weights
-                        rope        float64 (105,), parameters of the rope model
                         places      float32 (n, 3), start positions of the training episodes, metres
 """
 
@@ -24,7 +23,6 @@ from knotgym.common.configuration import read_json
 from knotgym.common.errors import KnotgymError
 from knotgym.common.hdf5_files import require_regular
 from knotgym.learn.reader import Reader
-from knotgym.learn.rope_model import FIRST_GUESS
 
 FORMAT, FORMAT_VERSION = "knotgym-policy", 1
 CARD, WEIGHTS = "policy.json", "weights.safetensors"
@@ -40,12 +38,10 @@ class Learned(NamedTuple):
 
     Attributes:
         reader: network from pictures to vertices.
-        rope: float64 (105,), parameters of the rope model, laid out like `rope_model.FIRST_GUESS`.
         starts: float32 (n, 3), middles of ropes at the start of training episodes, metres.
     """
 
     reader: Reader
-    rope: NDArray[np.float64]
     starts: NDArray[np.float32]
 
 
@@ -55,7 +51,6 @@ def save_policy(folder: Path, learned: Learned, made: dict[str, Any]) -> None:
         f"reader/{name}": own.detach().to(torch.float16).contiguous()
         for name, own in learned.reader.state_dict().items()
     }
-    tensors["rope"] = torch.from_numpy(learned.rope)
     tensors["places"] = torch.from_numpy(learned.starts)
     folder.mkdir(parents=True, exist_ok=True)
     with atomic_write(folder / WEIGHTS) as part:
@@ -104,27 +99,23 @@ def load_policy(name: str) -> Learned:
                 if key.startswith("reader/")
             }
         )
-        rope, starts = tensors["rope"].numpy(), tensors["places"].numpy()
+        starts = tensors["places"].numpy()
     except (SafetensorError, KeyError, RuntimeError, TypeError, ValueError) as error:
         raise InvalidCheckpoint(
             f"{folder / WEIGHTS} isn't a learner: {' '.join(str(error).split())[:200]}"
         ) from error
-    if rope.shape != FIRST_GUESS.shape or starts.ndim != 2 or starts.shape[1:] != (3,):
-        raise InvalidCheckpoint(f"{folder / WEIGHTS} has arrays of the wrong shape")
-    if (rope.dtype, starts.dtype) != (np.float64, np.float32):
+    if starts.ndim != 2 or starts.shape[1:] != (3,) or starts.dtype != np.float32:
         raise InvalidCheckpoint(
-            f"{folder / WEIGHTS}: rope is {rope.dtype} and places {starts.dtype}, should be float64"
-            " and float32"
+            f"{folder / WEIGHTS}: places is {starts.dtype} {starts.shape}, should be float32 (n, 3)"
         )
     kinds = {own.dtype for key, own in tensors.items() if key.startswith("reader/")}
     if kinds != {torch.float16}:
         found = ", ".join(sorted(map(str, kinds)))
         raise InvalidCheckpoint(f"{folder / WEIGHTS}: the reader is {found}, should be float16")
-    own = {"rope": torch.from_numpy(rope), "places": torch.from_numpy(starts)}
-    for name, values in {**own, **reader.state_dict()}.items():
+    for name, values in {"places": tensors["places"], **reader.state_dict()}.items():
         if not torch.isfinite(values).all():
             raise InvalidCheckpoint(f"{folder / WEIGHTS}: {name} has numbers that aren't finite")
-    return Learned(reader.eval(), rope, starts)
+    return Learned(reader.eval(), starts)
 
 
 def read_card(folder: Path) -> dict[str, Any]:

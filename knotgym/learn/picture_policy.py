@@ -14,7 +14,6 @@ from knotgym.envs.tasks import TaskConfig
 from knotgym.learn.agent import Agent, AgentConfig
 from knotgym.learn.checkpoint import PRETRAINED, load_policy
 from knotgym.learn.colour_reading import SIZE
-from knotgym.learn.rope_model import Dynamics
 
 
 class PicturePolicy(Policy):
@@ -75,7 +74,5 @@ def learned_policy(folder: str, config: AgentConfig | None = None) -> PicturePol
     """
     learned = load_policy(folder)
     graph = shipped_transition_graph(TransitionGraphConfig())
-    agent = Agent(
-        learned.reader, Dynamics(learned.rope), graph, learned.starts.astype(np.float64), config
-    )
+    agent = Agent(learned.reader, graph, learned.starts.astype(np.float64), config)
     return PicturePolicy(agent, PRETRAINED if folder == PRETRAINED else "learned")

@@ -1,4 +1,4 @@
-"""Train a learner: the rope model, then the reader; resumable and reproducible to the bit."""
+"""Train a learner, that is its reader; resumable and reproducible to the bit."""
 
 from __future__ import annotations
 
@@ -28,9 +28,7 @@ from knotgym.common.hdf5_files import require_regular
 from knotgym.common.streams import Stream, generator
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.learn.checkpoint import CARD, Learned, load_policy, read_card, save_policy
-from knotgym.learn.fitting import STAGES, Stretches, fit
 from knotgym.learn.reader_training import ReaderTraining
-from knotgym.learn.rope_model import FIRST_GUESS, Dynamics
 from knotgym.learn.training_data import InvalidTraining, TrainingData, read_training_data
 from knotgym.runs.progress import Progress, Status
 from knotgym.runs.run_options import REFUSE_EXISTING, Existing
@@ -55,8 +53,6 @@ class TrainConfig:
     Attributes:
         steps: optimizer steps of the reader.
         batch: pictures per step.
-        stretches: episode beginnings to which the rope model is fitted, at most.
-        tries: candidates for the rope model's shared parameters, in each of two searches.
         places: start positions of episodes that are kept, at most.
         save_every: steps between checkpoints.
         seed: seed of all random draws.
@@ -64,8 +60,6 @@ class TrainConfig:
 
     steps: int = 3000
     batch: int = 48
-    stretches: int = 100
-    tries: int = 150
     places: int = 512
     save_every: int = 200
     seed: int = 0
@@ -73,7 +67,7 @@ class TrainConfig:
     def __post_init__(self) -> None:
         check_numbers(
             self,
-            counts=("steps", "batch", "stretches", "tries", "places", "save_every"),
+            counts=("steps", "batch", "places", "save_every"),
             whole=("seed",),
             error=InvalidTraining,
         )
@@ -152,12 +146,8 @@ def _trained(
     """Train in a staging folder, resuming what it holds; write the checkpoint to `made` in it."""
     began = time.perf_counter()
     kept = _begin(folder, request)
-    if "rope" not in kept:
-        kept |= _fit_rope(data, config, progress)
-        _keep(folder, kept)
-    rope = kept["rope"].numpy()
-    training = ReaderTraining(data, Dynamics(rope), config.steps, config.batch, config.seed)
-    if "losses" in kept:
+    training = ReaderTraining(data, config.steps, config.batch, config.seed)
+    if kept:
         _restore(folder, training, kept)
 
     def status() -> Status:
@@ -169,21 +159,19 @@ def _trained(
         progress.show(status)
         training.advance()
         if training.step % config.save_every == 0 or training.step == config.steps:
-            _keep(folder, kept | training.state())
+            _keep(folder, training.state())
     progress.show(status, last=True)
-    learned = Learned(training.reader.eval(), rope, _starts(data, config))
+    learned = Learned(training.reader.eval(), _starts(data, config))
     made_in = folder / "made"
     remove(made_in)
     made_in.mkdir()
     _draw_curve(made_in, training.losses)
-    errors = 1000 * kept["fit"]
     made = {
         "knotgym": knotgym.__version__,
         **request,
         "data": ["/".join(Path(str(one)).parts[-3:]) for one in datasets],
         "episodes": len(data.starts),
         "frames": len(data.frames),
-        "fit_error_mm": dict(zip(STAGES, errors.round(decimals=3).tolist(), strict=True)),
         "seconds": round(time.perf_counter() - began),
     }
     save_policy(made_in, learned, made)
@@ -227,8 +215,6 @@ def _begin(folder: Path, request: dict[str, Any]) -> dict[str, Tensor]:
         if isinstance(error, InvalidTraining):
             raise
         raise InvalidTraining(f"{folder / UNDER_WAY} can't be read: {one_line(error)}") from error
-    if kept.get("rope", torch.zeros(0)).shape != FIRST_GUESS.shape or "fit" not in kept:
-        raise InvalidTraining(f"{folder / UNDER_WAY} can't be read: it has no rope model")
     return kept
 
 
@@ -253,27 +239,6 @@ def _digest(kept: dict[str, Tensor]) -> bytes:
         whole.update(json.dumps([name, str(own.dtype), [*own.shape]]).encode())
         whole.update(own.detach().numpy().tobytes())
     return whole.digest()
-
-
-def _fit_rope(data: TrainingData, config: TrainConfig, progress: Progress) -> dict[str, Tensor]:
-    """Fit the rope model: "rope", its parameters, and "fit", the stages' errors in metres."""
-    progress.stage("fitting the rope model")
-    rng = generator(Stream.LEARN_ROPE, config.seed)
-    errors: list[float] = []
-
-    def on_stage(stage: str, error: float) -> None:
-        errors.append(error)
-        progress.say(f"rope model, {stage}: {1000 * error:.2f} mm")
-
-    rope = fit(_subset(data.stretches, config.stretches, rng), rng, config.tries, on_stage)
-    return {"rope": torch.from_numpy(rope), "fit": torch.tensor(errors, dtype=torch.float64)}
-
-
-def _subset(stretches: Stretches, most: int, rng: np.random.Generator) -> Stretches:
-    """Draw at most `most` of the stretches."""
-    count = stretches.points.shape[1]
-    rows = np.sort(rng.permutation(count)[:most])
-    return Stretches(stretches.points[:, rows], stretches.beads[:, rows], stretches.forces[:, rows])
 
 
 def _starts(data: TrainingData, config: TrainConfig) -> NDArray[np.float32]:

@@ -40,22 +40,7 @@ if TYPE_CHECKING:
 else:
     from knotgym.common.lazy_exports import lazy_exports
 
-    __getattr__, __dir__ = lazy_exports(
-        __name__,
-        {
-            "FrameCache": "knotgym.loaders.frame_cache",
-            "MissingExtra": "knotgym.common.errors",
-            "NoCache": "knotgym.loaders.frame_cache",
-            "NoLabels": "knotgym.loaders.transitions",
-            "NoMacroActions": "knotgym.loaders.transitions",
-            "Transitions": "knotgym.loaders.transitions",
-            "arrays": "knotgym.loaders.rows",
-            "images": "knotgym.loaders.perception",
-            "to_d3rlpy": "knotgym.loaders.converters",
-            "to_tensordict": "knotgym.loaders.converters",
-            "torch_dataset": "knotgym.loaders.converters",
-        },
-    )
+    __getattr__, __dir__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "FrameCache",

@@ -1,7 +1,5 @@
 """Convert datasets for other libraries: torch Dataset, d3rlpy ReplayBuffer, TensorDict."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 from collections.abc import Iterable
@@ -71,17 +69,7 @@ def torch_dataset(
 
     if kind not in KINDS:
         raise UnknownKind(kind, KINDS)
-    return KINDS[kind](
-        Transitions(
-            dataset,
-            observation=observation,
-            picture=picture,
-            action=action,
-            relabel=relabel,
-            labels=labels,
-            cache=cache,
-        )
-    )
+    return KINDS[kind](Transitions(dataset, observation, picture, action, relabel, labels, cache))
 
 
 def to_d3rlpy(
@@ -109,15 +97,7 @@ def to_d3rlpy(
         MissingExtra: d3rlpy isn't installed.
     """
     d3rlpy = import_client("d3rlpy")
-    transitions = Transitions(
-        dataset,
-        observation=observation,
-        picture=picture,
-        action="pull",
-        relabel=relabel,
-        labels=labels,
-        cache=cache,
-    )
+    transitions = Transitions(dataset, observation, picture, "pull", relabel, labels, cache)
     episodes = []
     for segment in range(transitions.segments):
         part = slice(*transitions.starts[segment : segment + 2])
@@ -167,15 +147,7 @@ def to_tensordict(
         MissingExtra: tensordict or torch isn't installed.
     """
     tensordict = import_client("tensordict")
-    transitions = Transitions(
-        dataset,
-        observation=observation,
-        picture=picture,
-        action=action,
-        relabel=relabel,
-        labels=labels,
-        cache=cache,
-    )
+    transitions = Transitions(dataset, observation, picture, action, relabel, labels, cache)
     columns = rows(transitions)
     terminated, truncated = columns["terminals"][:, None], columns["timeouts"][:, None]
     running = np.zeros_like(terminated)

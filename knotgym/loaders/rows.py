@@ -1,7 +1,5 @@
 """A whole dataset as a dict of arrays, one row per transition (the keys of D4RL and OGBench)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -33,17 +31,7 @@ def arrays(
         pulls: int64 (N,), in the view "macro" only: pulls of each macro-action, to discount by.
         terminals, timeouts: bool (N,); exactly one of them is true in the last row of an episode.
     """
-    return rows(
-        Transitions(
-            dataset,
-            observation=observation,
-            picture=picture,
-            action=action,
-            relabel=relabel,
-            labels=labels,
-            cache=cache,
-        )
-    )
+    return rows(Transitions(dataset, observation, picture, action, relabel, labels, cache))
 
 
 def rows(transitions: Transitions) -> dict[str, Any]:

@@ -5,8 +5,6 @@ that it reached. Actions, rewards and ends are cached when first read; observati
 rendered on demand.
 """
 
-from __future__ import annotations
-
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -14,11 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.errors import KnotgymError
-from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.episode_reader import EpisodeReader, goal_axis
 from knotgym.datasets.trajectory import MACRO_INFOS, codes_in_bounds, goal_steps
 from knotgym.envs.reward import success_at_last
 from knotgym.envs.tasks import ACTIONS, InvalidSetting
-from knotgym.loaders.frame_cache import CachedFrames, FrameCache, NoCache, goal_axis
+from knotgym.loaders.frame_cache import CachedFrames, FrameCache, NoCache
 from knotgym.rope.actions import CHOICES, decode_actions, force_choices
 
 _CACHED_SEGMENTS = 256  # segments whose codes stay in memory
@@ -67,7 +65,6 @@ class Transitions:
     def __init__(
         self,
         dataset: Any,
-        *,
         observation: str | None = None,
         picture: Any = None,
         action: str | None = None,

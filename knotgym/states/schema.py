@@ -4,8 +4,6 @@ Reading, writing, merging and verification all use this list. The file's attribu
 `format_version`, ATTRIBUTES and DIGEST; `quality/*` may contain further measures.
 """
 
-from __future__ import annotations
-
 from knotgym.common.hdf5_files import Column
 from knotgym.quality.limits import UNITS
 

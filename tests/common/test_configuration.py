@@ -10,7 +10,6 @@ from knotgym.common.configuration import InvalidConfig, check_numbers, from_json
 from knotgym.common.errors import KnotgymError
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig
-from knotgym.control.surrogate import SurrogateConfig
 from knotgym.control.transition_graph import TransitionGraphConfig
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig
@@ -33,7 +32,6 @@ TUNED = (
     RelaxationConfig,
     SearchSettings,
     SelectionConfig,
-    SurrogateConfig,
     TransitionGraphConfig,
     WalkConfig,
 )

@@ -9,7 +9,7 @@ from knotgym.runs.run_options import Existing
 
 from ..small_job import knotgym
 
-TINY = {"steps": 6, "batch": 2, "stretches": 2, "tries": 1, "save_every": 2}
+TINY = {"steps": 6, "batch": 2, "save_every": 2}
 
 
 @pytest.fixture(scope="session")

@@ -1,10 +1,8 @@
 """The configuration of `knotgym generate`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
-from knotgym.common.configuration import check_numbers
+from knotgym.common.configuration import check_numbers, check_nx
 from knotgym.common.errors import KnotgymError
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.drawing.drawn_curve import DrawingConfig
@@ -19,19 +17,6 @@ from knotgym.topology.knots import LISTED_NX
 
 class InvalidGenerateConfig(KnotgymError, ValueError):
     """The requested states can't be made."""
-
-
-def check_nx(nx: tuple[int, ...], most: int) -> None:
-    """Require distinct crossing numbers in [0, most].
-
-    Raises:
-        InvalidGenerateConfig: they are not, or there are none.
-    """
-    if not nx or any(not 0 <= one <= most for one in nx) or len(set(nx)) != len(nx):
-        raise InvalidGenerateConfig(
-            f"nx takes distinct numbers of crossings from 0 to {most}, got"
-            f" {', '.join(map(str, nx)) or 'none'}"
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,7 +89,7 @@ class GenerateConfig:
             ranges=("force",),
             error=InvalidGenerateConfig,
         )
-        check_nx(self.nx, MAX_NX)
+        check_nx(self.nx, MAX_NX, InvalidGenerateConfig)
         require_engine(self.engine)
         if self.split_by not in ("state", "code"):
             raise InvalidGenerateConfig(
