@@ -15,7 +15,7 @@ from knotgym.common.atomic_files import atomic_write, require_writable
 from knotgym.common.configuration import differences
 from knotgym.common.errors import KnotgymError, one_line
 from knotgym.control.policies import PolicyConfig
-from knotgym.envs.episode_batch import state_origins
+from knotgym.envs.task_states import state_origins
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.evaluate import EvaluateConfig
 

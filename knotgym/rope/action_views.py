@@ -69,9 +69,9 @@ class ActionView:
             )
         return a
 
-    def reset(self, index: int) -> None:
-        """Drop the action of a rope whose episode begins."""
-        self.busy[index], self.pulls[index] = False, 0
+    def reset(self, ids: NDArray[np.int64]) -> None:
+        """Drop the actions of ropes whose episodes begin."""
+        self.busy[ids], self.pulls[ids] = False, 0
 
     def begin(self, actions: ArrayLike, ids: NDArray[np.int64]) -> None:
         """Start actions on the ropes `ids`.

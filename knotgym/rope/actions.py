@@ -29,7 +29,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 FORCE_BINS = 127  # a quantized force component is a whole multiple of 1 / 127 of the largest
-# Odd, so that one of the forces is exactly 0.
+# Odd, so that one of the forces is exactly 0. Of 64 of the expert's plans (tie nx 2, convert nx 3)
+# that are binned and replayed blindly, 43 still end in the same code with 11 choices, 29 with 5, 48
+# with 31; after one action the farthest bead is 3 mm off with 11, 8 mm with 5, 1 mm with 31.
 FORCE_CHOICES = 11
 # Values of each whole number of an action, by view; 0 stands for the number of beads.
 CHOICES = {"bead": (0, FORCE_CHOICES, FORCE_CHOICES, FORCE_CHOICES), "macro": (0, 0, 2)}

@@ -10,7 +10,7 @@ from typing import Any
 from knotgym.common.atomic_files import sha256
 from knotgym.common.configuration import differences
 from knotgym.control.policies import PolicyConfig, policy_digests
-from knotgym.envs.episode_batch import SHIPPED, state_origins
+from knotgym.envs.task_states import SHIPPED, state_origins
 from knotgym.envs.tasks import TaskConfig
 from knotgym.runs.engine import whole_request
 from knotgym.runs.run_options import InvalidRun

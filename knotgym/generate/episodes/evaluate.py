@@ -22,7 +22,7 @@ from knotgym.common.configuration import InvalidConfig, as_json, check_numbers, 
 from knotgym.control.policies import PolicyConfig, make_policy, training_card
 from knotgym.control.rollouts import EVALUATION, Rollout, rollout
 from knotgym.datasets.trajectory import Episode
-from knotgym.envs.episode_batch import state_origins
+from knotgym.envs.task_states import state_origins
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.digests import digests, require_unchanged, sources
 from knotgym.generate.episodes.results import Result, show
