@@ -12,6 +12,7 @@ from knotgym.runs.executors import scheduler_of
 from knotgym.runs.run_options import Existing, RunOptions
 from knotgym.runs.shards import Shard
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.notation import parse_code
 
 ENVIRONMENT, ACTING = "The environment", "Who acts"
 RUN, METADATA = "How it is run", "Metadata"
@@ -228,10 +229,10 @@ def numbers(text: str) -> tuple[int, ...]:
 
 
 def code_list(path: Path | None) -> list[GaussCode]:
-    """Read Gauss codes from a file, one per line; an empty list without a file.
+    """Read Gauss, PD or DT codes from a file, one per line; an empty list without a file.
 
     Raises:
-        InvalidGaussCode: a line is not a Gauss code.
+        InvalidGaussCode: a line is none of them.
     """
     if path is None:
         return []
@@ -241,9 +242,9 @@ def code_list(path: Path | None) -> list[GaussCode]:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise typer.BadParameter(f"--codes {path} can't be read: {error}") from error
-    found = [GaussCode.parse(line) for line in lines if line.strip()]
+    found = [parse_code(line) for line in lines if line.strip()]
     if not found:
-        raise typer.BadParameter(f"--codes {path} contains no Gauss code")
+        raise typer.BadParameter(f"--codes {path} contains no code")
     return found
 
 

@@ -110,8 +110,8 @@ def generate(
         option(
             "--codes",
             help=(
-                "File of Gauss codes, one per line, to use instead of --nx; --every-code gives the"
-                " number of states per code, 1 by default."
+                "File of Gauss, PD or DT codes, one per line, to use instead of --nx; --every-code"
+                " gives the number of states per code, 1 by default."
             ),
             group=_CHOICE,
         ),
