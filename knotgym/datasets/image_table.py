@@ -44,6 +44,8 @@ COLUMNS: dict[str, Any] = {
     "image": "image",
     "gauss_code": "string",
     "gauss_code_chiral": "string",
+    "pd_code": "string",
+    "dt_code": "string",
     "nx": "int64",
     "knot": "string",
     "points": ["float64", 300],

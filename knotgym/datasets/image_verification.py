@@ -49,6 +49,7 @@ _HUGE = 1e3  # metres; coordinates beyond this are corrupted, a rope is 1.3 m lo
 _BATCH = 32  # walks simulated together
 _MOST_ROUNDS = 10_000  # of relaxation; a larger number is corrupted and would run for hours
 _COLOURS = ("published", "single", "gradient")
+_LABELS = ("gauss_code", "gauss_code_chiral", "pd_code", "dt_code", "nx", "knot", "crossings")
 _DRAWN_WITH, _MOST_DRAWN = ("zoom", "width", "noise", "blur"), 1000.0
 
 Map = Callable[
@@ -154,7 +155,7 @@ def row_faults(row: dict[str, Any]) -> Iterator[str]:
         yield f"appearance.{odd[0]} is {getattr(look, odd[0])}, should be 0 to {_MOST_DRAWN:g}"
         return
     right = {**labels(points, crossings, look), **measures(points, crossings, row["source"])}
-    for name in ("gauss_code", "gauss_code_chiral", "nx", "knot", "crossings", "accepted", "grade"):
+    for name in (*_LABELS, "accepted", "grade"):
         if row[name] != right[name]:
             yield f"{name} is {row[name]!s}, recomputed {right[name]!s}"
     yield from measure_faults(row["quality"], right["quality"])

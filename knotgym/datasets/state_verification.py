@@ -36,6 +36,7 @@ from knotgym.states.state_measures import (
 from knotgym.topology.crossings import find_crossings
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import knot_type
+from knotgym.topology.notation import dt_text, pd_text
 from knotgym.topology.reference_labeller import pyknotid_code
 
 _BATCH = 64  # rows replayed in one simulation
@@ -183,6 +184,8 @@ def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iter
     for name, stored, right in (
         ("gauss_code", states.gauss_code[row], str(code)),
         ("gauss_code_chiral", states.gauss_code_chiral[row], code.chiral),
+        ("pd_code", states.pd_code[row], pd_text(code)),
+        ("dt_code", states.dt_code[row], dt_text(code)),
         ("nx", states.nx[row], code.nx),
         ("knot", states.knot[row], knot_type(code)),
     ):

@@ -32,6 +32,8 @@ ROOT = (
     Column("image", "uint8", (None, None, 3), "levels", "RGB, as the environment renders it"),
     Column("gauss_code", "text", (), "", 'such as "1+,1-,2+,2-"'),
     Column("gauss_code_chiral", "text", (), "", 'such as "1+a,1-a,2+c,2-c"'),
+    Column("pd_code", "text", (), "", 'PD code, such as "[[1,1,2,2]]", see `topology.notation`'),
+    Column("dt_code", "text", (), "", 'DT code, such as "[4, 6, 2]"'),
     Column("knot", "text", (), "", 'knot type, such as "0_1"'),
     Column("nx", "int64", (), "crossings", "crossings in the picture", least=0),
     Column("split", "text", (), "", '"train" or "test"'),

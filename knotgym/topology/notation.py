@@ -38,9 +38,7 @@ MOST_CROSSINGS = 1000  # of a code that is read
 _MOST_CHARACTERS = 30 * MOST_CROSSINGS
 _LOOPS = ("[]", "PD[]", "PD[Loop[1]]", "DT[]", "DT:[]", "DTCode[]")
 _CROSSING = re.compile(r"[\[(](\d{1,9}),(\d{1,9}),(\d{1,9}),(\d{1,9})[\])]")
-_PD = re.compile(
-    rf"(?:PD)?[\[(](?:,?X?{_CROSSING.pattern})+,?[\])]|(?:,?X{_CROSSING.pattern})+"
-)
+_PD = re.compile(rf"(?:PD)?[\[(](?:,?X?{_CROSSING.pattern})+,?[\])]|(?:,?X{_CROSSING.pattern})+")
 _DT = re.compile(r"(?:DT(?:Code)?:?)?[\[(]*-?\d{1,9}(?:,-?\d{1,9})*,?[\])]*")
 _LETTERS = re.compile(r"DT(?::|\[)([a-zA-Z]{4,})\]?")
 
@@ -151,7 +149,7 @@ def from_pd(crossings: Sequence[Sequence[int]]) -> GaussCode:
     start = walk.index(min(walk)) if walk else 0
     code = GaussCode.relabelled([visit for _, visit in walk[start:] + walk[:start]], letters)
     if not is_planar(code):
-        raise _invalid("no planar diagram has it", crossings, "PD", "expected counterclockwise edges")
+        raise _invalid("no planar diagram has it", crossings, "PD", _PLANAR)
     return code
 
 
@@ -180,7 +178,7 @@ def from_dt(partners: Sequence[int]) -> GaussCode:
         visits[abs(partner) - 1] = -label if odd_over else label
     code = GaussCode.relabelled(visits)
     if not is_planar(code):
-        raise _invalid("no planar diagram has it", partners, "DT", "expected a realizable code")
+        raise _invalid("no planar diagram has it", partners, "DT", _PLANAR)
     return code
 
 
@@ -205,7 +203,8 @@ def parse_code(text: str) -> GaussCode:
         return GaussCode()
     if _PD.fullmatch(tight):
         crossings = [[*map(int, corners)] for corners in _CROSSING.findall(tight)]
-        if len(crossings) > 1 or len(set(crossings[0])) < 4:  # else SnapPy's DT, such as [(4,6,8,2)]
+        # four different numbers are a DT code as SnapPy writes it: [(4,6,8,2)]
+        if len(crossings) > 1 or len(set(crossings[0])) < 4:
             return from_pd(crossings)
     if _DT.fullmatch(tight):
         return from_dt([int(number) for number in re.findall(r"-?\d+", tight)])
@@ -219,6 +218,7 @@ def parse_code(text: str) -> GaussCode:
 
 
 _TWICE = "every edge joins two corners, so it occurs twice"
+_PLANAR = "expected the code of a curve drawn in the plane"
 _SIZE = f"codes of up to {MOST_CROSSINGS} crossings can be read"
 
 

@@ -137,6 +137,8 @@ _PICTURE_DOCS = {
     "image": "PNG, lossless",
     "gauss_code": "the walk from the white base bead towards red",
     "gauss_code_chiral": "the same with chirality",
+    "pd_code": "PD code; edge 1 leads from the base bead to the first crossing",
+    "dt_code": "DT code, with the first crossing as 1",
     "nx": "crossings",
     "knot": "knot type",
     "points": "vertices of the rope, bead by bead, m",
