@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -44,15 +44,16 @@ def write_card_and_manifest(
     request: Mapping[str, Any],
     report: Mapping[str, Any],
     machines: Sequence[dict[str, str]] | None = None,
+    edit_card: Callable[[str], str] = str,
 ) -> None:
     """Write card and manifest into a folder that has everything else; see `finish`.
 
-    `machines` describes where it was made; None for this machine.
+    `machines` describes where it was made; None for this machine. `edit_card` changes the card.
     """
     facts = summary(folder)
     text = card(facts, request["config"], report, sum(path.stat().st_size for path in shards))
     with atomic_write(folder / "README.md") as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(edit_card(text), encoding="utf-8")
     manifest = {
         "format": "knotgym-images-manifest",
         "format_version": 1,

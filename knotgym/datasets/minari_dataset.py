@@ -15,7 +15,7 @@ import json
 import os
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -94,6 +94,7 @@ def publish(
     overwrite: bool = False,
     states: str | os.PathLike[str] | None = None,
     task: TaskConfig | None = None,
+    attributes: Mapping[str, str] | None = None,
     count: Count = uncounted,
 ) -> Path:
     """Merge episode files, including compact ones, into a Minari dataset; write it atomically.
@@ -108,7 +109,7 @@ def publish(
         overwrite: replace an existing dataset of this id.
         states: a state file to include; a task whose `states` is the dataset's id resets from it,
             even after the dataset is moved.
-        task, count: as for `merge_episodes`.
+        task, attributes, count: as for `merge_episodes`.
 
     Returns:
         The dataset's folder.
@@ -136,7 +137,7 @@ def publish(
             concatenate=concatenate,
             distinct=distinct,
             task=task,
-            attributes={"metadata": json.dumps(asdict(metadata))},
+            attributes={**(attributes or {}), "metadata": json.dumps(asdict(metadata))},
             count=count,
         )
         merged = EpisodeReader(temporary)
