@@ -23,7 +23,7 @@ from knotgym.cli.learning_commands import train
 from knotgym.cli.policy_commands import collect, evaluate
 from knotgym.cli.prompt_commands import prompt
 from knotgym.cli.run_commands import generate, images
-from knotgym.cli.selection_commands import delete, select, split
+from knotgym.cli.selection_commands import delete, import_curves, select, split
 from knotgym.cli.suite_command import suite
 from knotgym.common.errors import KnotgymError, printable
 from knotgym.runs.pools import LostWorkers
@@ -64,6 +64,7 @@ _APP: dict[str, Any] = {**_HELP, "add_completion": False, "pretty_exceptions_ena
 app = typer.Typer(cls=Group, no_args_is_help=True, **_APP)
 for _command in (select, split, delete):
     dataset_app.command()(_command)
+dataset_app.command("import")(import_curves)
 app.add_typer(dataset_app, name="dataset", cls=Group, **_HELP)
 for _command in (demo, generate, collect, suite, train, evaluate, images, prompt):
     app.command(cls=Command)(_command)

@@ -1,4 +1,4 @@
-"""The commands `knotgym dataset select`, `split` and `delete`."""
+"""The commands `knotgym dataset select`, `split`, `delete` and `import`."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import typer
 from knotgym.cli.dataset_commands import PathOrId
 from knotgym.cli.options import OverwriteOption, QuietOption
 from knotgym.runs.progress import Progress
+from knotgym.states.schema import STATE_SPLITS
 
 OutOption = Annotated[
     Path | None,
@@ -129,6 +130,41 @@ def delete(
             overwrite=overwrite,
         )
         progress.say(f"{made}: {selection.kept(made)}")
+
+
+def import_curves(
+    curves: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="CURVE...",
+            help="Files of closed curves: .csv (x,y,z or curve,x,y,z), .obj or .npz.",
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="State file to write, such as states.h5.")],
+    split: Annotated[str, typer.Option(help="Split of all states: train or test.")] = "train",
+    seed: SeedOption = 0,
+    overwrite: OverwriteOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Lay closed curves as rope states.
+
+    A curve is cut into beads, scaled to the rope's length, relaxed where needed, and judged by the
+    limits of generated states. It keeps its Gauss code as seen from +z; its knot is certified.
+    """
+    if split not in STATE_SPLITS:
+        raise typer.BadParameter(f"--split takes {' or '.join(STATE_SPLITS)}, got {split!r}")
+    with Progress(quiet, lines=False) as progress:
+        from knotgym.common.atomic_files import atomic_write, require_output
+        from knotgym.generate.states.imported_curves import import_curves as lay
+        from knotgym.states.state_file import write_states
+
+        progress.stage("laying curves")
+        require_output(out, folder=False, overwrite=overwrite)
+        states = lay(curves, split=split, seed=seed)
+        with atomic_write(out, overwrite=overwrite) as temporary:
+            write_states(temporary, states)
+        knots = ", ".join(sorted(set(states.knot.tolist())))
+        progress.say(f"{out}: {len(states)} states, of {knots}")
 
 
 def _require_own(path: str, out: Path | None, dataset_id: str) -> None:

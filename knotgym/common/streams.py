@@ -63,6 +63,7 @@ class Stream(IntEnum):
     DRAWING_CODES = 41  # nx: which codes are drawn, where there are too many to list
     START = 42  # the drawing of a knot that action sequences begin at
     SELECTION = 43  # which rows are sampled (0), or how they are split (1)
+    IMPORT = 44  # nx, number of the curve: its noise survival
     LEARN_PICTURES = 50  # step of training the reader
     LEARN_ROPE = 51  # fitting the rope model
     LEARN_PLACES = 52  # the start positions of ropes that are kept

@@ -59,7 +59,7 @@ SOURCE = (
 COLUMNS = (*ROOT, *QUALITY, *SOURCE)
 
 # values of source/policy; files of curated states have "demonstrations"
-RANDOM_WALK, DRAWING, PLAY = "random-walk", "drawing", "play"
+RANDOM_WALK, DRAWING, PLAY, IMPORT = "random-walk", "drawing", "play", "import"
 
 # columns that reproducing a row needs
 REPLAYED = ("source/start_qpos", "source/actions", "source/steps", "source/seed")

@@ -36,6 +36,7 @@ BASES: dict[str, tuple[str, ...]] = {
     "dataset replay": ("{states}", "--out", "{new}.gif"),
     "dataset page": ("{states}", "--out", "{new}.html"),
     "dataset export": ("{states}", "--out", "{new}"),
+    "dataset import": ("{absent}.csv", "--out", "{new}.h5"),
     "dataset select": ("{states}", "--out", "{new}.h5"),
     "dataset split": ("{states}", "--parts", "a=0.5,b=0.5", "--out", "{new}.h5"),
     "dataset delete": ("{states}", "--rows", "0", "--out", "{new}.h5"),
