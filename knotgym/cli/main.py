@@ -62,8 +62,9 @@ _HELP: dict[str, Any] = {"context_settings": {"help_option_names": ["-h", "--hel
 _APP: dict[str, Any] = {**_HELP, "add_completion": False, "pretty_exceptions_enable": False}
 
 app = typer.Typer(cls=Group, no_args_is_help=True, **_APP)
-for _command in (select, split, delete):
-    dataset_app.command()(_command)
+dataset_app.command()(select)
+dataset_app.command()(split)
+dataset_app.command()(delete)
 dataset_app.command("import")(import_curves)
 app.add_typer(dataset_app, name="dataset", cls=Group, **_HELP)
 for _command in (demo, generate, collect, suite, train, evaluate, images, prompt):

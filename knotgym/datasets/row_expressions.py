@@ -118,8 +118,8 @@ def _evaluate(node: ast.expr, columns: Mapping[str, NDArray[Any]]) -> _Value:
             return _Value("number", np.asarray(_ARITHMETIC[type(op)](*sides)), source)
         case ast.Compare(left=left, ops=ops, comparators=comparators):
             out = np.array(True)
-            for op, right in zip(ops, comparators, strict=True):
-                out = out & _compared(left, op, right, columns)
+            for order, right in zip(ops, comparators, strict=True):
+                out = out & _compared(left, order, right, columns)
                 left = right
             return _Value("condition", out, source)
     raise InvalidExpression(f"{source} is not part of the grammar")

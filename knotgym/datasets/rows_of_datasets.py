@@ -196,8 +196,9 @@ class _States(RowsOfDataset):
         if faults:
             raise InvalidSelection(f"{self.source}: {faults[0]}")
         target.mkdir()
-        names, old = states.source.get("dataset", np.array([])), states.source.get("trajectory")
-        if old is not None:
+        names = states.source.get("dataset", np.array([]))
+        old = states.source.get("trajectory", np.array([]))
+        if len(old):
             new = old.copy()
             for name in sorted(set(names.tolist()) - {""}):
                 new[names == name] = np.arange((names == name).sum())
@@ -286,7 +287,7 @@ class _Pictures(RowsOfDataset):
         most, written = int(manifest["config"]["rows_per_file"]), list[Path]()
         for name in IMAGE_SPLITS:
             own = tables.get(file_stem(name), [])
-            whole = arrow().concat_tables(own) if own else []
+            whole: Any = arrow().concat_tables(own) if own else []
             count = -(-len(whole) // most)
             for index in range(count):
                 written.append(target / shard_name(name, index, count))

@@ -39,7 +39,7 @@ from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import UNKNOWN, knot_type
 
-# Heights are scaled, which changes no code, and the curve is relaxed; the first that passes is kept.
+# Heights are scaled, which changes no code, and the curve is relaxed; the first to pass is kept.
 _HEIGHTS, _ROUNDS = (1.0, 0.4, 0.15), (0, 1, 2, 4, 8, 16, 32, 64)
 _REST = 20  # actions without force
 _LARGEST = 64_000_000  # bytes of a file
@@ -118,7 +118,12 @@ def import_curves(
     columns = {name: np.array([one[name] for one in made]) for name in names}
     rest = np.zeros((len(made), _REST, 6), dtype=np.float32)
     return States(
-        **columns,
+        qpos=columns["qpos"],
+        points=columns["points"],
+        gauss_code=columns["gauss_code"],
+        gauss_code_chiral=columns["gauss_code_chiral"],
+        knot=columns["knot"],
+        nx=columns["nx"],
         image=draw_many(columns["points"]),
         split=np.full(len(made), split),
         quality={name: np.array([one["quality"][name] for one in made]) for name in UNITS},
@@ -277,7 +282,7 @@ def _from_npz(path: Path) -> Iterator[tuple[str, Array]]:
         if not isinstance(archive, np.lib.npyio.NpzFile):
             raise InvalidImport("it isn't an .npz archive")
         for name in archive.files:
-            if sum(info.file_size for info in archive.zip.infolist()) > _LARGEST:
+            if sum(info.file_size for info in zipfile.ZipFile(path).infolist()) > _LARGEST:
                 raise InvalidImport(f"it unpacks to more than {_LARGEST // 1_000_000} MB")
             values = archive[name]
             if values.dtype.kind not in "fiu":
