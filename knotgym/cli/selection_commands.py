@@ -57,11 +57,11 @@ def select(
         knotgym dataset select knotgym/tie-nx3/a-v0 --where "length < 30" --id knotgym/short-v0
     """
     with Progress(quiet, lines=False) as progress:
-        from knotgym.datasets import selection
+        from knotgym.datasets import subsets
 
         progress.stage("selecting")
         _require_own(path, out, dataset_id)
-        made = selection.select(
+        made = subsets.select(
             path,
             where=where,
             split=split,
@@ -71,7 +71,7 @@ def select(
             dataset_id=dataset_id,
             overwrite=overwrite,
         )
-        progress.say(f"{made}: {selection.kept(made)}")
+        progress.say(f"{made}: {subsets.kept(made)}")
 
 
 def split(
@@ -90,14 +90,14 @@ def split(
     Near-duplicates, rows of one walk, and episodes with a common start or goal state stay together.
     """
     with Progress(quiet, lines=False) as progress:
-        from knotgym.datasets import selection
+        from knotgym.datasets import subsets
 
         progress.stage("splitting")
         _require_own(path, out, dataset_id)
-        for made in selection.split(
+        for made in subsets.split(
             path, parts, seed=seed, out=out, dataset_id=dataset_id, overwrite=overwrite
         ):
-            progress.say(f"{made}: {selection.kept(made)}")
+            progress.say(f"{made}: {subsets.kept(made)}")
 
 
 def delete(
@@ -118,18 +118,18 @@ def delete(
 ) -> None:
     """Write a dataset without some of its rows."""
     with Progress(quiet, lines=False) as progress:
-        from knotgym.datasets import selection
+        from knotgym.datasets import subsets
 
         progress.stage("deleting")
         _require_own(path, out, dataset_id)
-        made = selection.delete(
+        made = subsets.delete(
             path,
-            selection.row_numbers(rows),
+            subsets.row_numbers(rows),
             out=out,
             dataset_id=dataset_id,
             overwrite=overwrite,
         )
-        progress.say(f"{made}: {selection.kept(made)}")
+        progress.say(f"{made}: {subsets.kept(made)}")
 
 
 def import_curves(

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
         read_table,
     )
     from knotgym.datasets.minari_dataset import MinariMetadata, compact, publish
-    from knotgym.datasets.selection import delete, select, split
+    from knotgym.datasets.subsets import delete, select, split
     from knotgym.datasets.trajectory import Episode, InvalidEpisode, relabel_all, relabelled
     from knotgym.datasets.verification import faults, verify
     from knotgym.states.state_file import (
@@ -49,7 +49,7 @@ else:
             "MinariMetadata": "knotgym.datasets.minari_dataset",
             "States": "knotgym.states.state_file",
             "compact": "knotgym.datasets.minari_dataset",
-            "delete": "knotgym.datasets.selection",
+            "delete": "knotgym.datasets.subsets",
             "faults": "knotgym.datasets.verification",
             "merge_states": "knotgym.states.state_file",
             "publish": "knotgym.datasets.minari_dataset",
@@ -58,10 +58,10 @@ else:
             "read_table": "knotgym.datasets.image_table",
             "relabel_all": "knotgym.datasets.trajectory",
             "relabelled": "knotgym.datasets.trajectory",
-            "select": "knotgym.datasets.selection",
+            "select": "knotgym.datasets.subsets",
             "shipped": "knotgym.states.state_file",
             "show_episodes": "knotgym.datasets.episode_verification",
-            "split": "knotgym.datasets.selection",
+            "split": "knotgym.datasets.subsets",
             "verify": "knotgym.datasets.verification",
             "verify_episodes": "knotgym.datasets.episode_verification",
             "write_states": "knotgym.states.state_file",

@@ -1,11 +1,10 @@
-"""Datasets of the three kinds as rows with columns, for `selection`: states, pictures, episodes."""
+"""Datasets of the three kinds as rows with columns, for `subsets`: states, pictures, episodes."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from abc import ABC, abstractmethod
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -14,9 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-import knotgym
-from knotgym.common.atomic_files import atomic_write, require_output, sha256
-from knotgym.common.errors import KnotgymError, MissingFile, one_line
+from knotgym.common.atomic_files import require_output, sha256
+from knotgym.common.errors import MissingFile
 from knotgym.common.hdf5_files import hdf5_format
 from knotgym.datasets import image_folder
 from knotgym.datasets.cards.state_card import card, summary
@@ -36,6 +34,14 @@ from knotgym.datasets.image_table import (
 )
 from knotgym.datasets.manifest_check import read_manifest
 from knotgym.datasets.minari_dataset import MinariMetadata, metadata_of, publish
+from knotgym.datasets.selectable_rows import (
+    InvalidSelection,
+    Rows,
+    RowsOfDataset,
+    json_list,
+    selection_sentence,
+    with_selection,
+)
 from knotgym.datasets.walks_file import Walks, read_walks, write_walks
 from knotgym.states.near_duplicates import families
 from knotgym.states.schema import CODE_SPLITS, STATE_SPLITS
@@ -44,107 +50,7 @@ from knotgym.states.splits import IMAGE_SPLITS
 from knotgym.states.state_file import SHIPPED, read_states, shipped, ships, states_at, write_states
 from knotgym.topology.gauss import GaussCode
 
-Rows = NDArray[np.int64]
 _REST = ("format", "format_version", "machines", "report", "summary", "splits", "files")
-
-
-class InvalidSelection(KnotgymError, ValueError):
-    """A selection without rows, or a dataset that can't be selected from as asked."""
-
-
-class RowsOfDataset(ABC):
-    """A dataset to select from.
-
-    Attributes:
-        source: as it was given.
-        path: of the file or folder.
-        columns: name -> one value per row.
-        ids: int64 (n,), how `delete` names the rows.
-    """
-
-    splits: Sequence[str] = STATE_SPLITS
-
-    def __init__(self, source: str | Path, path: Path) -> None:
-        self.source, self.path = str(source), path
-
-    @property
-    @abstractmethod
-    def columns(self) -> dict[str, NDArray[Any]]: ...
-    @property
-    @abstractmethod
-    def ids(self) -> NDArray[np.int64]: ...
-    @abstractmethod
-    def keys(self) -> list[list[Hashable]]:
-        """Return for each row what it shares with rows that must stay in the same part."""
-
-    @abstractmethod
-    def digested(self) -> Path:
-        """Return the file whose checksum identifies the source."""
-
-    @abstractmethod
-    def _write(self, rows: Rows, made: list[dict[str, Any]], target: Path, named: str) -> None:
-        """Write the rows to `target`, which is renamed afterwards."""
-
-    @property
-    def count(self) -> int:
-        return len(self.ids)
-
-    def in_split(self, split: str) -> NDArray[np.bool_]:
-        if split not in self.splits:
-            raise InvalidSelection(f"no split {split!r}; splits are {', '.join(self.splits)}")
-        return np.asarray(self.columns["split"] == split)
-
-    def earlier(self) -> list[dict[str, Any]]:
-        """Return the selections by which the source itself was made."""
-        found = read_manifest(self.path)[0].get("selection", []) if self.path.is_dir() else []
-        return found if isinstance(found, list) else []
-
-    def require_target(self, out: str | Path | None, named: str, overwrite: bool) -> None:
-        if named:
-            raise InvalidSelection("an id is for episodes; give --out for states and pictures")
-        if out is None:
-            raise InvalidSelection("give an output, --out")
-        require_output(out, folder=self.path.is_dir(), overwrite=overwrite)
-
-    def write(
-        self,
-        rows: Rows,
-        how: Mapping[str, Any],
-        out: str | Path | None,
-        named: str,
-        overwrite: bool,
-    ) -> Path:
-        """Write some rows, at least one, as a new dataset; return its path."""
-        if not len(rows):
-            raise InvalidSelection(f"none of the {self.count} rows of {self.source} is left")
-        self.require_target(out, named, overwrite)
-        made = {
-            "from": self.source,
-            "sha256": sha256(self.digested()),
-            "rows": self.count,
-            "kept": len(rows),
-            **how,
-            "knotgym": knotgym.__version__,
-        }
-        return self._placed(rows, [*self.earlier(), made], out, named, overwrite)
-
-    def _placed(
-        self,
-        rows: Rows,
-        made: list[dict[str, Any]],
-        out: str | Path | None,
-        named: str,
-        overwrite: bool,
-    ) -> Path:
-        assert out is not None
-        with atomic_write(out, overwrite=overwrite) as target:
-            try:
-                self._write(rows, made, target, named)
-            except (LookupError, TypeError, AttributeError) as error:
-                raise InvalidSelection(
-                    f"{self.source} has a manifest that knotgym didn't write: {one_line(error)}"
-                ) from error
-        return Path(out)
 
 
 class _States(RowsOfDataset):
@@ -183,7 +89,7 @@ class _States(RowsOfDataset):
         return states_at(self.path)
 
     def earlier(self) -> list[dict[str, Any]]:
-        return super().earlier() or _json_list(self.states.attributes.get("selection", "[]"))
+        return super().earlier() or json_list(self.states.attributes.get("selection", "[]"))
 
     def _write(self, rows: Rows, made: list[dict[str, Any]], target: Path, named: str) -> None:
         states = self.states.taken(rows)
@@ -209,7 +115,7 @@ class _States(RowsOfDataset):
             _publish(chosen, name, made, target / "minari", target / "states.h5")
         write_gallery(target / "gallery.png", states)
         text = card(states, manifest["report"], manifest["config"])
-        (target / "README.md").write_text(_with_selection(text, made), encoding="utf-8")
+        (target / "README.md").write_text(with_selection(text, made), encoding="utf-8")
         manifest |= {
             "selection": made,
             "summary": summary(states),
@@ -260,7 +166,7 @@ class _Pictures(RowsOfDataset):
 
     def earlier(self) -> list[dict[str, Any]]:
         metadata = self.table.schema.metadata or {}
-        return super().earlier() or _json_list(metadata.get(b"selection", b"[]").decode())
+        return super().earlier() or json_list(metadata.get(b"selection", b"[]").decode())
 
     def digested(self) -> Path:
         manifest = self.path / "manifest.json"
@@ -312,7 +218,7 @@ class _Pictures(RowsOfDataset):
             {**request, "selection": made},
             manifest["report"],
             manifest.get("machines"),
-            lambda text: _with_selection(text, made),
+            lambda text: with_selection(text, made),
         )
 
 
@@ -384,7 +290,7 @@ class _Episodes(RowsOfDataset):
         return self.reader.path
 
     def earlier(self) -> list[dict[str, Any]]:
-        return _json_list(self.reader.file.attrs.get("selection", "[]"))
+        return json_list(self.reader.file.attrs.get("selection", "[]"))
 
     def require_target(self, out: str | Path | None, named: str, overwrite: bool) -> None:
         if not named:
@@ -455,7 +361,7 @@ def _publish(
         policy = str(reader.attributes(0)["policy"])
         metadata = MinariMetadata(dataset_id=named, algorithm_name=policy, description="")
     reader.close()
-    description = "\n\n".join(filter(None, [metadata.description, _sentence(made[-1])]))
+    description = "\n\n".join(filter(None, [metadata.description, selection_sentence(made[-1])]))
     metadata = replace(metadata, dataset_id=named, description=description)
     return publish(
         [chosen],
@@ -467,30 +373,6 @@ def _publish(
         overwrite=overwrite,
         attributes={"selection": json.dumps(made, sort_keys=True)},
     )
-
-
-def _sentence(made: Mapping[str, Any]) -> str:
-    """Say in a card how a dataset was selected."""
-    how = {
-        name: value
-        for name, value in made.items()
-        if name not in ("from", "rows", "kept", "sha256", "knotgym")
-    }
-    return (
-        f"{made['kept']} of the {made['rows']} rows of {Path(made['from']).name}"
-        f" (SHA-256 {made['sha256']}), selected by {json.dumps(how, sort_keys=True)}."
-    )
-
-
-def _with_selection(text: str, made: Sequence[Mapping[str, Any]]) -> str:
-    lines = "\n".join(f"{number}. {_sentence(one)}" for number, one in enumerate(made, 1))
-    says = "Counts of the run that made the data are those of the first source."
-    return f"{text.rstrip()}\n\n## Selection\n\n{says}\n\n{lines}\n"
-
-
-def _json_list(text: Any) -> list[dict[str, Any]]:
-    found = json.loads(str(text))
-    return found if isinstance(found, list) else []
 
 
 def _array(values: Any) -> NDArray[Any]:

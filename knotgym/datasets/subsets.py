@@ -17,7 +17,8 @@ import numpy as np
 
 from knotgym.common.streams import Stream, generator
 from knotgym.datasets.row_expressions import matching_rows
-from knotgym.datasets.rows_of_datasets import InvalidSelection, Rows, opened
+from knotgym.datasets.rows_of_datasets import opened
+from knotgym.datasets.selectable_rows import InvalidSelection, Rows
 
 _MOST_ROWS = 10_000_000
 _RANGE = re.compile(r"([0-9]{1,12})(?:-([0-9]{1,12}))?")

@@ -16,7 +16,7 @@ from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.image_rows import Row, record
 from knotgym.datasets.image_table import write_rows
 from knotgym.datasets.row_expressions import InvalidExpression, matching_rows
-from knotgym.datasets.rows_of_datasets import InvalidSelection
+from knotgym.datasets.selectable_rows import InvalidSelection
 from knotgym.rendering.appearance import AppearanceConfig
 from knotgym.states.near_duplicates import families
 from knotgym.states.state_file import read_states, shipped
