@@ -7,8 +7,6 @@ crossings than fit. Half of all states show their episode's first code; relabell
 would reward doing nothing.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -40,7 +38,7 @@ class GoalEnv(KnotEnv):
         self.goals.begin(0)
         return self.goals.observation(0), info
 
-    def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[Any]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Take one action, as `KnotEnv.step`."""
         _, *outcome = super().step(action)
         return self.goals.observation(0), *outcome  # type: ignore[return-value]
@@ -75,12 +73,7 @@ def goal_env(task: str, **settings: Any) -> GoalEnv:
 
 
 class Goals:
-    """Achieved and desired goals of a batch of episodes.
-
-    Attributes:
-        episodes: the batch; call `begin` after `EpisodeBatch.begin`.
-        space: observation space.
-    """
+    """Achieved and desired goals of a batch; call `begin` after `EpisodeBatch.begin`."""
 
     def __init__(self, episodes: EpisodeBatch) -> None:
         config = episodes.config

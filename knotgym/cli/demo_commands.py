@@ -71,7 +71,7 @@ def demo(
 
 
 def compile_kernels(quiet: QuietOption = False) -> None:
-    """Compile the numerical kernels ahead of time, in about 40 CPU seconds."""
+    """Compile the numerical kernels ahead of time, in about a minute of CPU time."""
     with Progress(quiet) as progress:
         from knotgym.control.planner_config import PlannerConfig
         from knotgym.control.policies import PolicyConfig
@@ -80,6 +80,7 @@ def compile_kernels(quiet: QuietOption = False) -> None:
         from knotgym.generate.states.generate_config import GenerateConfig
         from knotgym.generate.states.state_recipe import generate
         from knotgym.loaders import arrays
+        from knotgym.rope.engines import CHAIN, compile_engine
         from knotgym.runs.run_options import RunOptions
         from knotgym.topology.crossing_kernel import scan
 
@@ -89,6 +90,8 @@ def compile_kernels(quiet: QuietOption = False) -> None:
             progress.stage("compiling the kernels that draw, relax and measure states")
             states = GenerateConfig(nx=(1,), count=1, demonstrations=False)
             generate(states, folder / "states", options, progress=silent)
+            progress.stage("compiling the chain engine")
+            compile_engine(CHAIN)
             progress.stage("compiling the kernels that simulate, plan and render")
             config = CollectConfig(
                 task=TaskConfig(task="tie", nx=1, horizon=2, observation="state"),

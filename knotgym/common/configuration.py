@@ -4,8 +4,6 @@ A configuration is a frozen dataclass of numbers, strings, tuples and further co
 stored as JSON in every file that was made with it.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os
@@ -47,16 +45,11 @@ def check_numbers(
 
     Args:
         config: a dataclass.
-        counts: names of the fields that must be whole numbers of at least 1.
-        whole: names of those that must be whole numbers of at least 0.
-        positive: names of those that must be above 0.
-        non_negative: names of those that must be at least 0.
+        counts, whole: names of fields that must be whole numbers of at least 1, at least 0.
+        positive, non_negative: names of those that must be above 0, at least 0.
         shares: names of those that must be in [0, 1].
         ranges: names of those that must be pairs (least, most) of numbers of at least 0.
         error: the error class to raise.
-
-    Raises:
-        KnotgymError: of the class `error`, if a number is not valid.
     """
     least_whole = {**dict.fromkeys(counts, 1), **dict.fromkeys(whole, 0)}
     for name, least in least_whole.items():
@@ -75,15 +68,19 @@ def check_numbers(
                 raise error(f"{name} must be {expected}, got {value!r}")
 
 
-def read_json(path: str | os.PathLike[str], most: int = MOST_JSON) -> Any:
-    """Read a JSON file.
+def check_nx(nx: Sequence[int], most: int, error: type[KnotgymError]) -> None:
+    """Raise `error` unless there are crossing numbers, distinct and in [0, most]."""
+    if not nx or any(not 0 <= one <= most for one in nx) or len(set(nx)) != len(nx):
+        raise error(
+            f"nx takes distinct numbers of crossings from 0 to {most}, got"
+            f" {', '.join(map(str, nx)) or 'none'}"
+        )
 
-    Args:
-        path: a regular file; anything else isn't opened.
-        most: largest size that is read, bytes.
+
+def read_json(path: str | os.PathLike[str], most: int = MOST_JSON) -> Any:
+    """Read a JSON file of at most `most` bytes; anything but a regular file isn't opened.
 
     Raises:
-        OSError: the file can't be read.
         UnreadableJson: it isn't a regular file, too large, not JSON, or too deeply nested.
     """
     given = Path(path)
@@ -108,10 +105,7 @@ def as_json(config: Any) -> dict[str, Any]:
 def updated(config: Config, changes: Mapping[str, Any], where: str = "") -> Config:
     """Return a copy of a configuration with some fields replaced, in nested ones field by field.
 
-    Args:
-        config: a configuration; not modified.
-        changes: new values, in the form that `as_json` returns; other fields keep theirs.
-        where: name of the configuration in error messages.
+    `changes` have the form that `as_json` returns; `where` names the configuration in errors.
 
     Raises:
         InvalidConfig: an unknown field, or a value of the wrong type.

@@ -10,8 +10,6 @@ True
 False
 """
 
-from __future__ import annotations
-
 from enum import IntEnum, unique
 
 import numpy as np
@@ -70,11 +68,7 @@ class Stream(IntEnum):
 
 
 def key(stream: Stream, seed: int, *counters: int) -> tuple[int, ...]:
-    """Return the key (stream, seed, counter, counter, counter), each number in [0, 2**63).
-
-    Raises:
-        InvalidSeed: a number is out of range, or there are too many counters.
-    """
+    """Return the key (stream, seed, counter, counter, counter), each number in [0, 2**63)."""
     if len(counters) > COUNTERS:
         raise InvalidSeed(f"a stream has at most {COUNTERS} counters, got {counters}")
     numbers = (int(seed), *map(int, counters))

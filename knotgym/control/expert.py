@@ -18,6 +18,7 @@ from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policy import Choice, Effort, Policy
 from knotgym.control.transition_graph import TransitionGraph, shipped_transition_graph
 from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.rope.engines import simulation
 from knotgym.rope.macro_actions import WaypointController
 from knotgym.rope.simulation import Simulation
 
@@ -112,7 +113,8 @@ class Expert(Policy):
 
     def _plan(self, episodes: EpisodeBatch, index: int, progress: _Progress, steps: int) -> Plan:
         if self._simulation is None:
-            self._simulation = Simulation(self.config.batch_size, episodes.simulation.rope)
+            acting = episodes.simulation
+            self._simulation = simulation(acting.engine, self.config.batch_size, acting.rope)
         # where the rope shows the goal already, only the rest of the hold is still to be planned
         hold, held = episodes.config.hold, int(episodes.held[index])
         return plan(

@@ -14,8 +14,6 @@ Everything else can be recomputed from `start_qpos`, `goal_points` and `infos/po
 `stored` is "pixels", "state", "both", "symbolic" or, in the compact form, "none".
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -55,15 +53,9 @@ GOAL_INFO = "infos/goal_gauss_code"  # the goal's code, repeated at every state
 Count = Callable[[str, int, int], None]  # progress callback (stage, done, total)
 _STEPS = ("actions", "rewards", "terminations", "truncations")
 _ATTRIBUTE_KINDS = {
-    "id": "integer",
-    "number": "integer",
-    "total_steps": "integer",
-    "seed": "integer",
-    "hold": "integer",
+    **dict.fromkeys(("id", "number", "total_steps", "seed", "hold"), "integer"),
+    **dict.fromkeys(("goal_gauss_code", "policy", "digest"), "text"),
     "relabelled": "bool",
-    "goal_gauss_code": "text",
-    "policy": "text",
-    "digest": "text",
 }
 _OBSERVED = {
     "pixels": Column("pixels", "uint8", ("states", None, None, None)),
@@ -141,11 +133,9 @@ class EpisodeReader:
         """Return the number of episodes."""
         return len(self.rows)
 
-    @property
-    def has_expert_actions(self) -> bool:
-        """Whether every episode stores the expert's action at each of its states."""
-        name = dataset_path("expert_action")
-        return all(name in self.group(index) for index in range(len(self)))
+    def has(self, name: str) -> bool:
+        """Return whether every episode stores an array that episodes may lack."""
+        return all(dataset_path(name) in self.group(index) for index in range(len(self)))
 
     def __iter__(self) -> Iterator[Episode]:
         return (self.episode(index) for index in range(len(self)))
@@ -197,8 +187,7 @@ class EpisodeReader:
     def states_path(self) -> Path:
         """Return the path of the state file that the episodes were reset from; it may not exist.
 
-        Raises:
-            InvalidEpisodeFile: a dataset names a path outside it (a single file may do so).
+        A dataset that names a path outside it raises InvalidEpisodeFile; a single file may do so.
         """
         beside, named = self.path.with_name("states.h5"), self.task.states
         if ships(named) or named is None:
@@ -222,9 +211,7 @@ class EpisodeReader:
     def episode(self, index: int) -> Episode:
         """Read a whole episode, without its observations.
 
-        Raises:
-            InvalidEpisodeFile: something is missing, unreadable or of the wrong shape; the message
-                names it.
+        What is missing, unreadable or of the wrong shape is named by InvalidEpisodeFile.
         """
         with self._naming(index):
             group = self.group(index)
@@ -251,7 +238,7 @@ class EpisodeReader:
     def observations(
         self,
         index: int,
-        steps: slice = slice(None),
+        steps: slice | NDArray[np.int64] = slice(None),
         *,
         goal_step: int | None = None,
         observation: str = "",
@@ -261,7 +248,7 @@ class EpisodeReader:
 
         Args:
             index: position of the episode in this reader.
-            steps: which of its T + 1 states.
+            steps: which of its T + 1 states; an array must be increasing.
             goal_step: state of the episode to show as the goal instead of its own.
             observation: "pixels", "state", "both" or "symbolic"; "" for the task's.
             picture: a `knotgym.rendering.picture.PictureConfig` to render with, instead of using
@@ -283,7 +270,11 @@ class EpisodeReader:
             points = self._stored_points(index)
             seen = points[steps]
             goal = self._array(index, "goal_points") if goal_step is None else points[goal_step]
-        return self._drawn(seen, goal, wanted, picture)
+        # imported here, so that loading states doesn't need OpenCV
+        from knotgym.envs.observations import observe, picture_config
+
+        picture = picture or picture_config(self.task)
+        return observe(seen, goal, wanted, picture, self.task.layout)
 
     def stored_observations(self, index: int) -> dict[str, h5py.Dataset]:
         """Return the HDF5 datasets of an episode's stored observations, by name: none, 1 or 2."""
@@ -302,27 +293,23 @@ class EpisodeReader:
                 for name in names
             }
 
-    def _stored(self, index: int, steps: slice, goal_step: int | None, wanted: str) -> Any:
+    def _stored(
+        self,
+        index: int,
+        steps: slice | NDArray[np.int64],
+        goal_step: int | None,
+        wanted: str,
+    ) -> Any:
         data = self.stored_observations(index)
         names = ("pixels", "state") if wanted == "both" else (wanted,)
         seen = {name: data[name][steps] for name in names}
         if goal_step is not None:
             for name, array in seen.items():
-                # axis along which an observation is [rope, goal]
-                side = 1
-                if name == "pixels":
-                    side = 2 if self.task.layout == "beside" else 3
-                half = array.shape[side] // 2
-                goal = data[name][goal_step][None]
-                np.moveaxis(array, side, 0)[half:] = np.moveaxis(goal, side, 0)[:half]
+                # the goal's half of a view on the array becomes the rope's half at goal_step
+                axis = goal_axis(self.task.layout) if name == "pixels" else 1
+                goal = np.split(data[name][goal_step][None], 2, axis)[0]
+                np.split(array, 2, axis)[1][:] = goal
         return seen if wanted == "both" else seen[wanted]
-
-    def _drawn(self, seen: NDArray[Any], goal: NDArray[Any], wanted: str, picture: Any) -> Any:
-        # imported here, so that loading states doesn't need OpenCV
-        from knotgym.envs.observations import observe, picture_config
-
-        drawn = picture or picture_config(self.task)
-        return observe(seen, goal, wanted, drawn, self.task.layout)
 
     def _naming(self, index: int) -> AbstractContextManager[None]:
         """Prefix errors with the path and the episode."""
@@ -340,6 +327,11 @@ class EpisodeReader:
         if name in ONCE:
             return np.asarray(read_attribute(group, wanted, sizes))
         return read_column(group, wanted, sizes, dataset_path(name))
+
+
+def goal_axis(layout: str) -> int:
+    """The axis of (n, height, width, channels) pictures along which the goal follows the rope."""
+    return 2 if layout == "beside" else 3
 
 
 def episode_file(source: Any) -> Path:

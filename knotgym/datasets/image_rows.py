@@ -3,8 +3,6 @@
 The same rows give the same bytes on any worker.
 """
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -35,17 +33,12 @@ class UntrueLabel(KnotgymError, RuntimeError):
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """A picture to render.
+    """A picture to render."""
 
-    Attributes:
-        points: float64 (beads, 3), metres.
-        code: the Gauss code that it must show, with chirality.
-        source: as in `image_table.COLUMNS`; `seed` and `row` seed its appearance and its noise.
-    """
-
-    points: Array
-    code: GaussCode
+    points: Array  # float64 (beads, 3), metres
+    code: GaussCode  # the Gauss code that it must show, with chirality
     split: str
+    # as in `image_table.COLUMNS`; `seed` and `row` seed its appearance and its noise.
     source: dict[str, Any]
 
 
@@ -60,11 +53,7 @@ class TableFile:
 
 
 def write_table_file(file: TableFile) -> Path:
-    """Write a file of the table atomically, unless it exists with the right checksum.
-
-    Raises:
-        UntrueLabel: one of the two labellers reads another code than that of the row.
-    """
+    """Write a file of the table atomically, unless it exists with the right checksum."""
     if not (
         file.path.is_file()
         and file.seal.is_file()

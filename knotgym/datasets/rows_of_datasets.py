@@ -42,7 +42,7 @@ from knotgym.datasets.selectable_rows import (
     selection_sentence,
     with_selection,
 )
-from knotgym.datasets.walks_file import Walks, read_walks, write_walks
+from knotgym.datasets.walks_file import read_walks, write_walks
 from knotgym.states.near_duplicates import families
 from knotgym.states.schema import CODE_SPLITS, STATE_SPLITS
 from knotgym.states.schema import FORMAT as STATES_FORMAT
@@ -203,7 +203,8 @@ class _Pictures(RowsOfDataset):
         starts, start = np.unique(walks.start[used], return_inverse=True)
         write_walks(
             target / "walks.h5",
-            Walks(
+            replace(
+                walks,
                 state=walks.state[starts],
                 number=walks.number[used],
                 start=start.astype(np.int64),

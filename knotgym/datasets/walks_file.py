@@ -3,15 +3,13 @@
 It holds the start states of the walks and the steps of every walk that a row uses, so that each
 configuration can be reproduced without the archive.
 
-    /       attributes: format, format_version, rope
-    state   float64 (s, nstate)     MuJoCo integration states that walks start from
+    /       attributes: format, format_version, rope, engine
+    state   float64 (s, nstate)     the engine's states that walks start from
     number  int64 (w,)              number of the walk, as rows refer to it
     start   int64 (w,)              row of `state` that the walk starts from
     beads   int16 (w, T)            bead pulled in each step
     forces  float32 (w, T, 3)       its force / the largest force; shorter walks end with zeros
 """
-
-from __future__ import annotations
 
 import os
 from collections.abc import Sequence
@@ -24,8 +22,8 @@ from numpy.typing import NDArray
 from knotgym.common.atomic_files import atomic_write, new_hdf5
 from knotgym.common.errors import KnotgymError
 from knotgym.common.hdf5_files import Column, opened_hdf5, read_attribute, read_column
+from knotgym.rope.engines import ENGINES, MUJOCO, simulation_of
 from knotgym.rope.model import Array, RopeConfig
-from knotgym.rope.simulation_pool import simulation_of
 
 FORMAT = "knotgym-walks"
 FORMAT_VERSION = 1
@@ -45,12 +43,7 @@ class InvalidWalks(KnotgymError, ValueError):
 
 
 class WalksMade(Protocol):
-    """Walks as a worker returns them.
-
-    Attributes:
-        numbers, bases: int64 (w,), numbers of the walk and of the state it starts from.
-        beads, forces: as in `Walks`.
-    """
+    """Walks as a worker returns them; see `generate.images.walks.Frames`."""
 
     @property
     def numbers(self) -> NDArray[np.int64]: ...
@@ -71,19 +64,21 @@ class Walks:
     start: NDArray[np.int64]
     beads: NDArray[np.int16]
     forces: NDArray[np.float32]
+    engine: str = MUJOCO
 
 
-def walks_of(states: Array, made: Sequence[WalksMade], used: set[int]) -> Walks:
+def walks_of(
+    states: Array, made: Sequence[WalksMade], used: set[int], engine: str = MUJOCO
+) -> Walks:
     """Select the walks that are used, and the states that they start from.
 
-    Args:
-        states: float64 (n, nstate), the states that `bases` index.
-        made: all walks, in batches.
-        used: numbers of the walks to keep, at least one.
+    `states`, float64 (n, nstate), are those that `bases` index; `used` numbers the walks to keep,
+    at least one.
     """
     kept = [(piece, np.flatnonzero(np.isin(piece.numbers, [*used]))) for piece in made]
     kept = [(piece, rows) for piece, rows in kept if len(rows)]
     bases = np.concatenate([piece.bases[rows] for piece, rows in kept])
+    # states shared by several walks are stored once; `start` indexes them
     bases, start = np.unique(bases, return_inverse=True)
     return Walks(
         state=states[bases],
@@ -91,11 +86,12 @@ def walks_of(states: Array, made: Sequence[WalksMade], used: set[int]) -> Walks:
         start=start.astype(np.int64),
         beads=_padded([piece.beads[rows] for piece, rows in kept]),
         forces=_padded([piece.forces[rows] for piece, rows in kept]),
+        engine=engine,
     )
 
 
 def joined_walks(pieces: Sequence[Walks]) -> Walks:
-    """Concatenate the walks of several files; their numbers must differ."""
+    """Concatenate the walks of several files of one engine; their numbers must differ."""
     firsts = np.cumsum([0, *(len(piece.state) for piece in pieces[:-1])])
     starts = [piece.start + first for piece, first in zip(pieces, firsts, strict=True)]
     return Walks(
@@ -104,6 +100,7 @@ def joined_walks(pieces: Sequence[Walks]) -> Walks:
         start=np.concatenate(starts),
         beads=_padded([piece.beads for piece in pieces]),
         forces=_padded([piece.forces for piece in pieces]),
+        engine=pieces[0].engine,
     )
 
 
@@ -111,20 +108,14 @@ def write_walks(path: str | os.PathLike[str], walks: Walks) -> None:
     """Write the file atomically."""
     with atomic_write(path) as temporary, new_hdf5(temporary) as file:
         file.attrs["format"], file.attrs["format_version"] = FORMAT, FORMAT_VERSION
-        file.attrs["rope"] = RopeConfig().fingerprint
-        for name, column in vars(walks).items():
-            options = {} if name in ("number", "start") else _COMPRESSED
-            file.create_dataset(name, data=column, **options)
+        file.attrs["rope"], file.attrs["engine"] = RopeConfig().fingerprint, walks.engine
+        for column in _COLUMNS:
+            options = {} if column.name in ("number", "start") else _COMPRESSED
+            file.create_dataset(column.name, data=getattr(walks, column.name), **options)
 
 
 def read_walks(path: str | os.PathLike[str]) -> Walks:
-    """Read the file.
-
-    Raises:
-        MissingFile: there is no such file.
-        InvalidWalks: the file is foreign, truncated, of an unknown format version or of another
-            rope model.
-    """
+    """Read the file; raise InvalidWalks if it is foreign, truncated or of another rope model."""
     with opened_hdf5(
         path, what="file of walks", format=FORMAT, versions=(FORMAT_VERSION,), error=InvalidWalks
     ) as file:
@@ -135,7 +126,11 @@ def read_walks(path: str | os.PathLike[str]) -> Walks:
                 f" {RopeConfig().fingerprint}"
             )
         sizes: dict[str, int] = {}
-        walks = Walks(**{column.name: read_column(file, column, sizes) for column in _COLUMNS})
+        engine = str(read_attribute(file, Column("engine", "text", ())))
+        if engine not in ENGINES:
+            raise InvalidWalks(f"{path}: no engine {engine!r}; there is {', '.join(ENGINES)}")
+        columns = {column.name: read_column(file, column, sizes) for column in _COLUMNS}
+        walks = Walks(**columns, engine=engine)
         if len(walks.start) and walks.start.max() >= len(walks.state):
             raise InvalidWalks(
                 f"{path}: a walk starts from state {walks.start.max()} of {len(walks.state)}"
@@ -143,21 +138,20 @@ def read_walks(path: str | os.PathLike[str]) -> Walks:
         return walks
 
 
-def retrace(states: Array, beads: NDArray[np.int16], forces: NDArray[np.float32]) -> Array:
+def retrace(
+    states: Array, beads: NDArray[np.int16], forces: NDArray[np.float32], engine: str = MUJOCO
+) -> Array:
     """Replay walks; return the configuration before the first and after every step.
 
-    Args:
-        states: float64 (w, nstate), the states that they start from.
-        beads, forces: as in `Walks`.
-
-    Returns:
-        float64 (w, T + 1, beads, 3), metres.
+    `states` is float64 (w, nstate), the states that they start from; the result is float64
+    (w, T + 1, beads, 3), metres.
     """
-    simulation = simulation_of(len(states), RopeConfig())
+    simulation = simulation_of(len(states), RopeConfig(), engine)
     simulation.restore(states)
     largest = simulation.rope.config.max_force
     frames = [simulation.points.copy()]
     for step in range(beads.shape[1]):
+        # the same arithmetic as when the walk was made, or the last bits would differ
         newtons = largest * forces[:, step].astype(np.float64)
         simulation.act(simulation.actions(beads[:, step], newtons))
         frames.append(simulation.points.copy())

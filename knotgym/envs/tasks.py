@@ -10,12 +10,14 @@ from knotgym.common.errors import KnotgymError
 from knotgym.envs.reward import FAILURE_REWARD, SUCCESS_REWARD, RewardRule
 from knotgym.quality.limits import RESET_NOISE
 from knotgym.rendering.views import check_depth, checked_views
+from knotgym.rope.engines import ENGINES, MUJOCO
 from knotgym.states.schema import CODE_SPLITS, STATE_SPLITS
 
 if TYPE_CHECKING:
     from knotgym.rope.model import RopeConfig
 
 OBSERVATIONS = ("pixels", "state", "both", "symbolic")
+ACTIONS = ("pull", "bead", "macro")  # see `knotgym.rope.action_views`
 LAYOUTS = ("beside", "stacked")  # arrangement of the rope's and the goal's picture
 MAX_NX = 11  # crossings of the largest hard unknots; the rope hardly has room for more
 
@@ -52,10 +54,13 @@ class TaskConfig:
         states: a set that ships, "readable" (the same as None), "random-walk" or "hard-unknots"; or
             the path of a state file, or of the run that made it; or the id of a Minari dataset that
             contains one. If a file has no plain loops, they come from the readable set.
+        engine: "mujoco", the reference; or "chain", the fast solver, see `rope.chain`.
         observation: "pixels", "state", "both" or "symbolic".
+        action: "pull", six numbers; "bead", a bead and binned forces; or "macro", a bead led past a
+            strand by up to ten pulls. See `knotgym.rope.action_views`.
         max_goals: sample goals from the first so many goal configurations of the split; None for
             all.
-        horizon: steps until truncation.
+        horizon: steps until truncation; a macro-action is as many steps as it has pulls.
         hold: consecutive steps for which the goal code must be shown.
         tow_limit: largest distance of the rope's centre from its position at reset, metres. Beyond
             it no state counts as the goal, and the episode is truncated. None for no limit. With
@@ -81,7 +86,9 @@ class TaskConfig:
     nx: int = 2
     split: str = "train"
     states: str | None = None
+    engine: str = MUJOCO
     observation: str = "pixels"
+    action: str = "pull"
     max_goals: int | None = None
     horizon: int = 50
     hold: int = 1
@@ -102,7 +109,9 @@ class TaskConfig:
         for name, known in {
             "task": tuple(TASKS),
             "split": (*STATE_SPLITS, *CODE_SPLITS),
+            "engine": ENGINES,
             "observation": OBSERVATIONS,
+            "action": ACTIONS,
             "layout": LAYOUTS,
             "camera": ("orthographic", "perspective"),
             "renderer": ("auto", "opencv", "mujoco"),
@@ -129,6 +138,11 @@ class TaskConfig:
             raise InvalidSetting(
                 f"split {self.split!r} needs several diagrams, and with nx = {self.nx} there is"
                 " only one up to symmetry; use an nx of at least 2, or split 'train' or 'test'"
+            )
+        if self.engine != MUJOCO and self.integrator_steps != 24:
+            raise InvalidSetting(
+                f"integrator_steps are steps of MuJoCo, and engine {self.engine!r} chooses its own;"
+                f" leave it at 24, got {self.integrator_steps}"
             )
         if self.hold > self.horizon:
             raise InvalidSetting(

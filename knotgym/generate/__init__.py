@@ -28,33 +28,7 @@ if TYPE_CHECKING:
 else:
     from knotgym.common.lazy_exports import lazy_exports
 
-    __getattr__, __dir__ = lazy_exports(
-        __name__,
-        {
-            "CollectConfig": "knotgym.generate.episodes.collect",
-            "EvaluateConfig": "knotgym.generate.episodes.evaluate",
-            "GenerateConfig": "knotgym.generate.states.generate_config",
-            "ImagesConfig": "knotgym.generate.images.images_config",
-            "InvalidCollection": "knotgym.generate.episodes.collect",
-            "InvalidEvaluation": "knotgym.generate.episodes.evaluate",
-            "InvalidGenerateConfig": "knotgym.generate.states.generate_config",
-            "InvalidImagesConfig": "knotgym.generate.images.images_config",
-            "InvalidRun": "knotgym.runs.run_options",
-            "InvalidScores": "knotgym.generate.episodes.suite_scores",
-            "InvalidSuite": "knotgym.generate.episodes.suite",
-            "NotEnough": "knotgym.runs.run_options",
-            "Occupied": "knotgym.common.atomic_files",
-            "RandomWalkConfig": "knotgym.generate.states.random_walk",
-            "RunOptions": "knotgym.runs.run_options",
-            "SuiteConfig": "knotgym.generate.episodes.suite",
-            "collect": "knotgym.generate.episodes.collect",
-            "evaluate": "knotgym.generate.episodes.evaluate:run",
-            "make_images": "knotgym.generate.images.image_recipe",
-            "make_states": "knotgym.generate.states.state_recipe:generate",
-            "make_suite": "knotgym.generate.episodes.suite",
-            "walk_states": "knotgym.generate.states.random_walk_recipe",
-        },
-    )
+    __getattr__, __dir__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "CollectConfig",

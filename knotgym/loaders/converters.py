@@ -1,7 +1,5 @@
 """Convert datasets for other libraries: torch Dataset, d3rlpy ReplayBuffer, TensorDict."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 from collections.abc import Iterable
@@ -38,6 +36,7 @@ def torch_dataset(
     *,
     observation: str | None = None,
     picture: Any = None,
+    action: str | None = None,
     relabel: str | None = None,
     labels: bool = False,
     cache: Any = None,
@@ -47,7 +46,7 @@ def torch_dataset(
     Any number of DataLoader workers can share it.
 
     Args:
-        dataset, observation, picture, relabel, labels, cache: see `knotgym.loaders`.
+        dataset, observation, picture, action, relabel, labels, cache: see `knotgym.loaders`.
         kind: what an item is:
             "transitions": observation, action, reward, next_observation, terminal, timeout; a list
                 of indices, as from a BatchSampler, gives a batch;
@@ -70,16 +69,7 @@ def torch_dataset(
 
     if kind not in KINDS:
         raise UnknownKind(kind, KINDS)
-    return KINDS[kind](
-        Transitions(
-            dataset,
-            observation=observation,
-            picture=picture,
-            relabel=relabel,
-            labels=labels,
-            cache=cache,
-        )
-    )
+    return KINDS[kind](Transitions(dataset, observation, picture, action, relabel, labels, cache))
 
 
 def to_d3rlpy(
@@ -93,7 +83,8 @@ def to_d3rlpy(
 ) -> Any:
     """Make a `d3rlpy.dataset.ReplayBuffer` of all transitions.
 
-    Pictures are channels first; "both" is a tuple of pixels and state.
+    Actions are pulls: d3rlpy has no actions of several whole numbers. Pictures are channels first;
+    "both" is a tuple of pixels and state.
 
     d3rlpy keeps T observations for T actions and drops the last transition of an episode that
     didn't terminate, which here is the one with the reward for failing. To keep that transition,
@@ -106,14 +97,7 @@ def to_d3rlpy(
         MissingExtra: d3rlpy isn't installed.
     """
     d3rlpy = import_client("d3rlpy")
-    transitions = Transitions(
-        dataset,
-        observation=observation,
-        picture=picture,
-        relabel=relabel,
-        labels=labels,
-        cache=cache,
-    )
+    transitions = Transitions(dataset, observation, picture, "pull", relabel, labels, cache)
     episodes = []
     for segment in range(transitions.segments):
         part = slice(*transitions.starts[segment : segment + 2])
@@ -143,6 +127,7 @@ def to_tensordict(
     *,
     observation: str | None = None,
     picture: Any = None,
+    action: str | None = None,
     relabel: str | None = None,
     labels: bool = False,
     cache: Any = None,
@@ -150,7 +135,7 @@ def to_tensordict(
     """Make a `tensordict.TensorDict` of all N transitions, to `extend` a TorchRL buffer with.
 
     Args:
-        dataset, observation, picture, relabel, labels, cache: see `knotgym.loaders`.
+        dataset, observation, picture, action, relabel, labels, cache: see `knotgym.loaders`.
 
     Returns:
         Batch size [N]. Keys: observation (for "both", pixels and state); action; done, terminated
@@ -162,14 +147,7 @@ def to_tensordict(
         MissingExtra: tensordict or torch isn't installed.
     """
     tensordict = import_client("tensordict")
-    transitions = Transitions(
-        dataset,
-        observation=observation,
-        picture=picture,
-        relabel=relabel,
-        labels=labels,
-        cache=cache,
-    )
+    transitions = Transitions(dataset, observation, picture, action, relabel, labels, cache)
     columns = rows(transitions)
     terminated, truncated = columns["terminals"][:, None], columns["timeouts"][:, None]
     running = np.zeros_like(terminated)

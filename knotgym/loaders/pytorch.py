@@ -1,7 +1,5 @@
 """Torch datasets over `Transitions`, one class per kind of item. Importing this needs torch."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

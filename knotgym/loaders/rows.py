@@ -1,7 +1,5 @@
 """A whole dataset as a dict of arrays, one row per transition (the keys of D4RL and OGBench)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -14,6 +12,7 @@ def arrays(
     *,
     observation: str | None = None,
     picture: Any = None,
+    action: str | None = None,
     relabel: str | None = None,
     labels: bool = False,
     cache: Any = None,
@@ -21,26 +20,18 @@ def arrays(
     """Load all N transitions of a dataset, in the order of its episodes.
 
     Args:
-        dataset, observation, picture, relabel, labels, cache: see `knotgym.loaders`.
+        dataset, observation, picture, action, relabel, labels, cache: see `knotgym.loaders`.
 
     Returns:
         observations, next_observations: uint8 (N, views * size, 2 size, 3 or 4), float32
             (N, 6 beads), dicts of both, or int16 (N, 2, symbols). Each picture is held twice,
             which takes 200 kB per transition at size 128 with one view and no depth.
-        actions: float32 (N, 6).
+        actions: float32 (N, 6); int64 (N, 4) in the view "bead" and (N, 3) in "macro".
         rewards: float64 (N,).
+        pulls: int64 (N,), in the view "macro" only: pulls of each macro-action, to discount by.
         terminals, timeouts: bool (N,); exactly one of them is true in the last row of an episode.
     """
-    return rows(
-        Transitions(
-            dataset,
-            observation=observation,
-            picture=picture,
-            relabel=relabel,
-            labels=labels,
-            cache=cache,
-        )
-    )
+    return rows(Transitions(dataset, observation, picture, action, relabel, labels, cache))
 
 
 def rows(transitions: Transitions) -> dict[str, Any]:
@@ -63,4 +54,5 @@ def rows(transitions: Transitions) -> dict[str, Any]:
         "next_observations": after[""] if plain else after,
         "terminals": transitions.terminals,
         "timeouts": transitions.timeouts,
+        **({"pulls": transitions.pulls} if transitions.action == "macro" else {}),
     }

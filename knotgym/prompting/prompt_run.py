@@ -23,6 +23,7 @@ from knotgym.prompting.prompted_episodes import PromptConfig, flat
 from knotgym.prompting.reading_scores import ReadingScores
 from knotgym.prompting.summary import summarize
 from knotgym.prompting.transcripts import FILE, line
+from knotgym.rope.engines import MUJOCO
 from knotgym.runs.progress import Progress, Status, compile_first
 from knotgym.runs.run_options import Existing, InvalidRun
 from knotgym.runs.staging import may_be_finished, require_no_interrupted_run, staging
@@ -73,7 +74,7 @@ def run(
     require_no_interrupted_run(out, existing)
     if config.task is not None and not ships(config.task.states):
         read_states(states_file(config.task.states), images=False)
-    compile_first(progress)
+    compile_first(progress, config.task.engine if config.task else MUJOCO)
     with staging(out, existing) as folder:
         if (folder / _REQUEST).is_file():
             _refuse_other(read_json(folder / _REQUEST), settings)

@@ -6,8 +6,6 @@ with configuration and versions. A killed run can be resumed from its last check
 is the same; otherwise the error names the differences.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -54,19 +52,14 @@ LISTED = ("config", "source", "shard", "versions", "rope")  # fields of a reques
 
 @dataclass(frozen=True)
 class Batch:
-    """Independent units of work.
+    """Independent units of work."""
 
-    Attributes:
-        work: function of one unit, at the top level of a module so that it can be pickled.
-        units: arguments of `work`; iterated once.
-        absorb: called in this process with each unit and its result, in the order of the units.
-        name: description shown as progress.
-    """
-
+    # function of one unit, at the top level of a module so that it can be pickled
     work: Callable[[Any], Any]
-    units: Sequence[Any]
+    units: Sequence[Any]  # arguments of `work`; iterated once
+    # called in this process with each unit and its result, in the order of the units
     absorb: Callable[[Any, Any], None]
-    name: str = "working"
+    name: str = "working"  # description shown as progress
 
     def follow(self, pool: Pool) -> Iterator[None]:
         """Run the work on a pool; yield after each absorbed unit."""
@@ -86,22 +79,29 @@ class Recipe(Protocol):
     `flexible` names the fields of the configuration that may change when a run is resumed.
     """
 
-    flexible: tuple[str, ...]
+    flexible: tuple[str, ...] = ()
+
+    @property
+    def engine(self) -> str:
+        """The simulation engine, whose kernels are compiled before the workers start."""
 
     def request(self) -> dict[str, Any]:
         """Return the configuration and sources as JSON: `{"config": {...}, "source": ...}`."""
 
     def begin(self) -> None:
         """Prepare a new run before anything is written; raise if it can't be done."""
+        return
 
     def load(self, folder: Path) -> bool:
         """Restore a checkpoint from the staging folder; return False if there is none."""
-
-    def batches(self, folder: Path) -> Iterator[Batch]:
-        """Yield the remaining work, chosen as results come in; `folder` is the staging folder."""
+        return False
 
     def save(self, folder: Path) -> None:
         """Write a checkpoint to the staging folder."""
+        return
+
+    def batches(self, folder: Path) -> Iterator[Batch]:
+        """Yield the remaining work, chosen as results come in; `folder` is the staging folder."""
 
     def status(self) -> Status:
         """Return the progress of the run."""
@@ -133,7 +133,7 @@ def run(recipe: Recipe, out: Path, options: RunOptions, progress: Progress | Non
         return out
     require_output(out, folder=True, overwrite=options.overwrite)
     require_startable(out, request, options, recipe.flexible, progress)
-    compile_first(progress)
+    compile_first(progress, recipe.engine)
     if not (options.resume and recipe.load(staging_folder(out))):
         recipe.begin()
     with staging(out, options) as folder:
@@ -202,11 +202,8 @@ def require_startable(
 
 
 def whole_request(asked: dict[str, Any], shard: Shard) -> dict[str, Any]:
-    """Return everything that determines the output of a run, as JSON.
-
-    Args:
-        asked: the recipe's part of the request.
-        shard: which part of the run.
+    """Return everything that determines the output of a run, as JSON; `asked` is the recipe's
+    part.
     """
     request = {
         **asked,
@@ -257,10 +254,8 @@ def request_of(folder: Path) -> dict[str, Any] | None:
 def require_resumable(
     folder: Path, left: dict[str, Any] | None, asked: dict[str, Any], flexible: tuple[str, ...]
 ) -> None:
-    """Require that a staging folder belongs to this request.
-
-    Raises:
-        InvalidRun: it belongs to another request, or it has work and an unreadable request.
+    """Require that a staging folder with work belongs to this request; raise InvalidRun
+    otherwise.
     """
     if left is not None:
         require_same(left, asked, flexible, folder)
@@ -274,11 +269,7 @@ def require_resumable(
 def require_same(
     there: dict[str, Any], asked: dict[str, Any], flexible: tuple[str, ...], folder: Path
 ) -> None:
-    """Require that two requests agree, apart from the `flexible` fields of the configuration.
-
-    Raises:
-        InvalidRun: they differ.
-    """
+    """Require that two requests agree, apart from the `flexible` fields of the configuration."""
     if found := differing(there, asked, flexible):
         raise InvalidRun(
             f"{folder} belongs to a different run: {'; '.join(found[:3])}; give the same options"

@@ -5,8 +5,6 @@ so that memory stays flat. A piece of work depends on its argument alone, so the
 doesn't change a byte of the output.
 """
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal
@@ -54,11 +52,7 @@ def cores() -> int:
 
 
 def scheduler_of(kind: str, scheduler: str, workers: int) -> str:
-    """Check --executor, --scheduler and --workers; return the scheduler's address, "" if local.
-
-    Raises:
-        InvalidExecutor: they contradict each other.
-    """
+    """Check --executor, --scheduler and --workers; return the scheduler's address, "" if local."""
     if kind not in EXECUTORS:
         raise InvalidExecutor(f"--executor takes {' or '.join(EXECUTORS)}, got {kind!r}")
     if kind == "local" and scheduler:
@@ -77,11 +71,10 @@ def scheduler_of(kind: str, scheduler: str, workers: int) -> str:
 
 @contextmanager
 def executor(workers: int, scheduler: str = "") -> Iterator[Pool]:
-    """Open a pool; on an error, end its processes without waiting for their work.
+    """Open a pool of `workers` processes, 0 for one per core; 1 uses this process.
 
-    Args:
-        workers: number of processes, 0 for one per core; 1 uses this process.
-        scheduler: address of a Dask scheduler, whose cluster is used instead.
+    With the address of a Dask scheduler its cluster is used instead. On an error the processes end
+    without waiting for their work.
 
     Raises:
         InvalidExecutor: the cluster can't be used.

@@ -1,7 +1,5 @@
 """The interface of an executor's pool, which maps a function over work and keeps the order."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from itertools import islice

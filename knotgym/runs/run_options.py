@@ -3,8 +3,6 @@
 This module has no slow imports, because the command line reads options first.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from knotgym.common.errors import KnotgymError

@@ -4,8 +4,6 @@ Reading, writing, merging and verification all use this list. The file's attribu
 `format_version`, ATTRIBUTES and DIGEST; `quality/*` may contain further measures.
 """
 
-from __future__ import annotations
-
 from knotgym.common.hdf5_files import Column
 from knotgym.quality.limits import UNITS
 
@@ -20,6 +18,7 @@ ATTRIBUTES = {
     "knotgym": "version of this package",
     "mujoco": "version of MuJoCo",
     "rope": "fingerprint of the rope model, see `RopeConfig.fingerprint`",
+    "engine": "the engine that moved the ropes, mujoco if not given; see `knotgym.rope.engines`",
     "config": "the generating configuration, JSON; a list of them in a merged file",
 }
 DIGEST = "content_sha256"  # attribute: checksum of all columns, see `states.content_digest`

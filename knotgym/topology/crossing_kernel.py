@@ -13,7 +13,6 @@ Arrays are copied element by element, here and in the other kernels: for a slice
 also compiles its error message, which adds seconds to the first run.
 """
 
-import logging
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +23,6 @@ from knotgym.topology.orientation import side
 # columns of the crossing table
 OVER_PLACE, UNDER_PLACE, OVER_Z, UNDER_Z, SIGN, X, Y = range(7)
 
-_log = logging.getLogger("knotgym")
 _BLOCK = 8  # edges per bounding box; a rope of 100 beads has 13 blocks, so 91 block pairs to test
 
 
@@ -283,13 +281,3 @@ def _walk(beads: int, hits: np.ndarray, fractions: np.ndarray) -> np.ndarray:
 def is_compiled() -> bool:
     """Return whether numba's cache holds machine code of `scan` from an earlier process."""
     return any(Path(scan.stats.cache_path).glob("crossing_kernel.scan-*.nbi"))
-
-
-def warn_of_compilation() -> None:
-    """Log, once per process, that the first run has to wait for compilation."""
-    if not _warned and not is_compiled():
-        _log.warning("compiling, in the first run only; `knotgym compile` does it beforehand")
-    _warned.append(True)
-
-
-_warned: list[bool] = []

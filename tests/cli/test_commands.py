@@ -35,12 +35,12 @@ from knotgym.control.policies import PolicyConfig
 from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import CollectConfig, distinct_id
 from knotgym.generate.episodes.evaluate import Result, reference_lines, show
+from knotgym.rope.engines import warn_of_compilation
 from knotgym.runs.engine import CHECKPOINT, Batch, run
 from knotgym.runs.executors import InProcess
 from knotgym.runs.progress import Progress, Status, compile_first, duration, tell_if_long
 from knotgym.runs.run_options import RunOptions
 from knotgym.runs.staging import staging_folder
-from knotgym.topology.crossing_kernel import warn_of_compilation
 
 from ..small_job import knotgym, typed
 from .test_generate_command import held
@@ -225,9 +225,9 @@ def test_a_first_environment_says_once_that_it_compiles(
 ) -> None:
     kernel = SimpleNamespace(stats=SimpleNamespace(cache_path=tmp_path))
     monkeypatch.setattr("knotgym.topology.crossing_kernel.scan", kernel)
-    monkeypatch.setattr("knotgym.topology.crossing_kernel._warned", [])
+    monkeypatch.setattr("knotgym.rope.engines._warned", set())
     for _ in range(2):
-        warn_of_compilation()
+        warn_of_compilation("mujoco")
     assert [one.getMessage() for one in caplog.records] == [
         "compiling, in the first run only; `knotgym compile` does it beforehand"
     ]
@@ -404,6 +404,7 @@ class Empty:
     """A recipe of nothing."""
 
     flexible: tuple[str, ...] = ()
+    engine = "mujoco"
 
     def request(self) -> dict[str, Any]:
         return {"config": {}, "source": None}

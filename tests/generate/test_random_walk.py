@@ -11,6 +11,7 @@ import pytest
 
 from knotgym.common.configuration import as_json, updated
 from knotgym.datasets.state_verification import folder_faults, state_faults
+from knotgym.generate.packed_records import SpoiltCheckpoint
 from knotgym.generate.states.generate_config import InvalidGenerateConfig
 from knotgym.generate.states.random_walk import (
     RandomWalkConfig,
@@ -21,7 +22,6 @@ from knotgym.generate.states.random_walk import (
     walk,
 )
 from knotgym.generate.states.random_walk_recipe import RandomWalkRecipe
-from knotgym.generate.states.state_recipe import SpoiltCheckpoint
 from knotgym.quality.measures import measure
 from knotgym.rope.model import Rope
 from knotgym.states.state_file import read_states, write_states

@@ -34,6 +34,7 @@ class Squares:
     """A recipe of squares, saved after each."""
 
     flexible: tuple[str, ...] = ()
+    engine = "mujoco"
     done: list[int]
 
     def request(self) -> dict[str, Any]:

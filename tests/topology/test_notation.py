@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from knotgym.rope.simulation import Simulation
+from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.crossings import label_many
 from knotgym.topology.diagrams import parts, with_chirality
@@ -146,7 +146,7 @@ def test_states_that_ship_have_the_codes_of_their_gauss_code() -> None:
 
 def rope_codes(count: int) -> list[GaussCode]:
     """Codes of ropes that random actions tangled."""
-    simulation, rng = Simulation(50, threads=0), np.random.default_rng(40)
+    simulation, rng = MujocoSimulation(50, threads=0), np.random.default_rng(40)
     found: list[GaussCode] = []
     while len(found) < count:
         simulation.act(rng.uniform(-1, 1, (50, 6)).astype(np.float32))

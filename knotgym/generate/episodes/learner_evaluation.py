@@ -3,8 +3,6 @@
 `benchmarks/results.py` reads the file.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path
@@ -42,10 +40,6 @@ def evaluate_learner(
 
     Returns:
         The content of the file: that of `knotgym evaluate --out`, and `training`.
-
-    Raises:
-        InvalidPolicy: a policy of this name exists already.
-        InvalidEvaluation, InvalidSetting: the settings are invalid.
     """
     register_policy(name, lambda _: policy, files)
     config = EvaluateConfig(policies=(PolicyConfig(policy=name),), **settings)

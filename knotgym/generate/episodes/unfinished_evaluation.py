@@ -1,7 +1,5 @@
 """Checkpoints of an evaluation, kept in a staging folder beside its output file."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import time

@@ -1,14 +1,14 @@
 """The configuration of `knotgym images`, with its quotas and held-out codes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
+from knotgym.common.configuration import check_numbers, check_nx
 from knotgym.common.errors import KnotgymError
 from knotgym.common.streams import Stream, generator
 from knotgym.generate.images.selection import SelectionConfig
 from knotgym.generate.images.walks import WalkConfig
 from knotgym.rendering.appearance import AppearanceConfig
+from knotgym.rope.engines import MUJOCO, require_engine
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import LISTED_NX
 
@@ -30,6 +30,7 @@ class ImagesConfig:
         code_share: share of split "test-code" among them, and share of Gauss codes held out for it;
             none for nx with fewer than 4 codes.
         seed: random seed of the run.
+        engine: the engine that walks use, see `knotgym.rope.engines`.
         steps: maximum steps of a walk. Walks for 3 or more crossings make a third of them, those
             for 1 or 2 two thirds, because many crossings are lost sooner.
         stride: steps between frames.
@@ -47,6 +48,7 @@ class ImagesConfig:
     test_share: float = 0.15
     code_share: float = 0.15
     seed: int = 0
+    engine: str = MUJOCO
     steps: int = 12
     stride: int = 2
     rows_per_file: int = 500
@@ -57,15 +59,15 @@ class ImagesConfig:
     idle: int = 6
 
     def __post_init__(self) -> None:
-        if (
-            not self.nx
-            or any(not 0 <= nx <= LISTED_NX for nx in self.nx)
-            or len(set(self.nx)) != len(self.nx)
-        ):
-            raise InvalidImagesConfig(
-                f"nx takes distinct numbers of crossings from 0 to {LISTED_NX}, got"
-                f" {', '.join(map(str, self.nx)) or 'none'}"
-            )
+        require_engine(self.engine)
+        check_numbers(
+            self,
+            counts=("count", "steps", "stride", "rows_per_file", "wave", "idle"),
+            whole=("seed",),
+            shares=("test_share", "code_share"),
+            error=InvalidImagesConfig,
+        )
+        check_nx(self.nx, LISTED_NX, InvalidImagesConfig)
         if self.test_nx is None:
             object.__setattr__(self, "test_nx", (max(self.nx),) if len(self.nx) > 1 else ())
         rest = self.trained
@@ -78,22 +80,15 @@ class ImagesConfig:
                 f"test-nx takes the largest of the requested nx, {sorted(self.nx)}, but not all of"
                 f" them; got {sorted(self.held_nx)}"
             )
-        for name in ("count", "steps", "stride", "rows_per_file", "wave", "idle"):
-            if getattr(self, name) < 1:
-                raise InvalidImagesConfig(f"{name} must be at least 1, got {getattr(self, name)}")
         if self.stride > self.steps:
             raise InvalidImagesConfig(
                 f"stride must be at most steps, {self.steps}, got {self.stride}"
             )
-        if not (
-            0 <= self.test_share and 0 <= self.code_share and self.test_share + self.code_share < 1
-        ):
+        if not self.test_share + self.code_share < 1:
             raise InvalidImagesConfig(
-                "test and code shares must be at least 0 and below 1 together, got"
+                "test and code shares must be below 1 together, got"
                 f" {self.test_share} and {self.code_share}"
             )
-        if self.seed < 0:
-            raise InvalidImagesConfig(f"seed must be at least 0, got {self.seed}")
 
     @property
     def held_nx(self) -> tuple[int, ...]:

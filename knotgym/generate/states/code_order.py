@@ -1,7 +1,5 @@
 """The codes for which a run makes states, and their order."""
 
-from __future__ import annotations
-
 import itertools
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -20,13 +18,10 @@ _RARE = 20_000  # random codes to try until one shows the knot
 class CodeOrder:
     """The codes with one nx, by index, and the order in which a shard makes states of them.
 
-    A *slot* (index, copy) stands for one state of a code.
-
-    Attributes:
-        listed: all codes; None if there are too many to list. For a knot whose crossing number
-            exceeds LISTED_NX: the diagram of the knot table from every base point.
-        existing: number of codes with this nx that show the knot; None if unknown.
-        wanted: number of states to make.
+    `listed` has all codes, None if there are too many to list; for a knot whose crossing number
+    exceeds LISTED_NX, the diagram of the knot table from every base point. `existing` is the number
+    of codes that show the knot, None if unknown; `wanted` that of states to make. A *slot* (index,
+    copy) stands for one state of a code.
     """
 
     def __init__(self, config: GenerateConfig, knot: str, shard: Shard, nx: int) -> None:

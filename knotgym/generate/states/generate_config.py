@@ -1,16 +1,15 @@
 """The configuration of `knotgym generate`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
-from knotgym.common.configuration import check_numbers
+from knotgym.common.configuration import check_numbers, check_nx
 from knotgym.common.errors import KnotgymError
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.drawing.drawn_curve import DrawingConfig
 from knotgym.envs.tasks import MAX_NX
 from knotgym.generate.states.search import SearchSettings
 from knotgym.quality.measures import Limits
+from knotgym.rope.engines import MUJOCO, require_engine
 from knotgym.topology.diagrams import NotPlanar, is_planar
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import LISTED_NX
@@ -18,19 +17,6 @@ from knotgym.topology.knots import LISTED_NX
 
 class InvalidGenerateConfig(KnotgymError, ValueError):
     """The requested states can't be made."""
-
-
-def check_nx(nx: tuple[int, ...], most: int) -> None:
-    """Require distinct crossing numbers in [0, most].
-
-    Raises:
-        InvalidGenerateConfig: they are not, or there are none.
-    """
-    if not nx or any(not 0 <= one <= most for one in nx) or len(set(nx)) != len(nx):
-        raise InvalidGenerateConfig(
-            f"nx takes distinct numbers of crossings from 0 to {most}, got"
-            f" {', '.join(map(str, nx)) or 'none'}"
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +32,7 @@ class GenerateConfig:
         split_by: "state", or "code" for splits that share no code.
         train_share: share of states (or codes) in the train split.
         knot: the rope's knot: a name of `topology.knot_table.diagram_of`, or a file with a curve.
+        engine: the engine of every simulation, see `knotgym.rope.engines`.
         demonstrations: whether to find an action sequence to every code and write demonstrations.
         seed: random seed of the run.
         attempts: drawings per requested state of a code before the code is skipped.
@@ -74,6 +61,7 @@ class GenerateConfig:
     split_by: str = "state"
     train_share: float = 0.5
     knot: str = "0_1"
+    engine: str = MUJOCO
     demonstrations: bool = True
     seed: int = 0
     attempts: int = 100
@@ -101,7 +89,8 @@ class GenerateConfig:
             ranges=("force",),
             error=InvalidGenerateConfig,
         )
-        check_nx(self.nx, MAX_NX)
+        check_nx(self.nx, MAX_NX, InvalidGenerateConfig)
+        require_engine(self.engine)
         if self.split_by not in ("state", "code"):
             raise InvalidGenerateConfig(
                 f'split_by must be "state" or "code", got {self.split_by!r}'

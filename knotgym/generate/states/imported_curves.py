@@ -29,10 +29,10 @@ from knotgym.common.streams import Stream, generator_of, key
 from knotgym.generate.states.drawn_states import ONE, judged
 from knotgym.quality.limits import UNITS, Limits, Quality
 from knotgym.rendering.picture import draw_many
+from knotgym.rope.engines import simulation_of
 from knotgym.rope.model import Array, InvalidCurve, Rope, RopeConfig
 from knotgym.rope.relaxation import RelaxationConfig, relaxed
 from knotgym.rope.simulation import Simulation
-from knotgym.rope.simulation_pool import simulation_of
 from knotgym.states.schema import IMPORT
 from knotgym.states.state_file import States
 from knotgym.topology.crossings import label

@@ -3,8 +3,6 @@
 It starts from the nearest known state, so a sequence is that state's sequence and the plan.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -18,48 +16,35 @@ from knotgym.control.transition_graph import shipped_transition_graph
 from knotgym.generate.states.archive import Elite
 from knotgym.generate.states.search import SearchConfig, readings
 from knotgym.quality.measures import Limits
+from knotgym.rope.engines import simulation_of
 from knotgym.rope.model import Array
 from knotgym.rope.simulation import Simulation
-from knotgym.rope.simulation_pool import simulation_of
 from knotgym.topology.gauss import GaussCode
 
 PACE = 7  # actions allowed per change of code on the way to the goal
 
 
 class Target(NamedTuple):
-    """A code to find an action sequence to.
+    """A code to find an action sequence to."""
 
-    Attributes:
-        search: settings of play, for the length limit and the rope.
-        planner: settings of the first search; every further search has twice the budget.
-        elites: possible start states.
-        goal: the code, without chirality.
-        mirrored: whether a sequence to the mirror image also counts.
-        wanted: other codes, without chirality, to keep if the planner reaches them.
-        number: earlier searches for this code; search n starts from the nth nearest elite.
-        seed: key of the random stream.
-    """
-
-    search: SearchConfig
+    search: SearchConfig  # settings of play, for the length limit and the rope
+    # settings of the first search; every further search has twice the budget
     planner: PlannerConfig
-    elites: tuple[Elite, ...]
-    goal: GaussCode
-    mirrored: bool
+    elites: tuple[Elite, ...]  # possible start states
+    goal: GaussCode  # the code, without chirality
+    mirrored: bool  # whether a sequence to the mirror image also counts
+    # other codes, without chirality, to keep if the planner reaches them
     wanted: frozenset[GaussCode]
-    number: int
-    seed: tuple[int, ...]
+    number: int  # earlier searches for this code; search n starts from the nth nearest elite
+    seed: tuple[int, ...]  # key of the random stream
 
 
 class Found(NamedTuple):
-    """Result of a search for a target.
+    """Result of a search for a target."""
 
-    Attributes:
-        elites: states for the archive; none has the goal code if the planner failed.
-        spent: number of simulated actions.
-    """
-
+    # states for the archive; none has the goal code if the planner failed
     elites: tuple[Elite, ...]
-    spent: int
+    spent: int  # number of simulated actions
 
 
 class _Way(NamedTuple):
@@ -71,7 +56,7 @@ class _Way(NamedTuple):
 
 def reach(target: Target) -> Found:
     """Plan a sequence to a target; return elites of the goal and of other requested codes."""
-    simulation = simulation_of(target.planner.batch_size, target.search.rope)
+    simulation = simulation_of(target.planner.batch_size, target.search.rope, target.search.engine)
     graph = shipped_transition_graph(target.planner.graph)
     distances = graph.distances(target.goal)
     # The distance from an elite to the mirrored goal is that from the mirrored elite to the goal,

@@ -6,8 +6,6 @@ loop converge). From then on, every few actions a configuration is examined. Sta
 more legible. Only positions are kept, at rest: an episode starts without the velocity of the walk.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -15,13 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import check_numbers
+from knotgym.common.configuration import check_numbers, check_nx
 from knotgym.common.streams import Stream, generator, key
-from knotgym.generate.states.generate_config import InvalidGenerateConfig, check_nx
+from knotgym.generate.states.generate_config import InvalidGenerateConfig
 from knotgym.quality.measures import Quality, measure, noise_survival
 from knotgym.rope.actions import drawn_actions
+from knotgym.rope.engines import MUJOCO, require_engine, simulation_of
 from knotgym.rope.model import Array, Rope, RopeConfig
-from knotgym.rope.simulation_pool import simulation_of
 from knotgym.states.schema import STATE_SPLITS
 from knotgym.topology.crossings import find_crossings
 from knotgym.topology.gauss import GaussCode
@@ -75,6 +73,7 @@ class RandomWalkConfig:
         train_share: share of the ropes, and so of the states, in the train split; splits share no
             rope.
         seed: random seed; rope i takes the actions of stream RANDOM_WALK, seed, i.
+        engine: the engine that moves the ropes, see `knotgym.rope.engines`.
         start: start configuration of the ropes, "coil" or "circle".
         burn_in: actions before the first configuration is examined.
         every: actions between examined configurations.
@@ -90,6 +89,7 @@ class RandomWalkConfig:
     loops: int = 0
     train_share: float = 0.5
     seed: int = 0
+    engine: str = MUJOCO
     start: str = "coil"
     burn_in: int = 300
     every: int = 25
@@ -107,7 +107,8 @@ class RandomWalkConfig:
             shares=("train_share",),
             error=InvalidGenerateConfig,
         )
-        check_nx(self.nx, LISTED_NX)
+        check_nx(self.nx, LISTED_NX, InvalidGenerateConfig)
+        require_engine(self.engine)
         if self.start not in STARTS:
             raise InvalidGenerateConfig(f"no start {self.start!r}; there is {', '.join(STARTS)}")
         if self.longest < self.burn_in + 1:
@@ -136,23 +137,14 @@ class WalkUnit(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class WalkState:
-    """A state reached by a random walk.
+    """A state reached by a random walk."""
 
-    Attributes:
-        rope: number of the rope.
-        step: number of actions before it.
-        code: with chirality.
-        qpos: float64 (nq,).
-        points: float64 (beads, 3), metres.
-        quality: all measures.
-    """
-
-    rope: int
-    step: int
-    code: GaussCode
-    qpos: Array
-    points: Array
-    quality: Quality
+    rope: int  # number of the rope
+    step: int  # number of actions before it
+    code: GaussCode  # with chirality
+    qpos: Array  # float64 (nq,)
+    points: Array  # float64 (beads, 3), metres
+    quality: Quality  # all measures
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,9 +176,10 @@ def key_of(config: RandomWalkConfig, rope: int) -> tuple[int, ...]:
 def walk(unit: WalkUnit) -> Walked:
     """Walk a unit's ropes; the same unit gives the same bytes."""
     config, ropes = unit.config, range(unit.first, unit.first + unit.config.batch)
-    simulation = simulation_of(config.batch, RopeConfig())
+    simulation = simulation_of(config.batch, RopeConfig(), config.engine)
     start = simulation.rope.qpos(STARTS[config.start](simulation.rope))
     simulation.lay(np.repeat(start[None], config.batch, axis=0))
+    # all actions of a rope come from one stream, so its row needs no column of actions
     actions = np.stack([drawn_actions(key_of(config, rope), config.longest) for rope in ropes])
     whole = np.ones(config.batch, dtype=bool)  # no blow-up so far
     found: dict[tuple[int, int], WalkState] = {}

@@ -6,8 +6,6 @@ of the batch. A rope's motion depends only on the archive at the start of the ro
 round and the rope's index, so the result doesn't depend on the workers.
 """
 
-from __future__ import annotations
-
 from collections.abc import Container, Iterator
 from dataclasses import asdict, dataclass, replace
 from typing import NamedTuple
@@ -21,12 +19,10 @@ from knotgym.control.action_sequence import NO_ACTIONS, ActionSequence, step_rop
 from knotgym.control.transition_counts import TransitionCounts, TransitionRecorder
 from knotgym.generate.states.archive import Archive, ArchiveConfig, Elite
 from knotgym.quality.measures import Limits, base_spacing, measure
+from knotgym.rope.engines import MUJOCO, require_engine, simulation, simulation_of
 from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, propose
 from knotgym.rope.model import Array, Rope, RopeConfig, base_shifts
-from knotgym.rope.simulation import Simulation
-from knotgym.rope.simulation_pool import simulation_of
 from knotgym.runs.engine import Batch
-from knotgym.runs.pools import Pool
 from knotgym.topology.crossings import find_crossings, label_many
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.symmetry import Symmetry, mirror_images, shifted_base
@@ -84,15 +80,18 @@ class SearchConfig(SearchSettings):
         max_nx: states with more crossings are not kept.
         seed: rope i of round r draws from stream SEARCH_ROPE with counters (r, i).
         rope: physics of the rope.
+        engine: the engine that moves it, see `knotgym.rope.engines`.
     """
 
     max_nx: int = 4
     seed: int = 0
     rope: RopeConfig = RopeConfig()
+    engine: str = MUJOCO
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_numbers(self, whole=("max_nx", "seed"))
+        require_engine(self.engine)
 
 
 class SearchUnit(NamedTuple):
@@ -136,23 +135,14 @@ class Discovery(NamedTuple):
 def new_archive(config: SearchConfig, start: Array | None = None) -> Archive:
     """Return an archive that starts from the plain loop, or from a configuration (beads, 3)."""
     rope = Rope(config.rope)
-    simulation = Simulation(1, rope)
+    first = simulation(config.engine, 1, rope)
     points = rope.loop() if start is None else start
-    simulation.lay(rope.qpos(points)[None])
+    first.lay(rope.qpos(points)[None])
     origin = "loop" if start is None else np.asarray(points).tolist()
     archive = Archive(settings={**asdict(config), "start": origin})
-    for reading in readings(rope.points(simulation.qpos()[0]), Limits(), config.rope):
-        archive.offer(reading.elite(NO_ACTIONS, simulation.states()[0]), config.archive)
+    for reading in readings(first.points[0], Limits(), config.rope):
+        archive.offer(reading.elite(NO_ACTIONS, first.states()[0]), config.archive)
     return archive
-
-
-def advance(archive: Archive, config: SearchConfig, pool: Pool) -> int:
-    """Play one round on a pool and grow the archive by it; how many classes are new."""
-    known = len(archive.niches)
-    for batch in search_round(archive, config):
-        for _ in batch.follow(pool):
-            pass
-    return len(archive.niches) - known
 
 
 def search_round(
@@ -167,10 +157,11 @@ def search_round(
         archive: changed in place.
         config: the same for every round of an archive.
         chunk: ropes per unit of work; doesn't change the result.
-        wanted: passed to `replays`.
+        wanted: as for `replays`.
     """
     number = len(archive.growth)
     actions = archive.growth[-1]["actions"] if archive.growth else 0
+    # Work is chosen from the archive as it is before the round, whatever the pool absorbs first.
     replayed = replays(archive, config, number, 0, chunk, wanted)
     parents = _parents(archive, config, number)
     units = [
@@ -188,6 +179,7 @@ def search_round(
         archive.transitions.add(played.transitions, config.most_templates)
         actions += int(played.taken.sum())
         for discovery in played.discoveries:
+            # the state's own way: that of the parent, and what this rope did until it was seen
             row, steps = discovery.batch_index - unit.indices.start, discovery.steps
             sequence = parents[discovery.batch_index].sequence + ActionSequence(
                 played.beads[row, :steps], played.forces[row, :steps]
@@ -195,6 +187,7 @@ def search_round(
             if len(sequence) <= config.longest:
                 archive.offer(discovery.reading.elite(sequence, discovery.state), config.archive)
 
+    # replays first: an elite that becomes exact can be a parent of the next round
     yield replayed
     actions += sum(len(sequence) for unit in replayed.units for sequence in unit.sequences)
     yield Batch(play, units, absorb_unit, "playing")
@@ -239,55 +232,48 @@ def replays(
 def confirm(replay: Replay) -> list[Discovery]:
     """Replay each sequence from the plain loop; return the readings of the final states."""
     sequences, config = replay.sequences, replay.config
-    simulation = simulation_of(len(sequences), config.rope)
-    rope = simulation.rope
-    simulation.lay(np.repeat(rope.qpos(rope.loop())[None], len(sequences), axis=0))
+    ropes = simulation_of(len(sequences), config.rope, config.engine)
+    rope = ropes.rope
+    ropes.lay(np.repeat(rope.qpos(rope.loop())[None], len(sequences), axis=0))
     alive = np.ones(len(sequences), dtype=bool)
     lengths = np.array([len(sequence) for sequence in sequences])
     for step in range(max(lengths)):
+        # Sequences differ in length: a rope whose sequence is done is not stepped any more.
         ids = np.flatnonzero(alive & (step < lengths))
         if len(ids):
             beads = np.array([sequences[row].beads[step] for row in ids])
             forces = np.stack([sequences[row].forces[step] for row in ids])
-            _, alive[ids] = step_ropes(simulation, beads, forces, ids)
+            _, alive[ids] = step_ropes(ropes, beads, forces, ids)
     return [
-        Discovery(row, len(sequences[row]), reading, simulation.states([row])[0])
+        Discovery(row, len(sequences[row]), reading, ropes.states([row])[0])
         for row in np.flatnonzero(alive).tolist()
-        for reading in readings(simulation.points[row], Limits(), config.rope)
+        for reading in readings(ropes.points[row], Limits(), config.rope)
         if reading.code.nx <= config.max_nx
     ]
 
 
 class Played(NamedTuple):
-    """Result of a SearchUnit.
+    """Result of a SearchUnit."""
 
-    Attributes:
-        discoveries: ordered by rope, then by step.
-        beads: int16 (ropes, steps), the bead pulled at each step.
-        forces: float32 (ropes, steps, 3), the force at each step.
-        taken: int (ropes,), steps of each rope before its simulation failed.
-        transitions: changes of code caused by macro-actions.
-    """
-
-    discoveries: list[Discovery]
-    beads: NDArray[np.int16]
-    forces: NDArray[np.float32]
-    taken: NDArray[np.int64]
-    transitions: TransitionCounts
+    discoveries: list[Discovery]  # ordered by rope, then by step
+    beads: NDArray[np.int16]  # int16 (ropes, steps), the bead pulled at each step
+    forces: NDArray[np.float32]  # float32 (ropes, steps, 3), the force at each step
+    taken: NDArray[np.int64]  # int (ropes,), steps of each rope before its simulation failed
+    transitions: TransitionCounts  # changes of code caused by macro-actions
 
 
 def play(unit: SearchUnit) -> Played:
     """Apply random macro-actions to the ropes of a unit."""
     config, count = unit.config, len(unit.indices)
-    simulation = simulation_of(count, config.rope)
-    simulation.restore(unit.states)
+    ropes = simulation_of(count, config.rope, config.engine)
+    ropes.restore(unit.states)
     rngs = [generator(Stream.SEARCH_ROPE, config.seed, unit.round, index) for index in unit.indices]
     controller = WaypointController(count, config.macro_actions)
     beads = np.zeros((count, config.steps), dtype=np.int16)
     forces = np.zeros((count, config.steps, 3), dtype=np.float32)
     taken = np.full(count, config.steps)
     alive = np.ones(count, dtype=bool)
-    last = label_many(simulation.points)
+    last = label_many(ropes.points)
     discoveries: list[Discovery] = []
     shifts = base_shifts(config.rope)
     recorders = [
@@ -295,30 +281,31 @@ def play(unit: SearchUnit) -> Played:
     ]
     for step in range(config.steps):
         # A macro-action may end by itself when its bead has arrived; only then is a new one drawn.
-        controller.advance(simulation.points)
+        controller.advance(ropes.points)
+        # Each rope draws from its own generator, so the ropes in a unit don't matter.
         for row in np.flatnonzero(controller.idle).tolist():
-            macro_action = propose(simulation.points[row], rngs[row], config.macro_actions)
+            macro_action = propose(ropes.points[row], rngs[row], config.macro_actions)
             controller.begin(row, macro_action)
-            recorders[row].set_out(find_crossings(simulation.points[row]), macro_action)
-        controller.advance(simulation.points)
+            recorders[row].set_out(find_crossings(ropes.points[row]), macro_action)
+        controller.advance(ropes.points)
         beads[:, step] = controller.beads
-        forces[:, step] = controller.forces(simulation.points)
-        _, held = step_ropes(simulation, beads[:, step], forces[:, step])
+        forces[:, step] = controller.forces(ropes.points)
+        _, held = step_ropes(ropes, beads[:, step], forces[:, step])
         taken[alive & ~held] = step  # the failed action itself doesn't count
         alive &= held
-        controller.advance(simulation.points)
+        controller.advance(ropes.points)
         ended = controller.idle | (step == config.steps - 1)
-        codes = label_many(simulation.points)
+        codes = label_many(ropes.points)
         for row in np.flatnonzero(alive).tolist():
             # States are offered when the code changes and at the end of every macro-action.
             is_new = codes[row] != last[row]
             if is_new:
-                recorders[row].show(find_crossings(simulation.points[row]))
+                recorders[row].show(find_crossings(ropes.points[row]))
             if codes[row].nx <= config.max_nx and (is_new or ended[row]):
-                state = simulation.states([row])[0]
+                state = ropes.states([row])[0]
                 discoveries += [
                     Discovery(unit.indices[row], step + 1, reading, state)
-                    for reading in readings(simulation.points[row], Limits(), config.rope)
+                    for reading in readings(ropes.points[row], Limits(), config.rope)
                 ]
         last = codes
     discoveries.sort(key=_place)  # the archive depends on the order of the offers
@@ -341,6 +328,7 @@ def readings(points: Array, limits: Limits, rope: RopeConfig) -> list[Reading]:
     """
     crossings = find_crossings(points)
     quality = measure(points, crossings, quick=True)
+    # Crossings don't depend on the base vertex, only their numbering and the base spacing do.
     best: dict[GaussCode, Reading] = {}
     for base_shift in base_shifts(rope):
         code = shifted_base(crossings, base_shift)
@@ -368,12 +356,14 @@ def _unconfirmed(
     if archive.settings["start"] != "loop":
         return []
     rng = generator(Stream.SEARCH_REPLAYS, config.seed, *number)
+    # codes that some exact elite reaches, in any chirality and mirror image
     sure = {
         image.plain
         for niche in archive.niches
         if archive.sure(niche)
         for image in mirror_images(niche)
     }
+    # niches still to be made exact; the plain loop (nx 0) always is
     near = [
         niche
         for niche in archive.niches
@@ -382,6 +372,7 @@ def _unconfirmed(
         and (wanted is None or any(image.plain in wanted for image in mirror_images(niche)))
     ]
     drawn = [near[pick] for pick in rng.permutation(len(near))]
+    # stable: within either group the random order stays
     drawn.sort(key=lambda niche: niche.plain in sure)
     sequences = []
     for niche in drawn[: int(config.replay_share * config.batch_size)]:
@@ -396,6 +387,7 @@ def renumbered(elite: Elite, beads: int) -> ActionSequence:
 
     From the plain loop it leads approximately to the elite's state.
     """
+    # Reversal comes before the shift, so a reversed reading shifts the other way.
     numbering = Symmetry(
         reverse=elite.reverse,
         base_shift=-elite.base_shift if elite.reverse else elite.base_shift,
@@ -410,6 +402,7 @@ def renumbered(elite: Elite, beads: int) -> ActionSequence:
 def _parents(archive: Archive, config: SearchConfig, number: int) -> list[Elite]:
     """Draw the elites from which ropes start; rarely visited classes are more likely."""
     rng = generator(Stream.SEARCH_PARENTS, config.seed, number)
+    # An elite whose sequence leaves no room for a round can't be a parent.
     near = {niche: elites for niche, elites in archive.niches.items() if niche.nx <= config.max_nx}
     able = {
         niche: [elite for elite in elites if len(elite.sequence) + config.room <= config.longest]
