@@ -24,6 +24,7 @@ from knotgym.cli.options import DerivedCommand
 from knotgym.cli.policy_commands import collect, evaluate
 from knotgym.cli.prompt_commands import prompt
 from knotgym.cli.run_commands import generate, images
+from knotgym.cli.selection_commands import delete, import_curves, select, split
 from knotgym.cli.suite_command import suite
 from knotgym.common.errors import KnotgymError, printable
 from knotgym.runs.pools import LostWorkers
@@ -62,6 +63,10 @@ _HELP: dict[str, Any] = {"context_settings": {"help_option_names": ["-h", "--hel
 _APP: dict[str, Any] = {**_HELP, "add_completion": False, "pretty_exceptions_enable": False}
 
 app = typer.Typer(cls=Group, no_args_is_help=True, **_APP)
+dataset_app.command()(select)
+dataset_app.command()(split)
+dataset_app.command()(delete)
+dataset_app.command("import")(import_curves)
 app.add_typer(dataset_app, name="dataset", cls=Group, **_HELP)
 for _command in (demo, generate, collect, suite, train, evaluate, images, prompt):
     app.command(cls=Command)(_command)

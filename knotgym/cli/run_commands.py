@@ -23,6 +23,7 @@ from knotgym.cli.options import (
     run_options,
 )
 from knotgym.topology.gauss import GaussCode
+from knotgym.topology.notation import parse_code
 
 _CHOICE, _SEARCH, _SPLITS = "Which states", "The search", "Splits"
 
@@ -55,8 +56,8 @@ def _generate_options() -> list[Option]:
         option(
             "--codes",
             Path,
-            "File of Gauss codes, one per line, to use instead of --nx; --every-code gives"
-            " the number of states per code, 1 by default.",
+            "File of Gauss, PD or DT codes, one per line, to use instead of --nx; --every-code"
+            " gives the number of states per code, 1 by default.",
             group=_CHOICE,
         ),
         option(
@@ -213,10 +214,10 @@ def images(given: Given) -> None:
 
 
 def code_list(path: Path | None) -> list[GaussCode]:
-    """Read Gauss codes from a file, one per line; an empty list without a file.
+    """Read Gauss, PD or DT codes from a file, one per line; an empty list without a file.
 
     Raises:
-        InvalidGaussCode: a line is not a Gauss code.
+        InvalidGaussCode: a line is none of them.
     """
     if path is None:
         return []
@@ -226,9 +227,9 @@ def code_list(path: Path | None) -> list[GaussCode]:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise typer.BadParameter(f"--codes {path} can't be read: {error}") from error
-    found = [GaussCode.parse(line) for line in lines if line.strip()]
+    found = [parse_code(line) for line in lines if line.strip()]
     if not found:
-        raise typer.BadParameter(f"--codes {path} contains no Gauss code")
+        raise typer.BadParameter(f"--codes {path} contains no code")
     return found
 
 

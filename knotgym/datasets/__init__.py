@@ -22,6 +22,7 @@ if TYPE_CHECKING:
         read_table,
     )
     from knotgym.datasets.minari_dataset import MinariMetadata, compact, publish
+    from knotgym.datasets.subsets import delete, select, split
     from knotgym.datasets.trajectory import Episode, InvalidEpisode, relabel_all, relabelled
     from knotgym.datasets.verification import faults, verify
     from knotgym.states.state_file import (
@@ -48,6 +49,7 @@ __all__ = [
     "MinariMetadata",
     "States",
     "compact",
+    "delete",
     "faults",
     "merge_states",
     "publish",
@@ -56,8 +58,10 @@ __all__ = [
     "read_table",
     "relabel_all",
     "relabelled",
+    "select",
     "shipped",
     "show_episodes",
+    "split",
     "verify",
     "verify_episodes",
     "write_states",

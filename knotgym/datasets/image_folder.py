@@ -1,6 +1,6 @@
 """Files beside the Parquet files of a perception table: walks, card and manifest."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,15 +37,16 @@ def write_card_and_manifest(
     request: Mapping[str, Any],
     report: Mapping[str, Any],
     machines: Sequence[dict[str, str]] | None = None,
+    edit_card: Callable[[str], str] = str,
 ) -> None:
     """Write card and manifest into a folder that has everything else; see `finish`.
 
-    `machines` describes where it was made; None for this machine.
+    `machines` describes where it was made; None for this machine. `edit_card` changes the card.
     """
     facts = summary(folder)
     text = card(facts, request["config"], report, sum(path.stat().st_size for path in shards))
     with atomic_write(folder / "README.md") as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(edit_card(text), encoding="utf-8")
     write_manifest(
         folder, "knotgym-images-manifest", request, machines, report=report, summary=facts
     )

@@ -20,6 +20,7 @@ from knotgym.rope.model import Array
 from knotgym.topology.crossings import Crossings, find_crossings
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import knot_type
+from knotgym.topology.notation import dt_text, pd_text
 from knotgym.topology.reference_labeller import pyknotid_code
 
 _RGB = ("first", "last", "background")
@@ -93,6 +94,8 @@ def labels(points: Array, crossings: Crossings, look: Appearance) -> dict[str, A
     return {
         "gauss_code": str(crossings.code),
         "gauss_code_chiral": crossings.code.chiral,
+        "pd_code": pd_text(crossings.code),
+        "dt_code": dt_text(crossings.code),
         "nx": crossings.nx,
         "knot": knot_type(crossings.code),
         "points": points.ravel().tolist(),

@@ -52,7 +52,7 @@ _BATCH = 32  # walks simulated together
 _MOST_ROUNDS = 10_000  # of relaxation; a larger number is corrupted and would run for hours
 _COLOURS = ("published", "single", "gradient")
 _RECOMPUTED = (
-    *("gauss_code", "gauss_code_chiral", "nx", "knot"),
+    *("gauss_code", "gauss_code_chiral", "pd_code", "dt_code", "nx", "knot"),
     *("crossings", "accepted", "grade"),
 )
 _DRAWN_WITH, _MOST_DRAWN = ("zoom", "width", "noise", "blur"), 1000.0

@@ -12,7 +12,7 @@ import copy
 import json
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -91,6 +91,7 @@ def publish(
     overwrite: bool = False,
     states: str | os.PathLike[str] | None = None,
     task: TaskConfig | None = None,
+    attributes: Mapping[str, str] | None = None,
     count: Count = uncounted,
 ) -> Path:
     """Merge episode files, including compact ones, into a Minari dataset; write it atomically.
@@ -105,7 +106,7 @@ def publish(
         overwrite: replace an existing dataset of this id.
         states: a state file to include; a task whose `states` is the dataset's id resets from it,
             even after the dataset is moved.
-        task, count: as for `merge_episodes`.
+        task, attributes, count: as for `merge_episodes`.
 
     Returns:
         The dataset's folder.
@@ -133,7 +134,7 @@ def publish(
             concatenate=concatenate,
             distinct=distinct,
             task=task,
-            attributes={"metadata": json.dumps(asdict(metadata))},
+            attributes={**(attributes or {}), "metadata": json.dumps(asdict(metadata))},
             count=count,
         )
         merged = EpisodeReader(temporary)

@@ -37,6 +37,7 @@ from knotgym.states.state_measures import (
 from knotgym.topology.crossings import find_crossings
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import knot_type
+from knotgym.topology.notation import dt_text, pd_text
 
 _BATCH = 64  # rows replayed in one simulation
 # metres; tolerance for a start that is drawn again from its seed: other processors round
@@ -171,6 +172,8 @@ def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iter
     right = {
         "gauss_code": str(code),
         "gauss_code_chiral": code.chiral,
+        "pd_code": pd_text(code),
+        "dt_code": dt_text(code),
         "nx": code.nx,
         "knot": knot_type(code),
     }

@@ -24,7 +24,7 @@ from knotgym.topology.reference_labeller import pyknotid_code
 # tolerance of a measure, relative to 1 + its modulus: other processors round differently
 _ROUNDING = 1e-9
 # streams of states with stored actions; their first counter is nx
-_CHOSEN = (Stream.CANDIDATE, Stream.DRAWING)
+_CHOSEN = (Stream.CANDIDATE, Stream.DRAWING, Stream.IMPORT)
 
 
 def spread_faults(points: Array, rope: Rope) -> Iterator[str]:

@@ -10,7 +10,7 @@ from typing import Any
 
 from rich.console import Console
 
-from knotgym.envs.episode_batch import OWN, SHIPPED
+from knotgym.envs.task_states import OWN, SHIPPED
 from knotgym.rope.engines import MUJOCO
 from knotgym.runs.tables import narrow_table
 
