@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.envs.knot_tasks import fitting_tasks, start_nx
+from knotgym.envs.marked import join, mark
 from knotgym.envs.observations import (
     SYMBOLS,
     numbers,
@@ -210,6 +211,8 @@ class EpisodeBatch:
             return self.state(index)
         if self.config.observation == "symbolic":
             return self.symbols(index)
+        if self.config.observation == "marked":
+            return join(mark(self.simulation.points[[index]], [self.goals[index]]))[0]
         return {"pixels": self._pixels(index), "state": self.state(index)}
 
     def info(self, index: int) -> dict[str, Any]:

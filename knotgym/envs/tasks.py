@@ -15,7 +15,7 @@ from knotgym.states.schema import CODE_SPLITS, STATE_SPLITS
 if TYPE_CHECKING:
     from knotgym.rope.model import RopeConfig
 
-OBSERVATIONS = ("pixels", "state", "both", "symbolic")
+OBSERVATIONS = ("pixels", "state", "both", "symbolic", "marked")
 LAYOUTS = ("beside", "stacked")  # arrangement of the rope's and the goal's picture
 MAX_NX = 11  # crossings of the largest hard unknots; the rope hardly has room for more
 
@@ -52,7 +52,7 @@ class TaskConfig:
         states: a set that ships, "readable" (the same as None), "random-walk" or "hard-unknots"; or
             the path of a state file, or of the run that made it; or the id of a Minari dataset that
             contains one. If a file has no plain loops, they come from the readable set.
-        observation: "pixels", "state", "both" or "symbolic".
+        observation: "pixels", "state", "both", "symbolic" or "marked".
         max_goals: sample goals from the first so many goal configurations of the split; None for
             all.
         horizon: steps until truncation.
