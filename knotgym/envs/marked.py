@@ -56,11 +56,13 @@ class Frames(NamedTuple):
 
     def vectors(self, vectors: ArrayLike) -> Array:
         """Map vectors (n, ..., 3) of the world, such as forces, into the frame."""
-        return np.asarray(np.einsum("nij,n...j->n...i", self.axes, vectors))
+        mapped: Array = np.einsum("nij,n...j->n...i", self.axes, np.asarray(vectors, np.float64))
+        return mapped
 
     def world_vectors(self, vectors: ArrayLike) -> Array:
         """Map vectors (n, ..., 3) of the frame back into the world."""
-        return np.asarray(np.einsum("nji,n...j->n...i", self.axes, vectors))
+        mapped: Array = np.einsum("nji,n...j->n...i", self.axes, np.asarray(vectors, np.float64))
+        return mapped
 
     def renumber(self, beads: ArrayLike, count: int = 100) -> NDArray[np.int64]:
         """Map beads (n,), of `count` per rope, from the world into the frame, or back."""

@@ -1,4 +1,4 @@
-"""A marked observation is the same for every image of a state, and actions map back to the world."""
+"""Marked observations are the same for all images of a state; actions map back to the world."""
 
 import numpy as np
 import pytest
