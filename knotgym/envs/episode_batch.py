@@ -29,6 +29,9 @@ from knotgym.envs.reward import Outcome
 from knotgym.envs.tasks import InvalidSetting, TaskConfig
 from knotgym.rendering.picture import draw
 from knotgym.rope.engines import simulation
+=======
+from knotgym.rope.action_views import ActionView
+>>>>>>> c-views
 from knotgym.rope.model import Array, Rope, RopeConfig
 from knotgym.rope.reset_noise import start_qpos
 from knotgym.rope.towing import TowBound, centres, distances_towed
@@ -47,6 +50,7 @@ class EpisodeBatch:
     Attributes:
         config: settings of the task.
         simulation: the ropes.
+        view: turns actions of the view `config.action` into pulls.
         codes: the current Gauss code of each rope, with chirality.
         goals: the goal code of each rope.
         steps: int (count,), actions taken since the reset.
@@ -63,7 +67,9 @@ class EpisodeBatch:
             raise InvalidSetting(f"num_envs must be at least 1, got {count}")
         self.config = config
         self.count = count
+<<<<<<< HEAD
         self.simulation = simulation(config.engine, count, Rope(config.rope), threads)
+        self.view = ActionView(config.action, self.simulation)
         self._picture = picture_config(config)
         starts, goals = _sides(config)
         self._starts, self._goals = starts.states, goals.states
@@ -136,12 +142,33 @@ class EpisodeBatch:
         self.origins[index] = centres(self.simulation.points[[index]])[0]
         self.codes[index] = code
         self.goals[index] = GaussCode.parse(str(self._goals.gauss_code[goal]))
+        self.view.reset(index)
         self.steps[index] = self.held[index] = 0
         self.failed[index] = False
         self.beads[index], self.forces[index], self.applied_shares[index] = -1, 0.0, 1.0
 
+    def act(self, actions: ArrayLike, ids: NDArray[np.int64]) -> Outcome:
+        """Carry out one action of the view `config.action` in each episode of `ids`.
+
+        Raises:
+            InvalidAction: an action is invalid; no rope has moved.
+        """
+        if self.config.action == "pull":
+            return self.step(actions, ids)
+        self.view.begin(actions, ids, self.codes)
+        total = Outcome(
+            np.zeros(len(ids)), np.zeros(len(ids), dtype=bool), np.zeros(len(ids), dtype=bool)
+        )
+        rows = np.arange(len(ids))
+        while len(rows):
+            outcome = self.step(self.view.next_pulls(ids[rows]), ids[rows])
+            for whole, part in zip(total, outcome, strict=True):
+                whole[rows] = part  # rewards before the last pull are 0
+            rows = rows[self.view.busy[ids[rows]]]
+        return total
+
     def step(self, actions: ArrayLike, ids: NDArray[np.int64]) -> Outcome:
-        """Take one action in each episode of `ids`; see `reward` for the outcome.
+        """Make one pull (n, 6) in each episode of `ids`; see `reward` for the outcome.
 
         If a simulation blows up, its rope doesn't move, its episode is truncated and `failed` set.
         """
@@ -162,9 +189,11 @@ class EpisodeBatch:
             )
         self.steps[ids] += 1
         self.held[ids] = np.where(reached & ~towed, self.held[ids] + 1, 0)
-        return self.config.reward_rule.outcome(
+        outcome = self.config.reward_rule.outcome(
             self.held[ids], self.steps[ids], self.failed[ids], towed
         )
+        self.view.pulled(ids, self.codes, outcome.terminated | outcome.truncated)
+        return outcome
 
     def tow_bound(self, index: int) -> TowBound | None:
         """Return the bound on towing of rope `index`; None without a `tow_limit`."""
@@ -236,6 +265,8 @@ class EpisodeBatch:
             "force": self.forces[index].copy(),
             "applied_share": float(self.applied_shares[index]),
         }
+        if self.config.action == "macro":
+            info["macro_pulls"] = int(self.view.pulls[index])
         if not self.config.numeric_infos:
             return info
         numeric = {

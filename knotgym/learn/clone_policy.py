@@ -10,12 +10,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from knotgym.control.policy import Choice, UnplannedPolicy
-from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.marked import mark
-from knotgym.learn.clone_data import bin_forces
 from knotgym.learn.clone_network import CloneNetwork, inputs
-from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, pass_straight
 from knotgym.topology.gauss import GaussCode
 
 Array = NDArray[np.float64]

@@ -94,6 +94,7 @@ class Result:
 
     Attributes:
         policy, task, nx, split: the setup.
+        action: the view that the policy acted in, see `TaskConfig`.
         episodes, successes: numbers of episodes.
         success_rate, low, high: success rate and the 95 % interval of `cluster_interval`.
         steps: mean over successful episodes; None if there are none.
@@ -110,6 +111,7 @@ class Result:
     task: str
     nx: int
     split: str
+    action: str
     episodes: int
     successes: int
     success_rate: float
@@ -240,7 +242,7 @@ def show(results: Sequence[Result], console: Console) -> None:
     )
     for one in results:
         table.add_row(
-            one.policy,
+            _acting(one),
             one.task,
             one.split,
             str(one.nx),
@@ -273,14 +275,19 @@ def show(results: Sequence[Result], console: Console) -> None:
         matrix = narrow_table(
             (*_SETUP[:3], *(f"nx {nx}" for nx in columns)), title="success, %", left=_SETUP[:3]
         )
-        for key in dict.fromkeys((one.policy, one.task, one.split) for one in results):
+        for key in dict.fromkeys((_acting(one), one.task, one.split) for one in results):
             cells = {
                 one.nx: f"{100 * one.success_rate:.1f}"
                 for one in results
-                if (one.policy, one.task, one.split) == key
+                if (_acting(one), one.task, one.split) == key
             }
             matrix.add_row(*key, *(cells[nx] for nx in columns))
         console.print(matrix)
+
+
+def _acting(result: Result) -> str:
+    """Name the policy, and the view that it acted in unless that is "pull"."""
+    return result.policy if result.action == "pull" else f"{result.policy} ({result.action})"
 
 
 def reference_lines(results: Sequence[Result]) -> list[str]:
@@ -290,7 +297,7 @@ def reference_lines(results: Sequence[Result]) -> list[str]:
     """
     known = reference_scores()
     lines = []
-    for task, nx in dict.fromkeys((one.task, one.nx) for one in results):
+    for task, nx in dict.fromkeys((one.task, one.nx) for one in results if one.action == "pull"):
         scores = known.get(f"{task}-nx{nx}")
         if scores is not None:
             lines.append(
@@ -485,6 +492,7 @@ def _result(policy: PolicyConfig, task: TaskConfig, played: Sequence[PlayedEpiso
         task=task.task,
         nx=task.nx,
         split=task.split,
+        action=make_policy(policy).suited(task).action,
         episodes=len(played),
         successes=successes,
         success_rate=successes / len(played),
