@@ -27,9 +27,23 @@ def train(
         list[str],
         typer.Option(help="Minari id or folder of train-split episodes; may be repeated."),
     ],
+    learner: Annotated[
+        str,
+        typer.Option(
+            help="pictures: the learner from pictures alone. clone: imitates the macro-actions of"
+            " a demonstrator, from vertices."
+        ),
+    ] = "pictures",
     steps: Annotated[
-        int, typer.Option(help="Training steps of the reader, the perception model.")
-    ] = 3000,
+        int | None,
+        typer.Option(help="Training steps: 3000 of the reader of pictures, or 4000 of the clone."),
+    ] = None,
+    improve: Annotated[
+        int,
+        typer.Option(
+            help="Rounds in which the clone plays in the chain engine and learns from it."
+        ),
+    ] = 0,
     settings: SettingsOption = None,
     seed: Annotated[
         int, typer.Option(help="Random seed; the same seed and data give the same weights.")
@@ -39,19 +53,26 @@ def train(
     overwrite: OverwriteOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Train a policy from pictures alone; evaluate it with `knotgym evaluate --policy FOLDER`."""
+    """Train a policy; evaluate it with `knotgym evaluate --policy FOLDER`."""
     for library in ("torch", "safetensors"):
         if importlib.util.find_spec(library) is None:
             raise MissingExtra(library, install_command("learn"), "knotgym train")
     with Progress(quiet) as progress:
+        from knotgym.learn.clone_config import CloneConfig
+        from knotgym.learn.clone_training import train_clone
         from knotgym.learn.training import TrainConfig
-        from knotgym.learn.training import train as run
+        from knotgym.learn.training import train as train_from_pictures
+        from knotgym.learn.training_data import InvalidTraining
 
-        config = with_settings(TrainConfig(steps=steps, seed=seed), settings)
-        run(
-            data,
-            out,
-            config,
-            existing=Existing(resume=resume, restart=restart, overwrite=overwrite),
-            progress=progress,
-        )
+        existing = Existing(resume=resume, restart=restart, overwrite=overwrite)
+        given = {} if steps is None else {"steps": steps}
+        if learner == "clone":
+            clone = with_settings(CloneConfig(seed=seed, improve=improve, **given), settings)
+            train_clone(data, out, clone, existing=existing, progress=progress)
+        elif learner == "pictures" and not improve:
+            pictures = with_settings(TrainConfig(seed=seed, **given), settings)
+            train_from_pictures(data, out, pictures, existing=existing, progress=progress)
+        elif improve:
+            raise InvalidTraining("only the clone improves by playing: add --learner clone")
+        else:
+            raise InvalidTraining(f"no learner {learner!r}; there is pictures, clone")

@@ -65,6 +65,10 @@ class Stream(IntEnum):
     LEARN_PICTURES = 50  # step of training the reader
     LEARN_ROPE = 51  # fitting the rope model
     LEARN_PLACES = 52  # the start positions of ropes that are kept
+    LEARN_CLONE = 53  # step of training the clone
+    LEARN_HELD_OUT = 54  # the episodes held out of a clone's training
+    LEARN_PLAY = 55  # round and task, episode: the choices of a clone that plays
+    LEARN_PLAY_START = 56  # the same: the seed of that episode's start and goal
 
 
 def key(stream: Stream, seed: int, *counters: int) -> tuple[int, ...]:

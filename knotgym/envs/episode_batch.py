@@ -28,10 +28,8 @@ from knotgym.envs.observations import (
 from knotgym.envs.reward import Outcome
 from knotgym.envs.tasks import InvalidSetting, TaskConfig
 from knotgym.rendering.picture import draw
-from knotgym.rope.engines import simulation
-=======
 from knotgym.rope.action_views import ActionView
->>>>>>> c-views
+from knotgym.rope.engines import simulation
 from knotgym.rope.model import Array, Rope, RopeConfig
 from knotgym.rope.reset_noise import start_qpos
 from knotgym.rope.towing import TowBound, centres, distances_towed
@@ -67,7 +65,6 @@ class EpisodeBatch:
             raise InvalidSetting(f"num_envs must be at least 1, got {count}")
         self.config = config
         self.count = count
-<<<<<<< HEAD
         self.simulation = simulation(config.engine, count, Rope(config.rope), threads)
         self.view = ActionView(config.action, self.simulation)
         self._picture = picture_config(config)

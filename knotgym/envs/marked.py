@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,6 +29,7 @@ from knotgym.topology.gauss import GaussCode
 
 Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
+Tokens = NDArray[np.int16]
 
 TOKENS = 24  # visits of a code in the observation, two per crossing; longer codes are cut off
 _FRAME = 13  # numbers that describe the frame
@@ -79,17 +80,23 @@ class Marked(NamedTuple):
 
     Attributes:
         points: float (n, beads, 3), vertices in the canonical frame, metres.
-        marks: float (n, beads, 2), how often each bead crosses over, and under, another.
-        code, goal: float (n, TOKENS, 2). A token per visit: 1 over or -1 under, and the index of
+        marks: (n, beads, 2), how often each bead crosses over, and under, another.
+        code, goal: (n, TOKENS, 2). A token per visit: 1 over or -1 under, and the index of
             the crossing's other visit; (0, -1) after the end.
         frames: maps to the world and back.
     """
 
     points: NDArray[np.floating]
-    marks: NDArray[np.floating]
-    code: NDArray[np.floating]
-    goal: NDArray[np.floating]
+    marks: NDArray[Any]
+    code: NDArray[Any]
+    goal: NDArray[Any]
     frames: Frames
+
+    def rows(self, index: Any) -> Marked:
+        """Return some of the observations."""
+        *own, frames = self
+        frames = Frames(*(column[index] for column in self.frames))
+        return Marked(*(column[index] for column in own), frames=frames)
 
 
 def size(beads: int) -> int:
@@ -106,8 +113,8 @@ def mark(points: ArrayLike, goals: Sequence[GaussCode]) -> Marked:
     """
     ropes = np.asarray(points, dtype=np.float64)
     count, beads = ropes.shape[:2]
-    over, under = np.zeros((2, count, beads))
-    code, goal = np.zeros((2, count, TOKENS, 2))
+    over, under = np.zeros((2, count, beads), dtype=np.int16)
+    code, goal = np.zeros((2, count, TOKENS, 2), dtype=np.int16)
     reverse, switch = np.zeros((2, count), dtype=bool)
     for row, rope in enumerate(ropes):
         crossings = find_crossings(rope)
@@ -172,7 +179,7 @@ def _frames(ropes: Array, reverse: NDArray[np.bool_], switch: NDArray[np.bool_])
 @lru_cache(maxsize=100_000)
 def _canonical_image(
     goal: tuple[int, ...], code: tuple[int, ...]
-) -> tuple[bool, bool, Floats, Floats]:
+) -> tuple[bool, bool, Tokens, Tokens]:
     """Return whether to reverse and to switch, and the tokens of the goal and of the code then."""
     images = []
     for reverse in (False, True):
@@ -186,13 +193,13 @@ def _canonical_image(
     return best[2], best[3], _tokens(best[0]), _tokens(best[1])
 
 
-def _tokens(visits: tuple[int, ...]) -> Floats:
-    """Return the tokens of a code, float32 (TOKENS, 2).
+def _tokens(visits: tuple[int, ...]) -> Tokens:
+    """Return the tokens of a code, int16 (TOKENS, 2).
 
     >>> _tokens((1, -1))[:3].tolist()
-    [[1.0, 1.0], [-1.0, 0.0], [0.0, -1.0]]
+    [[1, 1], [-1, 0], [0, -1]]
     """
-    tokens = np.full((TOKENS, 2), (0, -1), dtype=np.float32)
+    tokens = np.full((TOKENS, 2), (0, -1), dtype=np.int16)
     at = {visit: index for index, visit in enumerate(visits)}
     for index, visit in enumerate(visits[:TOKENS]):
         tokens[index] = (visit > 0) - (visit < 0), at[-visit]

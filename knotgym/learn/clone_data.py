@@ -4,21 +4,24 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
 
+from knotgym.common.atomic_files import atomic_write
+from knotgym.common.errors import one_line
+from knotgym.common.hdf5_files import require_regular
 from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.envs.marked import mark
-from knotgym.learn.clone_network import FORCE_BINS, Inputs, Macros, inputs
+from knotgym.envs.marked import Marked, mark
 from knotgym.learn.rope_model import MAX_FORCE
 from knotgym.learn.training_data import InvalidTraining, require_trainable
+from knotgym.rope.actions import force_choices
 from knotgym.topology.gauss import GaussCode
 
-_CHUNK = 4096  # states marked at once
 _MACRO_INFOS = ("macro_start", "macro_bead", "macro_target", "macro_side")
 
 
@@ -39,6 +42,10 @@ class Decisions(NamedTuple):
     forces: NDArray[np.float32]
     episodes: NDArray[np.int64]
 
+    def rows(self, index: NDArray[Any]) -> Decisions:
+        """Return some of the decisions."""
+        return Decisions(*(column[index] for column in self))
+
     @property
     def digest(self) -> str:
         """SHA-256 of all columns, hexadecimal."""
@@ -49,59 +56,39 @@ class Decisions(NamedTuple):
 
 
 class Examples(NamedTuple):
-    """n decisions in the canonical frame, as the network takes them.
+    """n decisions in the canonical frame.
 
     Attributes:
-        states: what the network sees.
-        macros: bead, strand and side.
-        bins: int64 (n, 3), bins of the force.
+        seen: states; frames apart, all that the network is shown.
+        macros: int64 (n, 3): bead, strand, 0 for under or 1 for over.
+        forces: int64 (n, 3), choices of the force components of pulls.
         episodes: int64 (n,).
     """
 
-    states: Inputs
-    macros: Macros
-    bins: Tensor
+    seen: Marked
+    macros: NDArray[np.int64]
+    forces: NDArray[np.int64]
     episodes: NDArray[np.int64]
 
-    def rows(self, index: Tensor) -> Examples:
+    def rows(self, index: NDArray[Any]) -> Examples:
         """Return some of the examples."""
-        return Examples(
-            self.states.rows(index),
-            Macros(*(column[index] for column in self.macros)),
-            self.bins[index],
-            self.episodes[index.numpy()],
-        )
-
-    def __len__(self) -> int:
-        return len(self.episodes)
+        own = self.macros[index], self.forces[index], self.episodes[index]
+        return Examples(self.seen.rows(index), *own)
 
 
 def examples(decisions: Decisions) -> Examples:
     """Bring decisions into the canonical frame."""
     codes = {text: GaussCode.parse(text) for text in set(decisions.goals.tolist())}
-    states, columns = list[Inputs](), list[tuple[NDArray[Any], ...]]()
-    for first in range(0, len(decisions.points), _CHUNK):
-        rows = slice(first, first + _CHUNK)
-        seen = mark(decisions.points[rows], [codes[text] for text in decisions.goals[rows].tolist()])
-        frames, (bead, target, side) = seen.frames, decisions.macros[rows].T
-        over = (frames.sides(side) > 0).astype(np.int64)
-        force = frames.vectors(decisions.forces[rows])
-        states.append(inputs(seen))
-        columns.append((frames.renumber(bead), frames.renumber(target), over, force_bins(force)))
-    bead, target, over, bins = (torch.from_numpy(np.concatenate(own)) for own in zip(*columns))
-    together = Inputs(*(torch.cat(own) for own in zip(*states, strict=True)))
-    return Examples(together, Macros(bead, target, over), bins, decisions.episodes)
-
-
-def force_bins(forces: NDArray[Any]) -> NDArray[np.int64]:
-    """Return the bins of forces (n, 3) relative to the largest; bins are centred on -1, ..., 1."""
-    scaled = (np.clip(forces, -1, 1) + 1) / 2 * (FORCE_BINS - 1)
-    return np.rint(scaled).astype(np.int64)
-
-
-def bin_forces(bins: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Return the forces at the centres of bins; the inverse of `force_bins`."""
-    return bins / (FORCE_BINS - 1) * 2 - 1.0
+    seen = mark(decisions.points, [codes[text] for text in decisions.goals.tolist()])
+    frames, (beads, targets, sides) = seen.frames, decisions.macros.T
+    macros = frames.renumber(beads), frames.renumber(targets), (frames.sides(sides) + 1) // 2
+    forces = np.clip(frames.vectors(decisions.forces), -1, 1)
+    return Examples(
+        seen._replace(points=seen.points.astype(np.float32)),
+        np.stack(macros, axis=1),
+        force_choices(forces),
+        decisions.episodes,
+    )
 
 
 def read_decisions(datasets: Sequence[Any], action: str = "macro") -> Decisions:
@@ -138,6 +125,33 @@ def read_decisions(datasets: Sequence[Any], action: str = "macro") -> Decisions:
 def join(parts: Sequence[Decisions]) -> Decisions:
     """Return all decisions in one; episode numbers stay as they are."""
     return Decisions(*(np.concatenate(own) for own in zip(*parts, strict=True)))
+
+
+def save_decisions(path: Path, decisions: Decisions, rates: dict[str, float]) -> None:
+    """Write decisions and the success rates of the play that made them, as safetensors."""
+    arrays = decisions._asdict()
+    arrays["goals"] = np.frombuffer(
+        "".join(f"{goal}\n" for goal in decisions.goals.tolist()).encode(), dtype=np.uint8
+    )
+    with atomic_write(path) as part:
+        part.write_bytes(save(arrays, metadata={key: repr(rate) for key, rate in rates.items()}))
+
+
+def load_decisions(path: Path) -> tuple[Decisions, dict[str, float]]:
+    """Read what `save_decisions` wrote; raise InvalidTraining if it is corrupted."""
+    require_regular(path, "training", InvalidTraining)
+    try:
+        with safe_open(path, framework="numpy") as file:
+            arrays = {name: file.get_tensor(name) for name in file.keys()}
+            rates = {key: float(rate) for key, rate in (file.metadata() or {}).items()}
+        goals = np.array(bytes(arrays.pop("goals")).decode().split("\n")[:-1], dtype=np.str_)
+        decisions = Decisions(goals=goals, **arrays)
+        lengths = {len(column) for column in decisions}
+    except (SafetensorError, TypeError, ValueError) as error:
+        raise InvalidTraining(f"{path} can't be read: {one_line(error)}") from error
+    if len(lengths) != 1:
+        raise InvalidTraining(f"{path} is corrupted: its columns have different lengths")
+    return decisions, rates
 
 
 def _of_episode(reader: EpisodeReader, index: int, action: str, number: int) -> Decisions:

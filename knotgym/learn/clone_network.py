@@ -1,8 +1,8 @@
 """The clone's network: attention over the beads of a marked rope, and heads that choose.
 
-A macro-action is drawn as bead, strand given bead, and side given both, so that a state with several
-good macro-actions doesn't get a mixture of them. A pull is drawn as bead, and three bins of its
-force given the bead. All choices are made in the canonical frame of `envs.marked`.
+A macro-action is chosen as bead, strand given bead, and side given both, so that a state with
+several good macro-actions doesn't get a mixture of them. A pull is chosen as bead, and the choices
+of its force given the bead. All is in the canonical frame of `envs.marked`.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from torch.nn import functional
 
 from knotgym.envs.marked import Marked
 from knotgym.learn.rope_model import BEADS
+from knotgym.rope.actions import FORCE_CHOICES
 
-FORCE_BINS = 11  # of each component of a force, from -1 to 1
 _PATCH = 10  # neighbouring beads in one token
 _VISITS = 12  # visits of a code that the network sees
 _ARCS, _ARC_WIDTH = 2 * _VISITS + 1, 6
@@ -41,10 +41,6 @@ class Inputs(NamedTuple):
     arcs: Tensor
     codes: Tensor
 
-    def rows(self, index: Tensor) -> Inputs:
-        """Return some of the states."""
-        return Inputs(*(column[index] for column in self))
-
 
 def inputs(seen: Marked) -> Inputs:
     """Return the network's inputs of marked states."""
@@ -54,8 +50,8 @@ def inputs(seen: Marked) -> Inputs:
     beads = torch.cat([points * _POINT, tangents * _TANGENT, marks], dim=2)
     visits = marks.sum(2)
     arcs = (visits.cumsum(1) - visits).long().clamp(max=_ARCS - 1)
-    tokens = torch.from_numpy(np.stack([seen.code, seen.goal], axis=1)[:, :, :_VISITS])
-    signs, partners = tokens[..., 0], tokens[..., 1].long()
+    tokens = torch.from_numpy(np.stack([seen.code, seen.goal], axis=1)[:, :, :_VISITS]).long()
+    signs, partners = tokens.unbind(3)
     # an index beyond the visits that are seen, or of an empty token, has no column
     known = (partners >= 0) & (partners < _VISITS)
     onehot = functional.one_hot(partners.clamp(0, _VISITS - 1), _VISITS) * known[..., None]
@@ -78,7 +74,7 @@ class Seen(NamedTuple):
 
 
 class Macros(NamedTuple):
-    """Macro-actions of n states in the canonical frame, int64 (n,) each; side is 0 under, 1 over."""
+    """Macro-actions in the canonical frame, int64 (n,) each; a side is 0 under or 1 over."""
 
     beads: Tensor
     targets: Tensor
@@ -86,14 +82,22 @@ class Macros(NamedTuple):
 
 
 class CloneNetwork(nn.Module):
-    """Attention over patches of beads; heads for macro-actions and for pulls."""
+    """Attention over patches of beads; heads for macro-actions and for pulls.
+
+    Attributes:
+        noise: numbers that `choose` takes to draw one macro-action.
+    """
+
+    noise = 2 * BEADS + 2
 
     def __init__(self, width: int = 96, layers: int = 2, heads: int = 4, dropout: float = 0.0):
         super().__init__()
         # names of modules are keys of stored weights, so a rename breaks checkpoints
         self.arc = nn.Embedding(_ARCS, _ARC_WIDTH)
         codes = 2 * _VISITS * (2 + _VISITS)
-        self.codes = nn.Sequential(nn.Linear(codes, 2 * width), nn.GELU(), nn.Linear(2 * width, width))
+        self.codes = nn.Sequential(
+            nn.Linear(codes, 2 * width), nn.GELU(), nn.Linear(2 * width, width)
+        )
         self.inward = nn.Linear(_PATCH * (8 + _ARC_WIDTH), width)
         self.place = nn.Parameter(0.1 * torch.randn(BEADS // _PATCH, width))
         self.body = nn.TransformerEncoder(
@@ -112,7 +116,7 @@ class CloneNetwork(nn.Module):
         self.apart = nn.Embedding(BEADS, 1)
         self.side = nn.Sequential(nn.Linear(3 * own + width, width), nn.GELU(), nn.Linear(width, 2))
         self.force = nn.Sequential(
-            nn.Linear(own + width, width), nn.GELU(), nn.Linear(width, 3 * FORCE_BINS)
+            nn.Linear(own + width, width), nn.GELU(), nn.Linear(width, 3 * FORCE_CHOICES)
         )
         nn.init.zeros_(self.apart.weight)
 
@@ -142,9 +146,9 @@ class CloneNetwork(nn.Module):
         return self.side(torch.cat([one, two, one * two, seen.whole], dim=1))
 
     def forces(self, seen: Seen, beads: Tensor) -> Tensor:
-        """Return logits (n, 3, FORCE_BINS) of the force, given the bead to pull."""
+        """Return logits (n, 3, FORCE_CHOICES) of the force, given the bead to pull."""
         one = seen.beads[torch.arange(len(beads)), beads]
-        return self.force(torch.cat([one, seen.whole], dim=1)).reshape(-1, 3, FORCE_BINS)
+        return self.force(torch.cat([one, seen.whole], dim=1)).reshape(-1, 3, FORCE_CHOICES)
 
     def macro_loss(self, states: Inputs, macros: Macros) -> Tensor:
         """Return the negative log-likelihood (n, 3) of bead, strand and side, smoothed."""
@@ -165,41 +169,38 @@ class CloneNetwork(nn.Module):
         seen = self(states)
         logits = self.forces(seen, beads)
         force = functional.cross_entropy(logits.flatten(0, 1), bins.flatten(), reduction="none")
-        return torch.stack(
-            [smoothed_loss(seen.logits, beads), force.reshape(-1, 3).sum(1)], dim=1
-        )
+        return torch.stack([smoothed_loss(seen.logits, beads), force.reshape(-1, 3).sum(1)], dim=1)
 
-    def choose(self, states: Inputs, noise: Tensor | None, temperature: float = 0.0) -> Macros:
+    def choose(self, states: Inputs, noise: Tensor, temperatures: Tensor) -> Macros:
         """Choose macro-actions: the likeliest, or drawn at a temperature.
 
         Args:
             states: n states.
-            noise: uniform in (0, 1), (n, 2 BEADS + 2); decides what is drawn at a temperature.
-            temperature: 0 for the likeliest.
+            noise: uniform in [0, 1), (n, noise); decides what is drawn at temperatures above 0.
+            temperatures: (n,); 0 for the likeliest.
         """
         seen = self(states)
-        if temperature > 0:
-            assert noise is not None
-            # the maximum of logits with Gumbel noise is a draw from their softmax
-            gumbel = -torch.log(-torch.log(noise)).split([BEADS, BEADS, 2], dim=1)
-            beads = (seen.logits / temperature + gumbel[0]).argmax(1)
-            targets = (self.targets(seen, beads) / temperature + gumbel[1]).argmax(1)
-            sides = (self.sides(seen, beads, targets) / temperature + gumbel[2]).argmax(1)
-            return Macros(beads, targets, sides)
-        # the likeliest triple that begins with one of the likeliest beads
         first, beads = functional.log_softmax(seen.logits, 1).topk(_NEIGHBOURS, dim=1)
+        # the likeliest triple that begins with one of the likeliest beads
         many = Seen(*(column.repeat_interleave(_NEIGHBOURS, 0) for column in seen))
         second, targets = functional.log_softmax(self.targets(many, beads.flatten()), 1).max(1)
-        third, sides = functional.log_softmax(
-            self.sides(many, beads.flatten(), targets), 1
-        ).max(1)
+        third, sides = functional.log_softmax(self.sides(many, beads.flatten(), targets), 1).max(1)
         best = (first + (second + third).reshape(first.shape)).argmax(1)
         rows = torch.arange(len(best))
-        return Macros(
-            beads[rows, best],
-            targets.reshape(first.shape)[rows, best],
-            sides.reshape(first.shape)[rows, best],
+        likeliest = Macros(
+            *(column.reshape(first.shape)[rows, best] for column in (beads, targets, sides))
         )
+        hot = temperatures > 0
+        if not hot.any():
+            return likeliest
+        # The maximum of logits with Gumbel noise is a draw from their softmax.
+        gumbel = -torch.log(-torch.log(noise.clamp(1e-12, 1 - 1e-12)))
+        scaled = (temperatures[:, None] * gumbel).float().split([BEADS, BEADS, 2], dim=1)
+        bead = (seen.logits + scaled[0]).argmax(1)
+        target = (self.targets(seen, bead) + scaled[1]).argmax(1)
+        side = (self.sides(seen, bead, target) + scaled[2]).argmax(1)
+        drawn = Macros(bead, target, side)
+        return Macros(*(torch.where(hot, a, b) for a, b in zip(drawn, likeliest, strict=True)))
 
 
 def smoothed_loss(logits: Tensor, beads: Tensor) -> Tensor:
