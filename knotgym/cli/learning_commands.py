@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -65,7 +65,7 @@ def train(
         from knotgym.learn.training_data import InvalidTraining
 
         existing = Existing(resume=resume, restart=restart, overwrite=overwrite)
-        given = {} if steps is None else {"steps": steps}
+        given: dict[str, Any] = {} if steps is None else {"steps": steps}
         if learner == "clone":
             clone = with_settings(CloneConfig(seed=seed, improve=improve, **given), settings)
             train_clone(data, out, clone, existing=existing, progress=progress)

@@ -94,9 +94,13 @@ class Marked(NamedTuple):
 
     def rows(self, index: Any) -> Marked:
         """Return some of the observations."""
-        *own, frames = self
-        frames = Frames(*(column[index] for column in self.frames))
-        return Marked(*(column[index] for column in own), frames=frames)
+        return Marked(
+            self.points[index],
+            self.marks[index],
+            self.code[index],
+            self.goal[index],
+            Frames(*(column[index] for column in self.frames)),
+        )
 
 
 def size(beads: int) -> int:

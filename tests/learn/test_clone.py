@@ -119,7 +119,7 @@ def test_a_training_broken_off_and_resumed_ends_with_the_same_weights(
     from knotgym.learn.clone_config import PlayConfig
     from knotgym.learn.clone_training import CloneTraining
 
-    settings = {"improve": 1, "round_steps": 4, "play": PlayConfig(episodes=2)}
+    settings: dict[str, Any] = {"improve": 1, "round_steps": 4, "play": PlayConfig(episodes=2)}
     train_tiny(macros, tmp_path / "whole", **settings)
     advance = CloneTraining.advance
 
