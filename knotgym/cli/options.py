@@ -16,7 +16,7 @@ from knotgym.topology.gauss import GaussCode
 ENVIRONMENT, ACTING = "The environment", "Who acts"
 RUN, METADATA = "How it is run", "Metadata"
 _POLICIES = (
-    "random, constant, scripted, expert, noisy-expert, mixed or pretrained; a folder written by"
+    "random, constant, scripted, expert, noisy, mixed or pretrained; a folder written by"
     " `knotgym train`; a .zip (SB3), .onnx or .pt file; prompt:FILE, to score transcripts of"
     " `knotgym prompt`; or module:name for your own code: a function of (observation) or"
     " (observation, info, generator), or an object with reset and act."
@@ -99,6 +99,14 @@ ResetNoiseOption = Annotated[
         group=ENVIRONMENT,
     ),
 ]
+EngineOption = Annotated[
+    str,
+    option(
+        "--engine",
+        help="Simulation engine: mujoco, the reference, or chain, which is many times as fast.",
+        group=ENVIRONMENT,
+    ),
+]
 IntegratorStepsOption = Annotated[
     int,
     option(
@@ -116,7 +124,7 @@ NoiseOption = Annotated[
     float,
     option(
         "--noise",
-        help="Probability that noisy-expert takes a random action instead of its own.",
+        help="Probability that noisy takes a random action instead of its own.",
         group=ACTING,
     ),
 ]
@@ -128,7 +136,7 @@ SharesOption = Annotated[
     str,
     option(
         "--shares",
-        help="Shares of random, scripted, noisy-expert and expert episodes in mixed.",
+        help="Shares of random, scripted, noisy and expert episodes in mixed.",
         group=ACTING,
     ),
 ]

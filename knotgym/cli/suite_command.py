@@ -10,6 +10,7 @@ import typer
 from knotgym.cli.options import (
     ENVIRONMENT,
     BudgetOption,
+    EngineOption,
     ExecutorOption,
     ObservationOption,
     OverwriteOption,
@@ -36,8 +37,8 @@ def suite(
     ] = "2-4",
     policies: Annotated[
         str,
-        typer.Option(help="Policies, comma-separated: random, scripted, noisy-expert, expert."),
-    ] = "random,scripted,noisy-expert,expert",
+        typer.Option(help="Policies, comma-separated: random, scripted, noisy, expert."),
+    ] = "random,scripted,noisy,expert",
     states: Annotated[
         str,
         option(
@@ -53,9 +54,10 @@ def suite(
                 "Episodes per dataset: 100 for all, or expert=3000,random=100 by policy; others"
                 " keep their default."
             ),
-            show_default="random=250,scripted=500,noisy-expert=150,expert=1000",
+            show_default="random=250,scripted=500,noisy=150,expert=1000",
         ),
     ] = "",
+    engine: EngineOption = "mujoco",
     observation: ObservationOption = "state",
     budget: BudgetOption = 1000,
     out: Annotated[
@@ -108,6 +110,7 @@ def suite(
             policies=words(policies),
             states=words(states),
             episodes=_sizes(episodes, words(policies)),
+            engine=engine,
             observation=observation,
             budget=budget,
             seed=seed,

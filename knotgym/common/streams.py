@@ -69,6 +69,8 @@ class Stream(IntEnum):
     LEARN_HELD_OUT = 54  # the episodes held out of a clone's training
     LEARN_PLAY = 55  # round and task, episode: the choices of a clone that plays
     LEARN_PLAY_START = 56  # the same: the seed of that episode's start and goal
+    PASS_STARTS = 60  # task: the starts of play that counts passes
+    PASS_PLAY = 61  # round, episode of that play
 
 
 def key(stream: Stream, seed: int, *counters: int) -> tuple[int, ...]:

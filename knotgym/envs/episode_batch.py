@@ -35,7 +35,7 @@ from knotgym.rope.reset_noise import start_qpos
 from knotgym.rope.towing import TowBound, centres, distances_towed
 from knotgym.states.schema import CODE_SPLITS
 from knotgym.states.state_file import States, read_states, shipped, ships, states_file
-from knotgym.topology.crossings import label_many
+from knotgym.topology.crossings import label, label_many
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import UNKNOT
 
@@ -54,6 +54,7 @@ class EpisodeBatch:
         steps: int (count,), actions taken since the reset.
         held: int (count,), consecutive steps for which the goal has been shown.
         failed: bool (count,), whether the simulation blew up in the last step.
+        start_qpos: float64 (count, nq), generalized positions that each rope was laid at.
         origins: float64 (count, 3), each rope's centre at reset, metres.
         beads: int (count,), bead pulled in the last step; -1 at reset.
         forces: float64 (count, 3), mean force applied to it in the last step, newtons.
@@ -84,6 +85,7 @@ class EpisodeBatch:
         self.steps = np.zeros(count, dtype=np.int64)
         self.held = np.zeros(count, dtype=np.int64)
         self.failed = np.zeros(count, dtype=bool)
+        self.start_qpos = np.zeros((count, self.simulation.rope.nq))
         self.origins = np.zeros((count, 3))
         self.beads = np.full(count, -1, dtype=np.int64)
         self.forces = np.zeros((count, 3))
@@ -102,6 +104,13 @@ class EpisodeBatch:
         if self._start_nx != self.config.goal_nx:
             return rows
         return rows[self._goals.gauss_code[rows] != self._starts.gauss_code[start]]
+
+    def goal_codes(self) -> list[GaussCode]:
+        """Return the distinct codes of the goals, without chirality, in order of their text."""
+        return [
+            GaussCode.parse(code)
+            for code in sorted({*self._goals.gauss_code[self._rows["goal"]].tolist()})
+        ]
 
     def begin(
         self, index: int, rng: np.random.Generator, options: dict[str, Any] | None = None
@@ -125,19 +134,18 @@ class EpisodeBatch:
             )
         self.start_row[index], self.goal_row[index] = start, goal
         code = GaussCode.parse(str(self._starts.gauss_code_chiral[start]))
-        self.simulation.lay(
-            start_qpos(
-                self.simulation.rope,
-                self._starts.qpos[start],
-                self._starts.points[start],
-                code,
-                self.config.reset_noise,
-                rng,
-            ),
-            [index],
+        self.start_qpos[index] = start_qpos(
+            self.simulation.rope,
+            self._starts.qpos[start],
+            self._starts.points[start],
+            code,
+            self.config.reset_noise,
+            rng,
         )
+        self.simulation.lay(self.start_qpos[[index]], [index])
         self.origins[index] = centres(self.simulation.points[[index]])[0]
-        self.codes[index] = code
+        # the chain engine closes the gaps of a state without noise, so it is read again
+        self.codes[index] = label(self.simulation.points[index])
         self.goals[index] = GaussCode.parse(str(self._goals.gauss_code[goal]))
         self.view.reset(index)
         self.steps[index] = self.held[index] = 0
@@ -152,7 +160,7 @@ class EpisodeBatch:
         """
         if self.config.action == "pull":
             return self.step(actions, ids)
-        self.view.begin(actions, ids, self.codes)
+        self.view.begin(actions, ids)
         total = Outcome(
             np.zeros(len(ids)), np.zeros(len(ids), dtype=bool), np.zeros(len(ids), dtype=bool)
         )
@@ -189,7 +197,7 @@ class EpisodeBatch:
         outcome = self.config.reward_rule.outcome(
             self.held[ids], self.steps[ids], self.failed[ids], towed
         )
-        self.view.pulled(ids, self.codes, outcome.terminated | outcome.truncated)
+        self.view.pulled(ids, outcome.terminated | outcome.truncated)
         return outcome
 
     def tow_bound(self, index: int) -> TowBound | None:

@@ -101,7 +101,7 @@ def play(
         deciding = under_way[~episodes.view.busy[under_way]]
         if len(deciding):
             actions = policy.act(episodes, deciding).actions
-            episodes.view.begin(actions, deciding, episodes.codes)
+            episodes.view.begin(actions, deciding)
             for index in deciding.tolist():
                 close(index)
                 bead, target, side = episodes.view.macros[index].tolist()

@@ -92,10 +92,10 @@ class ClonePolicy(UnplannedPolicy):
         view = self._view
         assert view is not None
         pulled = ids[view.busy[ids]]
-        view.pulled(pulled, episodes.codes, np.zeros(len(pulled), dtype=bool))
+        view.pulled(pulled, np.zeros(len(pulled), dtype=bool))
         deciding = ids[~view.busy[ids]]
         if len(deciding):
-            view.begin(self._choose(episodes, deciding), deciding, episodes.codes)
+            view.begin(self._choose(episodes, deciding), deciding)
         return Choice(view.next_pulls(ids).astype(np.float32), ["macro"] * len(ids))
 
     def _choose(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -495,7 +495,7 @@ def test_default_ids_tell_collections_apart(states_path: str) -> None:
             (replace(plain, image_size=64), expert, 0),
             (TaskConfig(task="tie", nx=3, states="random-walk"), expert, 0),
             (TaskConfig(task="tie", nx=3, states=states_path), expert, 0),
-            (plain, PolicyConfig(policy="noisy-expert", noise=0.5), 0),
+            (plain, PolicyConfig(policy="noisy", noise=0.5), 0),
         )
     }
     ids.add(distinct_id(replace(usual, keep_failed=False)))
@@ -562,7 +562,7 @@ def test_results_fit_eighty_columns_heads_whole() -> None:
     written = io.StringIO()
     show(
         [
-            result("noisy-expert", planned_actions=512.0, planning_seconds=1.25),
+            result("noisy", planned_actions=512.0, planning_seconds=1.25),
             result("my_package.policies:Recurrent"),
         ],
         Console(file=written, width=80),

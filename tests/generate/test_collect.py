@@ -278,7 +278,7 @@ def test_minari_does_it_with_hindsight_too(
     check_minari(tmp_path / "root", name, monkeypatch)
 
 
-@pytest.mark.parametrize("name", ["scripted", pytest.param("noisy-expert", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["scripted", pytest.param("noisy", marks=pytest.mark.slow)])
 def test_workers_do_not_change_the_bytes(name: str, states_path: str, tmp_path: Path) -> None:
     policy = PolicyConfig(policy=name, planner=PlannerConfig(budget=40, batch_size=2))
     one = collect(config(states_path, policy=policy), tmp_path / "one", QUIET)

@@ -175,7 +175,7 @@ def test_what_the_suite_has_not_is_one_line(
 def test_a_set_of_another_size_is_refused_before_anything_is_made(
     unbroken: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    words = (*WORDS, "--policies", "noisy-expert,random", "--episodes", 6, "--resume")
+    words = (*WORDS, "--policies", "noisy,random", "--episodes", 6, "--resume")
     assert knotgym(*words, "--quiet", "--out", unbroken) == 2
     assert "config.episodes is 1 there and 6 here" in capfd.readouterr().err
-    assert not (unbroken / ID.format("noisy-expert")).exists()
+    assert not (unbroken / ID.format("noisy")).exists()

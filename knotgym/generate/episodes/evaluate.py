@@ -29,6 +29,7 @@ from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import reference_scores
 from knotgym.generate.episodes.digests import digests, require_unchanged, sources
 from knotgym.generate.episodes.unfinished_evaluation import PlayedEpisode, Unfinished, kept_beside
+from knotgym.rope.engines import MUJOCO
 from knotgym.runs.engine import require_same, whole_request
 from knotgym.runs.executors import executor
 from knotgym.runs.intervals import cluster_interval
@@ -233,7 +234,7 @@ def as_text(report: dict[str, Any]) -> str:
     return re.sub(r"\[[-\d\s.,]+\]", on_one_line, json.dumps(report, indent=1)) + "\n"
 
 
-def show(results: Sequence[Result], console: Console) -> None:
+def show(results: Sequence[Result], console: Console, engine: str = MUJOCO) -> None:
     """Print a row per setup, and a matrix if there are several nx, in at most 80 columns."""
     reached = any(one.steps is not None for one in results)
     table = narrow_table(
@@ -268,8 +269,11 @@ def show(results: Sequence[Result], console: Console) -> None:
             f"{task} nx {nx}: the state file has no plain loops; the included ones are used.",
             highlight=False,
         )
-    for line in reference_lines(results):
-        console.print(line, highlight=False)
+    if engine == MUJOCO:
+        for line in reference_lines(results):
+            console.print(line, highlight=False)
+    else:
+        console.print(f"engine {engine}, not the reference engine {MUJOCO}", highlight=False)
     columns = list(dict.fromkeys(one.nx for one in results))
     if len(columns) > 1:
         matrix = narrow_table(
@@ -293,7 +297,7 @@ def _acting(result: Result) -> str:
 def reference_lines(results: Sequence[Result]) -> list[str]:
     """Return a line per task and nx with reference returns to compare a result with.
 
-    References are always measured on readable states.
+    References are always measured on readable states, with MuJoCo.
     """
     known = reference_scores()
     lines = []
@@ -349,7 +353,7 @@ def run(
     done = None if out is None else _done_already(out, video, config, source, existing)
     if done is not None:
         if not quiet:
-            show(done, console)
+            show(done, console, config.task.engine)
             console.print(f"{out} is finished already", soft_wrap=True, highlight=False)
         return done
     for path in (out, video):
@@ -365,7 +369,7 @@ def run(
             results, films = evaluate(config, pool, progress, unfinished)
         require_unchanged(source, sources_of(config))
         if not quiet:
-            show(results, console)
+            show(results, console, config.task.engine)
         if video is not None:  # before `out`, which says that all is done
             frames = [frame for episode in films for frame in film(episode, config.task)]
             with atomic_write(video, overwrite=existing.overwrite) as temporary:

@@ -98,6 +98,12 @@ class ChainSimulation(Simulation):
         self._states[where] = np.reshape(states, (len(where), *self._states.shape[1:]))
         self.points[where] = self._states[where, :, :3]
 
+    def at_rest(self, ids: Ids = None) -> Array:
+        """Copy of the states without their velocities: float64 (len(ids), beads * STATE)."""
+        states = self._states[self._all(ids)]
+        states[:, :, 3:6] = states[:, :, 9:] = 0.0
+        return states.reshape(len(states), -1)
+
     def lay(self, qpos: ArrayLike, ids: Ids = None) -> None:
         """Reset ropes to rest at generalized positions float64 (len(ids), nq).
 
