@@ -43,6 +43,7 @@ class CloneConfig:
     Attributes:
         action: what is cloned: "macro" for a demonstrator's macro-actions, "bead" for every pull.
         steps: optimizer steps on the data.
+        failed: whether to learn from episodes that didn't reach their goal, too.
         improve: rounds of improvement by playing in the chain engine.
         round_steps: optimizer steps after each of them.
         batch: decisions per step.
@@ -59,6 +60,7 @@ class CloneConfig:
 
     action: str = "macro"
     steps: int = 4000
+    failed: bool = False
     improve: int = 0
     round_steps: int = 1000
     batch: int = 128

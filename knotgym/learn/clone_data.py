@@ -15,14 +15,14 @@ from safetensors.numpy import save
 from knotgym.common.atomic_files import atomic_write
 from knotgym.common.errors import one_line
 from knotgym.common.hdf5_files import require_regular
+from knotgym.control.demonstrator import RANDOM
 from knotgym.datasets.episode_reader import EpisodeReader
+from knotgym.datasets.trajectory import MACRO_INFOS
 from knotgym.envs.marked import Marked, mark
 from knotgym.learn.rope_model import MAX_FORCE
 from knotgym.learn.training_data import InvalidTraining, require_trainable
 from knotgym.rope.actions import force_choices
 from knotgym.topology.gauss import GaussCode
-
-_MACRO_INFOS = ("macro_start", "macro_bead", "macro_target", "macro_side")
 
 
 class Decisions(NamedTuple):
@@ -91,12 +91,15 @@ def examples(decisions: Decisions) -> Examples:
     )
 
 
-def read_decisions(datasets: Sequence[Any], action: str = "macro") -> Decisions:
+def read_decisions(
+    datasets: Sequence[Any], action: str = "macro", failed: bool = False
+) -> Decisions:
     """Read the decisions of datasets, given as ids or folders.
 
     Args:
         datasets: of the train split.
-        action: "macro" for the macro-actions that a demonstrator began; "bead" for every pull.
+        action: "macro" for the macro-actions that a demonstrator chose; "bead" for every pull.
+        failed: also read episodes that didn't reach their goal.
 
     Raises:
         InvalidTraining: a dataset is not of the train split, has no episodes, was made with another
@@ -116,9 +119,15 @@ def read_decisions(datasets: Sequence[Any], action: str = "macro") -> Decisions:
                 " learn them; use a demonstrator's set, or set action = bead to learn pulls"
             )
         for index in range(len(reader)):
-            parts.append(_of_episode(reader, index, action, number))
+            if failed or reader.column(index, "terminations")[-1]:
+                parts.append(_of_episode(reader, index, action, number))
             number += 1
         reader.close()
+    if not sum(len(part.points) for part in parts):
+        raise InvalidTraining(
+            f"no episode of {', '.join(map(str, datasets))} reached its goal, so there is nothing"
+            " to imitate; set failed = true to learn from the others too"
+        )
     return join(parts)
 
 
@@ -160,9 +169,10 @@ def _of_episode(reader: EpisodeReader, index: int, action: str, number: int) -> 
     # an info at state t + 1 belongs to the pull that led there from state t
     forces = (episode.force[1:] / MAX_FORCE).astype(np.float32)
     if action == "macro":
-        start, *macro = (reader.column(index, name)[1:] for name in _MACRO_INFOS)
-        # without a bead to pass it is a random pull
-        chosen = np.flatnonzero(start & (macro[1] >= 0))
+        start, *macro = (reader.column(index, name)[1:] for name in MACRO_INFOS)
+        # passes that nobody chose teach nothing
+        drawn = (episode.move if episode.move is not None else np.full(steps + 1, ""))[1:] == RANDOM
+        chosen = np.flatnonzero(start & ~drawn)
         macros = np.stack(macro, axis=1).astype(np.int64)[chosen]
     else:
         chosen = np.arange(steps)

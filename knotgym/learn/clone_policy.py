@@ -96,7 +96,8 @@ class ClonePolicy(UnplannedPolicy):
         deciding = ids[~view.busy[ids]]
         if len(deciding):
             view.begin(self._choose(episodes, deciding), deciding)
-        return Choice(view.next_pulls(ids).astype(np.float32), ["macro"] * len(ids))
+        macros = np.column_stack([view.pulls[ids] == 0, view.macros[ids]])
+        return Choice(view.next_pulls(ids).astype(np.float32), ["macro"] * len(ids), macros)
 
     def _choose(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return actions of the view "macro", (n, 3), or "bead", (n, 4)."""

@@ -185,7 +185,7 @@ def train_clone(
     shown = progress
 
     def read() -> tuple[Decisions, str]:
-        decisions = read_decisions(datasets, config.action)
+        decisions = read_decisions(datasets, config.action, config.failed)
         return decisions, decisions.digest
 
     def make(decisions: Decisions, request: dict[str, Any], folder: Path) -> None:

@@ -25,7 +25,15 @@ pytestmark = pytest.mark.clients
 pytest.importorskip("torch")
 pytest.importorskip("safetensors")
 
-TINY = {"steps": 4, "batch": 4, "width": 16, "layers": 1, "judge_every": 2, "held_out": 0.4}
+TINY = {
+    "failed": True,
+    "steps": 4,
+    "batch": 4,
+    "width": 16,
+    "layers": 1,
+    "judge_every": 2,
+    "held_out": 0.4,
+}
 
 
 @pytest.fixture(scope="session")
@@ -111,6 +119,11 @@ def test_pulls_can_be_cloned(macros: Path, tmp_path: Path, task: TaskConfig) -> 
 def test_a_set_without_macro_actions_is_refused(episodes: Path, tmp_path: Path) -> None:
     with pytest.raises(KnotgymError, match="doesn't say which macro-actions"):
         train_tiny(episodes, tmp_path / "none")
+
+
+def test_episodes_that_missed_their_goal_are_not_imitated(macros: Path, tmp_path: Path) -> None:
+    with pytest.raises(KnotgymError, match="reached its goal"):
+        train_tiny(macros, tmp_path / "none", failed=False)
 
 
 def test_a_training_broken_off_and_resumed_ends_with_the_same_weights(
