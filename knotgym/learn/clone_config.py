@@ -18,19 +18,16 @@ class PlayConfig:
         episodes: per task and round.
         temperature: at which macro-actions are drawn.
         rounds_kept: rounds whose decisions are trained on, the latest.
-        hindsight: decisions before a state for which its code counts as a goal; 0 for none.
     """
 
     episodes: int = 512
     temperature: float = 0.7
     rounds_kept: int = 6
-    hindsight: int = 2
 
     def __post_init__(self) -> None:
         check_numbers(
             self,
             counts=("episodes", "rounds_kept"),
-            whole=("hindsight",),
             non_negative=("temperature",),
             error=InvalidTraining,
         )
@@ -44,6 +41,8 @@ class CloneConfig:
         action: what is cloned: "macro" for a demonstrator's macro-actions, "bead" for every pull.
         steps: optimizer steps on the data.
         failed: whether to learn from episodes that didn't reach their goal, too.
+        hindsight: macro-actions before a state for which its code counts as a goal; 0 for none.
+        hindsight_share: share of each batch that has such goals, if there are any.
         improve: rounds of improvement by playing in the chain engine.
         round_steps: optimizer steps after each of them.
         batch: decisions per step.
@@ -61,6 +60,8 @@ class CloneConfig:
     action: str = "macro"
     steps: int = 4000
     failed: bool = False
+    hindsight: int = 2
+    hindsight_share: float = 0.2
     improve: int = 0
     round_steps: int = 1000
     batch: int = 128
@@ -78,17 +79,16 @@ class CloneConfig:
         check_numbers(
             self,
             counts=("steps", "round_steps", "batch", "judge_every", "width", "layers"),
-            whole=("seed", "improve"),
+            whole=("seed", "improve", "hindsight"),
             positive=("rate",),
-            non_negative=("decay", "average", "held_out"),
+            non_negative=("decay", "average", "held_out", "hindsight_share"),
             error=InvalidTraining,
         )
         if self.action not in HEADS:
             raise InvalidTraining(f"action must be {' or '.join(HEADS)}, got {self.action!r}")
-        if self.average >= 1 or self.held_out >= 1:
-            raise InvalidTraining(
-                f"average and held_out must be below 1, got {self.average} and {self.held_out}"
-            )
+        for name in ("average", "held_out", "hindsight_share"):
+            if getattr(self, name) >= 1:
+                raise InvalidTraining(f"{name} must be below 1, got {getattr(self, name)}")
         if self.improve and self.action != "macro":
             raise InvalidTraining(
                 f"a clone improves by its macro-actions: set action = macro, got {self.action!r}"

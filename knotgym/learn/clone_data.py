@@ -17,9 +17,9 @@ from knotgym.common.errors import one_line
 from knotgym.common.hdf5_files import require_regular
 from knotgym.control.demonstrator import RANDOM
 from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.datasets.trajectory import MACRO_INFOS
+from knotgym.datasets.trajectory import MACRO_INFOS, Episode
 from knotgym.envs.marked import Marked, mark
-from knotgym.learn.rope_model import MAX_FORCE
+from knotgym.learn.rope_model import BEADS, MAX_FORCE
 from knotgym.learn.training_data import InvalidTraining, require_trainable
 from knotgym.rope.actions import force_choices
 from knotgym.topology.gauss import GaussCode
@@ -34,6 +34,7 @@ class Decisions(NamedTuple):
         macros: int64 (n, 3): bead to lead, bead of the strand to pass, +1 over or -1 under.
         forces: float32 (n, 3), relative to the largest, of pulls; not used for macro-actions.
         episodes: int64 (n,), episodes are held out whole.
+        asked: bool (n,), whether the goal had been asked for; else it was reached by chance.
     """
 
     points: NDArray[np.float32]
@@ -41,6 +42,7 @@ class Decisions(NamedTuple):
     macros: NDArray[np.int64]
     forces: NDArray[np.float32]
     episodes: NDArray[np.int64]
+    asked: NDArray[np.bool_]
 
     def rows(self, index: NDArray[Any]) -> Decisions:
         """Return some of the decisions."""
@@ -50,9 +52,18 @@ class Decisions(NamedTuple):
     def digest(self) -> str:
         """SHA-256 of all columns, hexadecimal."""
         whole = hashlib.sha256("\n".join(self.goals.tolist()).encode())
-        for column in (self.points, self.macros, self.forces, self.episodes):
+        for column in (self.points, self.macros, self.forces, self.episodes, self.asked):
             whole.update(np.ascontiguousarray(column).tobytes())
         return whole.hexdigest()
+
+
+class Step(NamedTuple):
+    """One decision: the rope before it, the codes before and after it, and the macro-action."""
+
+    points: NDArray[np.float32]
+    before: GaussCode
+    after: GaussCode
+    macro: tuple[int, int, int]
 
 
 class Examples(NamedTuple):
@@ -62,17 +73,17 @@ class Examples(NamedTuple):
         seen: states; frames apart, all that the network is shown.
         macros: int64 (n, 3): bead, strand, 0 for under or 1 for over.
         forces: int64 (n, 3), choices of the force components of pulls.
-        episodes: int64 (n,).
+        asked: bool (n,), as of `Decisions`.
     """
 
     seen: Marked
     macros: NDArray[np.int64]
     forces: NDArray[np.int64]
-    episodes: NDArray[np.int64]
+    asked: NDArray[np.bool_]
 
     def rows(self, index: NDArray[Any]) -> Examples:
         """Return some of the examples."""
-        own = self.macros[index], self.forces[index], self.episodes[index]
+        own = self.macros[index], self.forces[index], self.asked[index]
         return Examples(self.seen.rows(index), *own)
 
 
@@ -87,19 +98,20 @@ def examples(decisions: Decisions) -> Examples:
         seen._replace(points=seen.points.astype(np.float32)),
         np.stack(macros, axis=1),
         force_choices(forces),
-        decisions.episodes,
+        decisions.asked,
     )
 
 
 def read_decisions(
-    datasets: Sequence[Any], action: str = "macro", failed: bool = False
+    datasets: Sequence[Any], action: str = "macro", failed: bool = False, hindsight: int = 0
 ) -> Decisions:
     """Read the decisions of datasets, given as ids or folders.
 
     Args:
         datasets: of the train split.
         action: "macro" for the macro-actions that a demonstrator chose; "bead" for every pull.
-        failed: also read episodes that didn't reach their goal.
+        failed: also imitate episodes that didn't reach their goal.
+        hindsight: macro-actions before a state for which its code counts as a goal.
 
     Raises:
         InvalidTraining: a dataset is not of the train split, has no episodes, was made with another
@@ -119,11 +131,14 @@ def read_decisions(
                 " learn them; use a demonstrator's set, or set action = bead to learn pulls"
             )
         for index in range(len(reader)):
-            if failed or reader.column(index, "terminations")[-1]:
-                parts.append(_of_episode(reader, index, action, number))
+            episode = reader.episode(index)
+            if action == "macro":
+                parts.append(_macros(episode, number, failed, hindsight))
+            elif failed or episode.terminations[-1]:
+                parts.append(_pulls(episode, number))
             number += 1
         reader.close()
-    if not sum(len(part.points) for part in parts):
+    if not any(part.asked.any() for part in parts):
         raise InvalidTraining(
             f"no episode of {', '.join(map(str, datasets))} reached its goal, so there is nothing"
             " to imitate; set failed = true to learn from the others too"
@@ -134,6 +149,48 @@ def read_decisions(
 def join(parts: Sequence[Decisions]) -> Decisions:
     """Return all decisions in one; episode numbers stay as they are."""
     return Decisions(*(np.concatenate(own) for own in zip(*parts, strict=True)))
+
+
+def without_loops(steps: Sequence[Step]) -> list[Step]:
+    """Leave out what happened between two visits to the same code, and steps that changed none."""
+    way = list[Step]()
+    for step in steps:
+        codes = [one.before for one in way]
+        if step.before in codes:
+            del way[codes.index(step.before) :]
+        way.append(step)
+    return [step for step in way if step.before != step.after]
+
+
+def gathered(
+    way: Sequence[Step], asked: Sequence[Step], goal: GaussCode, window: int, number: int
+) -> Decisions:
+    """Return the decisions of an episode that are worth learning.
+
+    Args:
+        way: steps whose consequences are goals too, in order: a code that a step led to is taken
+            for the goal of that step and of up to `window` - 1 steps before it (hindsight).
+        asked: steps to imitate for the episode's own goal.
+        goal: the episode's own.
+        window: 0 for no hindsight.
+        number: of the episode.
+    """
+    rows = [(step, goal.plain, True) for step in asked]
+    for end, last in enumerate(way):
+        reached = last.after.plain
+        for step in way[max(0, end + 1 - window) : end + 1]:
+            if reached != goal.plain and not step.before.matches(reached):
+                rows.append((step, reached, False))
+    count = len(rows)
+    points = np.stack([step.points for step, *_ in rows]) if rows else np.zeros((0, BEADS, 3))
+    return Decisions(
+        points.astype(np.float32),
+        np.array([str(code) for _, code, _ in rows], dtype=np.str_),
+        np.array([step.macro for step, *_ in rows], dtype=np.int64).reshape(-1, 3),
+        np.zeros((count, 3), dtype=np.float32),
+        np.full(count, number, dtype=np.int64),
+        np.array([own for *_, own in rows], dtype=bool),
+    )
 
 
 def save_decisions(path: Path, decisions: Decisions, rates: dict[str, float]) -> None:
@@ -163,25 +220,41 @@ def load_decisions(path: Path) -> tuple[Decisions, dict[str, float]]:
     return decisions, rates
 
 
-def _of_episode(reader: EpisodeReader, index: int, action: str, number: int) -> Decisions:
-    episode = reader.episode(index)
-    steps = len(episode)
+def _pulls(episode: Episode, number: int) -> Decisions:
+    """Return every pull of an episode as a decision."""
+    count = len(episode)
+    macros = np.zeros((count, 3), dtype=np.int64)
     # an info at state t + 1 belongs to the pull that led there from state t
-    forces = (episode.force[1:] / MAX_FORCE).astype(np.float32)
-    if action == "macro":
-        start, *macro = (reader.column(index, name)[1:] for name in MACRO_INFOS)
-        # passes that nobody chose teach nothing
-        drawn = (episode.move if episode.move is not None else np.full(steps + 1, ""))[1:] == RANDOM
-        chosen = np.flatnonzero(start & ~drawn)
-        macros = np.stack(macro, axis=1).astype(np.int64)[chosen]
-    else:
-        chosen = np.arange(steps)
-        macros = np.zeros((steps, 3), dtype=np.int64)
-        macros[:, 0] = episode.bead[1:]
+    macros[:, 0] = episode.bead[1:]
     return Decisions(
-        episode.points[:-1][chosen].astype(np.float32),
-        np.full(len(chosen), episode.goal_gauss_code),
+        episode.points[:-1].astype(np.float32),
+        np.full(count, episode.goal_gauss_code),
         macros,
-        forces[chosen],
-        np.full(len(chosen), number, dtype=np.int64),
+        (episode.force[1:] / MAX_FORCE).astype(np.float32),
+        np.full(count, number, dtype=np.int64),
+        np.ones(count, dtype=bool),
     )
+
+
+def _macros(episode: Episode, number: int, failed: bool, window: int) -> Decisions:
+    """Return the macro-actions of an episode as decisions, and what they reached in hindsight."""
+    start, *macro = (getattr(episode, name)[1:] for name in MACRO_INFOS)
+    count = len(episode)
+    starts, part_of_none = np.flatnonzero(start), np.asarray(macro[0]) < 0
+    reasons = np.full(count, "") if episode.move is None else episode.move[1:]
+    table = np.stack(macro, axis=1)
+    codes = [GaussCode.parse(text) for text in episode.gauss_code_chiral.tolist()]
+    goal = GaussCode.parse(episode.goal_gauss_code)
+    asked, way, decisions = list[Step](), list[Step](), list[Decisions]()
+    for at, end in zip(starts.tolist(), [*starts[1:].tolist(), count], strict=True):
+        points, (bead, target, side) = episode.points[at].astype(np.float32), table[at].tolist()
+        step = Step(points, codes[at], codes[end], (bead, target, side))
+        # a pass that nobody chose isn't imitated, but led somewhere all the same
+        if reasons[at] != RANDOM and (failed or episode.terminations[-1]):
+            asked.append(step)
+        if part_of_none[at:end].any():  # cut short by a random pull
+            decisions.append(gathered(without_loops(way), [], goal, window, number))
+            way = []
+        elif step.before != step.after:
+            way.append(step)
+    return join([*decisions, gathered(without_loops(way), asked, goal, window, number)])

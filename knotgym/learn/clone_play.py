@@ -1,9 +1,8 @@
 """Let the clone play in the chain engine, and keep the decisions that are on a way to a goal.
 
 A way is an episode without its loops: what happened between two visits to the same code is left
-out. Of an episode that reached its goal, the whole way is kept. What another episode reached is a
-goal too, for the decisions shortly before it: they are kept for the codes of the episode's last
-states, as if these had been asked for (hindsight).
+out. The way of an episode that reached its goal is kept for that goal. Every code on a way is kept
+as a goal too, for the decisions shortly before it, as if it had been asked for (hindsight).
 """
 
 from __future__ import annotations
@@ -19,14 +18,12 @@ from knotgym.common.streams import Stream, derived_seed, generator
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.learn.clone_config import PlayConfig
-from knotgym.learn.clone_data import Decisions, join
+from knotgym.learn.clone_data import Decisions, Step, gathered, join, without_loops
 from knotgym.learn.clone_network import CloneNetwork
 from knotgym.learn.clone_policy import ClonePolicy
-from knotgym.learn.rope_model import BEADS
 from knotgym.topology.gauss import GaussCode
 
 _LANES = 256  # episodes side by side
-_NO_POINTS = np.zeros((0, BEADS, 3), dtype=np.float32)
 
 
 class Played(NamedTuple):
@@ -41,15 +38,6 @@ class Played(NamedTuple):
     success_rate: float
 
 
-class _Step(NamedTuple):
-    """One decision: the rope before it, the codes before and after it, and the macro-action."""
-
-    points: NDArray[np.float32]
-    before: GaussCode
-    after: GaussCode
-    macro: tuple[int, int, int]
-
-
 def play(
     network: CloneNetwork,
     task: TaskConfig,
@@ -57,6 +45,7 @@ def play(
     seed: int,
     number: int,
     known: Sequence[GaussCode] = (),
+    hindsight: int = 2,
 ) -> Played:
     """Play episodes of the train split and return the decisions worth learning.
 
@@ -67,11 +56,12 @@ def play(
         seed: of the training.
         number: of the round and task, so that each plays other episodes.
         known: codes that half of the episodes get as their goal instead of the task's.
+        hindsight: as of `CloneConfig`.
     """
     task = replace(task, engine="chain", action="macro", observation="state", split="train")
     episodes = EpisodeBatch(task, min(_LANES, config.episodes))
     policy = ClonePolicy(network, "macro", config.temperature)
-    steps: dict[int, list[_Step]] = {}
+    steps: dict[int, list[Step]] = {}
     opened: dict[int, tuple[NDArray[np.float32], GaussCode, tuple[int, int, int]]] = {}
     numbers: dict[int, int] = {}
     waiting = iter(range(config.episodes))
@@ -94,7 +84,7 @@ def play(
     def close(index: int) -> None:
         if index in opened:
             points, before, macro = opened.pop(index)
-            steps[index].append(_Step(points, before, episodes.codes[index], macro))
+            steps[index].append(Step(points, before, episodes.codes[index], macro))
 
     under_way = np.array([index for index in range(episodes.count) if begin(index)])
     while len(under_way):
@@ -114,38 +104,9 @@ def play(
             index = int(under_way[row])
             close(index)
             reached += bool(terminated[row])
-            goal = episodes.goals[index] if terminated[row] else None
-            kept.append(ways(steps[index], goal, numbers[index], config.hindsight))
+            way = without_loops(steps[index])
+            asked = way if terminated[row] else []
+            kept.append(gathered(way, asked, episodes.goals[index], hindsight, numbers[index]))
             left[row] = begin(index)
         under_way = under_way[left]
     return Played(join(kept), reached / config.episodes)
-
-
-def ways(steps: list[_Step], goal: GaussCode | None, number: int, hindsight: int) -> Decisions:
-    """Return the decisions of an episode that are on a way to a goal.
-
-    Args:
-        steps: of the episode, in order.
-        goal: the code that was reached; None if the episode missed its goal.
-        number: of the episode.
-        hindsight: decisions before a state for which its code counts as a goal.
-    """
-    way = list[_Step]()
-    for step in steps:
-        codes = [one.before for one in way]
-        if step.before in codes:  # back at a code: leave out the loop
-            del way[codes.index(step.before) :]
-        way.append(step)
-    chosen = [(step, goal.plain) for step in way if goal is not None and step.before != step.after]
-    for end, last in enumerate(way):
-        for step in way[max(0, end + 1 - hindsight) : end + 1]:
-            plain = last.after.plain
-            if not step.before.matches(plain) and (goal is None or plain != goal.plain):
-                chosen.append((step, plain))
-    return Decisions(
-        np.stack([step.points for step, _ in chosen]) if chosen else _NO_POINTS,
-        np.array([str(one) for _, one in chosen], dtype=np.str_),
-        np.array([step.macro for step, _ in chosen], dtype=np.int64).reshape(-1, 3),
-        np.zeros((len(chosen), 3), dtype=np.float32),
-        np.full(len(chosen), number, dtype=np.int64),
-    )

@@ -85,7 +85,7 @@ class CloneTraining:
             for group in self._optimizer.param_groups:
                 group["lr"] = config.rate * min(1.0, (self.step + 1) / _WARM_UP) * falling
             rng = generator(Stream.LEARN_CLONE, config.seed, self.step)
-            loss = self._loss(self.network, data.rows(rng.integers(len(data), size=config.batch)))
+            loss = self._loss(self.network, data.rows(self._drawn(data, rng)))
             self._optimizer.zero_grad(set_to_none=True)
             loss.backward()
             torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
@@ -99,7 +99,7 @@ class CloneTraining:
                     self._average[name].mul_(share).add_(own, alpha=1 - share)
         averaged = self._made(self._average)
         with torch.no_grad():
-            judged = self._loss(averaged, held).item() if len(held) else losses[-1]
+            judged = self._loss(averaged, held).item() if len(held.asked) else losses[-1]
         if judged < self._least:
             self._least, self._best = judged, {k: v.clone() for k, v in self._average.items()}
         self.curve.append((self.step, float(np.mean(losses)), judged))
@@ -146,6 +146,18 @@ class CloneTraining:
         network.load_state_dict(weights)
         return network.eval()
 
+    def _drawn(self, data: Examples, rng: np.random.Generator) -> NDArray[np.int64]:
+        """Draw a batch of rows, of which a share has goals in hindsight."""
+        asked, reached = np.flatnonzero(data.asked), np.flatnonzero(~data.asked)
+        batch = self._config.batch
+        other = round(self._config.hindsight_share * batch) if len(reached) else 0
+        return np.concatenate(
+            [
+                asked[rng.integers(len(asked), size=batch - other)],
+                reached[rng.integers(max(1, len(reached)), size=other)],
+            ]
+        )
+
     def _loss(self, network: CloneNetwork, data: Examples) -> Tensor:
         states = inputs(data.seen)
         beads, targets, sides = torch.from_numpy(data.macros).T
@@ -185,7 +197,7 @@ def train_clone(
     shown = progress
 
     def read() -> tuple[Decisions, str]:
-        decisions = read_decisions(datasets, config.action, config.failed)
+        decisions = read_decisions(datasets, config.action, config.failed, config.hindsight)
         return decisions, decisions.digest
 
     def make(decisions: Decisions, request: dict[str, Any], folder: Path) -> None:
@@ -238,7 +250,7 @@ def fit_clone(
         if training.step >= stop:
             return
         held = _held_out(data.episodes, config)
-        rows, judged = np.flatnonzero(~held), np.flatnonzero(held)[:_JUDGED]
+        rows, judged = np.flatnonzero(~held), np.flatnonzero(held & data.asked)[:_JUDGED]
         fitted, aside = examples(data.rows(rows)), examples(data.rows(judged))
         while training.step < stop:
             training.advance(fitted, aside, start, stop)
@@ -298,10 +310,11 @@ def _play(
     parts, rates = list[Decisions](), dict[str, float]()
     for place, task in enumerate(tasks):
         known = [code for code in codes if code.nx == task.goal_nx]
-        played = play(network, task, config.play, config.seed, number * len(tasks) + place, known)
+        order = number * len(tasks) + place
+        played = play(network, task, config.play, config.seed, order, known, config.hindsight)
         own = played.decisions
         # episodes of other tasks, rounds and datasets have other numbers
-        first = -1 - config.play.episodes * (number * len(tasks) + place)
+        first = -1 - config.play.episodes * order
         parts.append(own._replace(episodes=first - own.episodes))
         rates[f"{task.task} {task.nx}"] = played.success_rate
     return join(parts), rates

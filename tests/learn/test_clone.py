@@ -158,20 +158,20 @@ def test_the_command_trains_a_clone(macros: Path, tmp_path: Path, clone: Path) -
     assert (tmp_path / "made" / "curve.png").is_file()
 
 
-def test_loops_are_left_out_of_a_way() -> None:
-    from knotgym.learn.clone_play import _Step, ways
+def test_loops_are_left_out_and_codes_on_the_way_become_goals() -> None:
+    from knotgym.learn.clone_data import Step, gathered, without_loops
 
     a, b, c = (GaussCode.parse(text) for text in ("", "1+c,1-c", "1+c,1-c,2+c,2-c"))
     points = np.zeros((100, 3), dtype=np.float32)
-    steps = [
-        _Step(points, *codes, (bead, 50, 1))
-        for bead, codes in enumerate([(a, b), (b, a), (a, b), (b, b), (b, c)])
-    ]
-    kept = ways(steps, c, 7, hindsight=0)
-    assert kept.macros[:, 0].tolist() == [2, 4]
-    assert set(kept.goals.tolist()) == {str(c.plain)} and set(kept.episodes.tolist()) == {7}
-    missed = ways(steps, None, 7, hindsight=1)
-    assert dict(zip(missed.macros[:, 0].tolist(), missed.goals.tolist(), strict=True)) == {
-        2: str(b.plain),
-        4: str(c.plain),
-    }
+    way = without_loops(
+        [
+            Step(points, *codes, (bead, 50, 1))
+            for bead, codes in enumerate([(a, b), (b, a), (a, b), (b, b), (b, c)])
+        ]
+    )
+    assert [step.macro[0] for step in way] == [2, 4]
+    kept = gathered(way, way, c, 2, number=7)
+    told = zip(kept.macros[:, 0].tolist(), kept.goals.tolist(), kept.asked.tolist(), strict=True)
+    assert list(told) == [(2, str(c.plain), True), (4, str(c.plain), True), (2, "1+,1-", False)]
+    assert set(kept.episodes.tolist()) == {7}
+    assert len(gathered(way, [], c, 0, number=7).points) == 0
