@@ -282,7 +282,8 @@ def fit_clone(
         recent = rounds[-config.play.rounds_kept :]
         train(join([decisions, *recent]), stop - config.round_steps, stop)
     progress.show(status, last=True)
-    facts = {"decisions": len(decisions.points), "play": rates}
+    episodes = len(np.unique(decisions.episodes))
+    facts = {"episodes": episodes, "decisions": len(decisions.points), "play": rates}
     return training.averaged() if config.improve else training.best(), training.curve, facts
 
 

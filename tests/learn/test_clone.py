@@ -149,13 +149,18 @@ def test_a_training_broken_off_and_resumed_ends_with_the_same_weights(
     assert weights(tmp_path / "broken") == weights(tmp_path / "whole")
 
 
-def test_the_command_trains_a_clone(macros: Path, tmp_path: Path, clone: Path) -> None:
+def test_the_commands_train_and_evaluate_a_clone(
+    macros: Path, tmp_path: Path, clone: Path, states_path: str
+) -> None:
     settings = tmp_path / "settings.json"
     settings.write_text(json.dumps(TINY), encoding="utf-8")
     arguments = ("--data", macros, "--learner", "clone", "--settings", settings, "--quiet")
     assert knotgym("train", *arguments, "--out", tmp_path / "made") == 0
     assert weights(tmp_path / "made") == weights(clone)
     assert (tmp_path / "made" / "curve.png").is_file()
+    evaluated = ("--task", "tie", "--nx", 2, "--episodes", 1, "--states", states_path)
+    out = ("--engine", "chain", "--workers", 1, "--out", tmp_path / "scores")
+    assert knotgym("evaluate", "--policy", clone, *evaluated, *out, "--quiet") == 0
 
 
 def test_loops_are_left_out_and_codes_on_the_way_become_goals() -> None:
