@@ -135,7 +135,7 @@ def halves(observation: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
 
 def require_one_side(config: TaskConfig) -> None:
     """Raise InvalidSetting if observations of the task can't be split by `halves`."""
-    if config.observation == "both" or config.layout != "beside":
+    if config.observation in ("both", "marked") or config.layout != "beside":
         raise InvalidSetting(
             "an environment that shows the rope without its goal needs observation 'pixels',"
             " 'state' or 'symbolic', and layout 'beside';"

@@ -15,7 +15,8 @@ from knotgym.cli.options import (
     run_options,
 )
 from knotgym.common.errors import MissingExtra, install_command
-from knotgym.learn.train_config import TrainConfig
+from knotgym.learn.clone_config import CloneConfig
+from knotgym.learn.train_config import InvalidTraining, TrainConfig
 
 
 def _options() -> list[Option]:
@@ -27,7 +28,21 @@ def _options() -> list[Option]:
             "Minari id or folder of train-split episodes; may be repeated.",
             default=...,
         ),
-        *options_of(TrainConfig(), "steps"),
+        option(
+            "--learner",
+            str,
+            "pictures: the learner from pictures alone. clone: imitates the macro-actions of a"
+            " demonstrator, from vertices.",
+            default="pictures",
+        ),
+        *options_of(
+            TrainConfig(),
+            "steps",
+            steps={
+                "help": "Training steps: of the reader of pictures, or 4000 of the clone.",
+            },
+        ),
+        *options_of(CloneConfig(), "improve"),
         *run_options("settings"),
         *options_of(TrainConfig(), "seed"),
         *run_options(EXISTING),
@@ -36,11 +51,21 @@ def _options() -> list[Option]:
 
 @command(_options)
 def train(given: Given) -> None:
-    """Train a policy from pictures alone; evaluate it with `knotgym evaluate --policy FOLDER`."""
+    """Train a policy; evaluate it with `knotgym evaluate --policy FOLDER`."""
     for library in ("torch", "safetensors"):
         if importlib.util.find_spec(library) is None:
             raise MissingExtra(library, install_command("learn"), "knotgym train")
-    from knotgym.learn.training import train as run
+    from knotgym.learn.clone_training import train_clone
+    from knotgym.learn.training import train as train_from_pictures
 
-    config = given.config(TrainConfig)
-    run(given["data"], given["out"], config, existing=given.run, progress=given.progress)
+    learner, data, out = given["learner"], given["data"], given["out"]
+    if learner == "clone":
+        clone = given.config(CloneConfig)
+        train_clone(data, out, clone, existing=given.run, progress=given.progress)
+    elif learner != "pictures":
+        raise InvalidTraining(f"no learner {learner!r}; there is pictures, clone")
+    elif given["improve"]:
+        raise InvalidTraining("only the clone improves by playing: add --learner clone")
+    else:
+        pictures = given.config(TrainConfig)
+        train_from_pictures(data, out, pictures, existing=given.run, progress=given.progress)

@@ -64,6 +64,10 @@ class Stream(IntEnum):
     IMPORT = 44  # nx, number of the curve: its noise survival
     LEARN_PICTURES = 50  # step of training the reader
     LEARN_PLACES = 52  # the start positions of ropes that are kept
+    LEARN_CLONE = 53  # step of training the clone
+    LEARN_HELD_OUT = 54  # the episodes held out of a clone's training
+    LEARN_PLAY = 55  # round and task, episode: the choices of a clone that plays
+    LEARN_PLAY_START = 56  # the same: the seed of that episode's start and goal
     PASS_STARTS = 60  # task: the starts of play that counts passes
     PASS_PLAY = 61  # round, episode of that play
 

@@ -11,7 +11,7 @@
 
 Everything else can be recomputed from `start_qpos`, `goal_points` and `infos/points`, all float64.
 
-`stored` is "pixels", "state", "both", "symbolic" or, in the compact form, "none".
+`stored` is "pixels", "state", "both", "symbolic", "marked" or, in the compact form, "none".
 """
 
 import hashlib
@@ -61,6 +61,7 @@ _OBSERVED = {
     "pixels": Column("pixels", "uint8", ("states", None, None, None)),
     "state": Column("state", "float32", ("states", None), finite=True),
     "symbolic": Column("symbolic", "int16", ("states", 2, None)),
+    "marked": Column("marked", "float32", ("states", None), finite=True),
 }
 
 
@@ -250,13 +251,14 @@ class EpisodeReader:
             index: position of the episode in this reader.
             steps: which of its T + 1 states; an array must be increasing.
             goal_step: state of the episode to show as the goal instead of its own.
-            observation: "pixels", "state", "both" or "symbolic"; "" for the task's.
+            observation: one of OBSERVATIONS; "" for the task's.
             picture: a `knotgym.rendering.picture.PictureConfig` to render with, instead of using
                 the stored pictures.
 
         Returns:
-            uint8 (n, views * size, 2 size, 3 or 4), float32 (n, 6 beads), a dict of both, or int16
-            (n, 2, SYMBOLS); rendered from the vertices where the file stores no such observations.
+            uint8 (n, views * size, 2 size, 3 or 4), float32 (n, 6 beads), a dict of both, int16
+            (n, 2, SYMBOLS), or float32 (n, marked.size(beads)); rendered from the vertices where
+            the file stores no such observations.
         """
         wanted = observation or self.task.observation
         if wanted not in OBSERVATIONS:
@@ -265,7 +267,9 @@ class EpisodeReader:
             )
         part_of_both = self.stored == "both" and wanted in ("pixels", "state")
         with self._naming(index):
-            if (self.stored == wanted or part_of_both) and picture is None:
+            # the frame of a marked observation depends on the goal
+            kept = goal_step is None or wanted != "marked"
+            if (self.stored == wanted or part_of_both) and picture is None and kept:
                 return self._stored(index, steps, goal_step, wanted)
             points = self._stored_points(index)
             seen = points[steps]

@@ -13,6 +13,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.marked import size
 from knotgym.envs.observations import SYMBOLS
 from knotgym.envs.tasks import InvalidSetting, TaskConfig, UnknownKeyword
 from knotgym.rope.actions import choices
@@ -42,6 +43,7 @@ def observation_space(config: TaskConfig, beads: int = 100) -> spaces.Space[Any]
         "state": state,
         "both": spaces.Dict({"pixels": pixels, "state": state}),
         "symbolic": spaces.Box(-SYMBOLS, SYMBOLS, (2, SYMBOLS), np.int16),
+        "marked": spaces.Box(-np.inf, np.inf, (size(beads),), np.float32),
     }
     return choices[config.observation]
 

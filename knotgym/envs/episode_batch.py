@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from knotgym.envs.marked import join, mark
 from knotgym.envs.observations import (
     SYMBOLS,
     numbers,
@@ -250,6 +251,9 @@ class EpisodeBatch:
         if self.config.observation == "symbolic":
             every = ids.tolist()
             return symbols([self.codes[i] for i in every], [self.goals[i] for i in every])
+        if self.config.observation == "marked":
+            goals = [self.goals[index] for index in ids.tolist()]
+            return join(mark(self.simulation.points[ids], goals))
         seen: dict[str, NDArray[Any]] = {}
         if self.config.observation != "state":
             pictures = self._pictures(ids)

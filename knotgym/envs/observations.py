@@ -1,4 +1,4 @@
-"""Observations of a rope and its goal: pictures side by side, vertices, or Gauss codes.
+"""Observations of a rope and its goal: pictures side by side, vertices, Gauss codes, or `marked`.
 
 The environment, the datasets and the loaders all use this module, so that stored observations equal
 the environment's byte for byte.
@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from knotgym.envs.marked import join, mark
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rendering.picture import PictureConfig, draw, draw_many
 from knotgym.topology.crossings import label, label_many
@@ -106,13 +107,15 @@ def observe(
     Args:
         points: float64 (n, beads, 3), metres.
         goal_points: float64 (beads, 3), metres.
-        observation: "pixels", "state", "both" or "symbolic".
+        observation: "pixels", "state", "both", "symbolic" or "marked".
         picture, layout: settings of the pictures, see `TaskConfig`; used for pixels only.
 
     Returns:
-        `pixels` (rearranged by `stacked` if layout is "stacked"), `state`, a dict of both, or
-        `symbols`.
+        `pixels` (rearranged by `stacked` if layout is "stacked"), `state`, a dict of both,
+        `symbols`, or the joined parts of `mark`.
     """
+    if observation == "marked":
+        return join(mark(points, [label(np.asarray(goal_points))] * len(np.asarray(points))))
     if observation == "symbolic":
         codes = label_many(np.asarray(points))
         return symbols(codes, [label(np.asarray(goal_points))] * len(codes))

@@ -16,7 +16,7 @@ from knotgym.states.schema import CODE_SPLITS, STATE_SPLITS
 if TYPE_CHECKING:
     from knotgym.rope.model import RopeConfig
 
-OBSERVATIONS = ("pixels", "state", "both", "symbolic")
+OBSERVATIONS = ("pixels", "state", "both", "symbolic", "marked")
 ACTIONS = ("pull", "bead", "macro")  # see `knotgym.rope.action_views`
 LAYOUTS = ("beside", "stacked")  # arrangement of the rope's and the goal's picture
 MAX_NX = 11  # crossings of the largest hard unknots; the rope hardly has room for more
@@ -55,7 +55,7 @@ class TaskConfig:
             or a state file, or the folder of the run that made it, or the id of a Minari dataset
             that contains one. If a file has no plain loops, they come from the readable set.
         engine: simulation engine: mujoco, the reference, or chain, which is many times as fast.
-        observation: observation: pixels, state, both or symbolic.
+        observation: observation: pixels, state, both, symbolic or marked.
         action: "pull", six numbers; "bead", a bead and binned forces; or "macro", a bead led past a
             strand by up to ten pulls. See `knotgym.rope.action_views`.
         max_goals: use only the first N goal states of the split, in file order; all by default.

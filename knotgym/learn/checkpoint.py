@@ -17,6 +17,7 @@ import torch
 from numpy.typing import NDArray
 from safetensors import SafetensorError
 from safetensors.torch import load, save
+from torch import Tensor
 
 from knotgym.common.atomic_files import atomic_write, sha256
 from knotgym.common.configuration import read_json
@@ -52,6 +53,11 @@ def save_policy(folder: Path, learned: Learned, made: dict[str, Any]) -> None:
         for name, own in learned.reader.state_dict().items()
     }
     tensors["places"] = torch.from_numpy(learned.starts)
+    write_checkpoint(folder, tensors, made)
+
+
+def write_checkpoint(folder: Path, tensors: dict[str, Tensor], made: dict[str, Any]) -> None:
+    """Write weights and a card with their checksum; `made` adds to the card."""
     folder.mkdir(parents=True, exist_ok=True)
     with atomic_write(folder / WEIGHTS) as part:
         part.write_bytes(save(tensors))
@@ -79,18 +85,8 @@ def load_policy(name: str) -> Learned:
         InvalidCheckpoint: it is missing, of another version, changed or truncated.
     """
     folder = policy_folder(name)
-    card = read_card(folder)
+    tensors = read_weights(folder)
     try:
-        require_regular(folder / WEIGHTS, "weights", InvalidCheckpoint)
-        content = (folder / WEIGHTS).read_bytes()
-    except OSError as error:
-        raise InvalidCheckpoint(f"{folder} has no {WEIGHTS} beside its {CARD}") from error
-    if sha256(folder / WEIGHTS) != card.get("weights_sha256"):
-        raise InvalidCheckpoint(
-            f"{folder / WEIGHTS} doesn't match the checksum in {CARD}: it was changed or truncated"
-        )
-    try:
-        tensors = load(content)
         reader = Reader()
         reader.load_state_dict(
             {
@@ -100,7 +96,7 @@ def load_policy(name: str) -> Learned:
             }
         )
         starts = tensors["places"].numpy()
-    except (SafetensorError, KeyError, RuntimeError, TypeError, ValueError) as error:
+    except (KeyError, RuntimeError, TypeError, ValueError) as error:
         raise InvalidCheckpoint(
             f"{folder / WEIGHTS} isn't a learner: {' '.join(str(error).split())[:200]}"
         ) from error
@@ -116,6 +112,26 @@ def load_policy(name: str) -> Learned:
         if not torch.isfinite(values).all():
             raise InvalidCheckpoint(f"{folder / WEIGHTS}: {name} has numbers that aren't finite")
     return Learned(reader.eval(), starts)
+
+
+def read_weights(folder: Path) -> dict[str, Tensor]:
+    """Read the weights of a checkpoint folder; raise InvalidCheckpoint as in `load_policy`."""
+    card = read_card(folder)
+    try:
+        require_regular(folder / WEIGHTS, "weights", InvalidCheckpoint)
+        content = (folder / WEIGHTS).read_bytes()
+    except OSError as error:
+        raise InvalidCheckpoint(f"{folder} has no {WEIGHTS} beside its {CARD}") from error
+    if sha256(folder / WEIGHTS) != card.get("weights_sha256"):
+        raise InvalidCheckpoint(
+            f"{folder / WEIGHTS} doesn't match the checksum in {CARD}: it was changed or truncated"
+        )
+    try:
+        return load(content)
+    except (SafetensorError, ValueError) as error:
+        raise InvalidCheckpoint(
+            f"{folder / WEIGHTS} isn't a learner: {' '.join(str(error).split())[:200]}"
+        ) from error
 
 
 def read_card(folder: Path) -> dict[str, Any]:

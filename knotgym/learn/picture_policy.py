@@ -27,22 +27,7 @@ class PicturePolicy(Policy):
         self._seconds: dict[int, float] = {}
 
     def suited(self, task: TaskConfig) -> TaskConfig:
-        differing = [
-            f"{name} {given} instead of {needed}"
-            for name, given, needed in (
-                ("views", ",".join(task.views), "top"),
-                ("depth", task.depth, False),
-                ("camera", task.camera, "orthographic"),
-                ("image_size", task.image_size, SIZE),
-                ("hold", task.hold, 1),
-                ("action", task.action, "pull"),
-            )
-            if given != needed
-        ]
-        if differing:
-            raise InvalidPolicy(
-                f"policy {self._name} can't act in this task, which has {', '.join(differing)}"
-            )
+        require_readable(task, self._name)
         return task
 
     def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
@@ -64,6 +49,26 @@ class PicturePolicy(Policy):
 
     def effort(self, index: int) -> Effort:
         return Effort(self._agent.imagined(index), self._seconds[index])
+
+
+def require_readable(task: TaskConfig, policy: str, action: str = "pull") -> None:
+    """Require pictures that the reader can read, and an action view; raise InvalidPolicy if not."""
+    differing = [
+        f"{name} {given} instead of {needed}"
+        for name, given, needed in (
+            ("views", ",".join(task.views), "top"),
+            ("depth", task.depth, False),
+            ("camera", task.camera, "orthographic"),
+            ("image_size", task.image_size, SIZE),
+            ("hold", task.hold, 1),
+            ("action", task.action, action),
+        )
+        if given != needed
+    ]
+    if differing:
+        raise InvalidPolicy(
+            f"policy {policy} can't act in this task, which has {', '.join(differing)}"
+        )
 
 
 def learned_policy(folder: str, config: AgentConfig | None = None) -> PicturePolicy:

@@ -19,8 +19,6 @@ class TrainConfig:
     Attributes:
         steps: training steps of the reader, the perception model.
         batch: pictures per step.
-        stretches: episode beginnings to which the rope model is fitted, at most.
-        tries: candidates for the rope model's shared parameters, in each of two searches.
         places: start positions of episodes that are kept, at most.
         save_every: steps between checkpoints.
         seed: random seed; the same seed and data give the same weights.
@@ -28,8 +26,6 @@ class TrainConfig:
 
     steps: int = 3000
     batch: int = 48
-    stretches: int = 100
-    tries: int = 150
     places: int = 512
     save_every: int = 200
     seed: int = 0
@@ -37,7 +33,7 @@ class TrainConfig:
     def __post_init__(self) -> None:
         check_numbers(
             self,
-            counts=("steps", "batch", "stretches", "tries", "places", "save_every"),
+            counts=("steps", "batch", "places", "save_every"),
             whole=("seed",),
             error=InvalidTraining,
         )

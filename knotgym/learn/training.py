@@ -7,9 +7,9 @@ import hashlib
 import json
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -75,6 +75,41 @@ def train(
     if progress is None:
         with Progress(quiet) as progress:
             return train(datasets, out, config, existing=existing, progress=progress)
+    shown = progress
+    shown, made = progress, list[Learned]()
+
+    def read() -> tuple[TrainingData, str]:
+        data = read_training_data(datasets)
+        return data, data.digest
+
+    def make(data: TrainingData, request: dict[str, Any], folder: Path) -> None:
+        made.append(_trained(datasets, data, config, request, folder, shown))
+
+    run_training(datasets, out, config, existing, progress, read, make)
+    return made[0] if made else load_policy(str(out))
+
+
+Data = TypeVar("Data")
+
+
+def run_training(
+    datasets: Sequence[Any],
+    out: Path,
+    config: Any,
+    existing: Existing,
+    progress: Progress,
+    read: Callable[[], tuple[Data, str]],
+    make: Callable[[Data, dict[str, Any], Path], None],
+) -> None:
+    """Run a training in a staging folder, unless it is finished already; see `train` for errors.
+
+    Args:
+        datasets, out, existing, progress: as of `train`.
+        config: a dataclass of settings.
+        read: reads the datasets; returns what `make` takes, and its digest.
+        make: trains in a folder, resuming what it holds; writes the checkpoint to `made` in it.
+            Also takes the settings and the digest.
+    """
     finished = may_be_finished(out, existing) and (out / CARD).is_file()
     if not finished:
         require_output(out, folder=True, overwrite=existing.overwrite)
@@ -82,30 +117,24 @@ def train(
     for dataset in datasets:
         EpisodeReader(dataset).close()
     progress.stage("reading the episodes")
-    data = read_training_data(datasets)
-    request = {"config": as_json(config), "data_sha256": data.digest}
+    data, digest = read()
+    request = {"config": as_json(config), "data_sha256": digest}
     if finished:
-        differing = list(differences(_request_of(out), request))
+        card = read_card(out)
+        differing = list(differences({name: card.get(name) for name in request}, request))
         if not differing:
             discard(out)
             progress.say(f"{out} is finished already")
-            return load_policy(str(out))
+            return
         if not existing.overwrite:
             raise InvalidTraining(
                 f"{out} holds a training with other settings: {'; '.join(differing[:3])}; choose"
                 " another --out, or replace it by --overwrite"
             )
     with staging(out, existing) as folder:
-        learned = _trained(datasets, data, config, request, folder, progress)
+        make(data, request, folder)
         move_into_place(folder / "made", out, overwrite=existing.overwrite)
     shutil.rmtree(staging_folder(out))
-    return learned
-
-
-def _request_of(out: Path) -> dict[str, Any]:
-    """Return the settings and data digest of a finished training."""
-    card = read_card(out)
-    return {name: card.get(name) for name in ("config", "data_sha256")}
 
 
 def _trained(
@@ -118,7 +147,7 @@ def _trained(
 ) -> Learned:
     """Train in a staging folder, resuming what it holds; write the checkpoint to `made` in it."""
     began = time.perf_counter()
-    kept = _begin(folder, request)
+    kept = begin_training(folder, request)
     training = ReaderTraining(data, config.steps, config.batch, config.seed)
     if kept:
         _restore(folder, training, kept)
@@ -132,13 +161,17 @@ def _trained(
         progress.show(status)
         training.advance()
         if training.step % config.save_every == 0 or training.step == config.steps:
-            _keep(folder, training.state())
+            keep_training(folder, training.state())
     progress.show(status, last=True)
     learned = Learned(training.reader.eval(), _starts(data, config))
     made_in = folder / "made"
     remove(made_in)
     made_in.mkdir()
-    _draw_curve(made_in, training.losses)
+    curve = [
+        (start + _CURVE_WINDOW, *np.mean(training.losses[start : start + _CURVE_WINDOW], axis=0))
+        for start in range(0, len(training.losses), _CURVE_WINDOW)
+    ]
+    draw_curve(made_in, ("join", "correct"), curve)
     made = {
         "knotgym": knotgym.__version__,
         **request,
@@ -151,7 +184,7 @@ def _trained(
     return learned
 
 
-def _begin(folder: Path, request: dict[str, Any]) -> dict[str, Tensor]:
+def begin_training(folder: Path, request: dict[str, Any]) -> dict[str, Tensor]:
     """Begin a training in a staging folder, or load the checkpoint of the one to resume.
 
     Raises:
@@ -198,7 +231,8 @@ def _restore(folder: Path, training: ReaderTraining, kept: dict[str, Tensor]) ->
         raise InvalidTraining(f"{folder / UNDER_WAY} can't be read: {error}") from error
 
 
-def _keep(folder: Path, kept: dict[str, Tensor]) -> None:
+def keep_training(folder: Path, kept: dict[str, Tensor]) -> None:
+    """Write the state of a training, sealed by its digest, into its staging folder."""
     kept = {name: own.contiguous() for name, own in kept.items()}
     seal = torch.tensor(list(_digest(kept)), dtype=torch.uint8)
     with atomic_write(folder / UNDER_WAY) as part:
@@ -222,18 +256,20 @@ def _starts(data: TrainingData, config: TrainConfig) -> NDArray[np.float32]:
     return middles
 
 
-def _draw_curve(out: Path, losses: Sequence[tuple[float, float]]) -> None:
-    """Write `curve.csv` and `curve.png`, the losses of `join` (blue) and `correct` (orange)."""
-    rows = [
-        (
-            start + _CURVE_WINDOW,
-            *np.mean(losses[start : start + _CURVE_WINDOW], axis=0).round(5).tolist(),
-        )
-        for start in range(0, len(losses), _CURVE_WINDOW)
-    ]
+def draw_curve(
+    out: Path, names: tuple[str, str], curve: Sequence[tuple[int, float, float]]
+) -> None:
+    """Write `curve.csv` and `curve.png`: two losses, the first blue and the second orange.
+
+    Args:
+        out: folder to write to.
+        names: of the losses.
+        curve: step and both losses, at least one row.
+    """
+    rows = [(step, round(first, 5), round(second, 5)) for step, first, second in curve]
     with atomic_write(out / "curve.csv") as part, part.open("w", newline="") as file:
         writer = csv.writer(file)
-        writer.writerow(("step", "join", "correct"))
+        writer.writerow(("step", *names))
         writer.writerows(rows)
     width, height, edge = 640, 360, 40
     image = np.full((height, width, 3), 255, dtype=np.uint8)

@@ -49,7 +49,7 @@ def read_training_data(datasets: Sequence[Any]) -> TrainingData:
     digest = hashlib.sha256()
     for dataset in datasets:
         reader = EpisodeReader(dataset)
-        _check(reader, dataset)
+        require_trainable(reader, dataset)
         for index in range(len(reader)):
             episode = reader.episode(index)
             digest.update(episode.points.tobytes())
@@ -67,7 +67,12 @@ def read_training_data(datasets: Sequence[Any]) -> TrainingData:
     )
 
 
-def _check(reader: EpisodeReader, dataset: Any) -> None:
+def require_trainable(reader: EpisodeReader, dataset: Any) -> None:
+    """Require episodes of the train split with the rope that learners know.
+
+    Raises:
+        InvalidTraining: they are not.
+    """
     if not reader.task.split.startswith("train"):
         raise InvalidTraining(
             f"{dataset} is of the {reader.task.split} split, which is held out for evaluation;"

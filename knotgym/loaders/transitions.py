@@ -300,6 +300,7 @@ class Transitions:
 
         Raises:
             IndexError: rows is empty or not one-dimensional, or an index is out of range.
+            InvalidSetting: `apart` is asked of marked observations.
         """
         wanted = np.asarray(rows, dtype=np.int64)
         if wanted.ndim != 1 or not len(wanted):
@@ -307,6 +308,11 @@ class Transitions:
         if wanted.min() < -len(self) or wanted.max() >= len(self):
             raise IndexError(
                 f"indices {wanted.min()} to {wanted.max()} are outside a dataset of {len(self)}"
+            )
+        if apart and self._shown == "marked":
+            raise InvalidSetting(
+                "a marked observation has no halves: its frame depends on rope and goal; choose"
+                " observation 'pixels', 'state', 'both' or 'symbolic', or leave out apart"
             )
         wanted = wanted % len(self)
         seen = self._observed(wanted, apart)

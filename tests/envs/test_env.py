@@ -32,7 +32,7 @@ from knotgym.topology.gauss import GaussCode
 from ..conftest import rough_play
 
 TASKS = ("unknot", "tie", "convert")
-MODES = ("pixels", "state", "both", "symbolic")
+MODES = ("pixels", "state", "both", "symbolic", "marked")
 IDLE = np.zeros(6, dtype=np.float32)
 INFO = {
     "gauss_code",

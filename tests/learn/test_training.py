@@ -89,7 +89,7 @@ def test_resuming_another_training_names_what_differs(tmp_path: Path) -> None:
     (tmp_path / training.REQUEST).write_text(json.dumps(begun))
     asked = {"config": {"steps": 9, "seed": 0}, "data_sha256": "ab"}
     with pytest.raises(training.InvalidTraining, match=r"config\.steps is 6 there and 9 here;"):
-        training._begin(tmp_path, asked)
+        training.begin_training(tmp_path, asked)
 
 
 def test_a_missing_set_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -164,14 +164,14 @@ def test_changed_arrays_are_not_gone_on_with(tmp_path: Path) -> None:
 
     path = tmp_path / training.UNDER_WAY
     (tmp_path / training.REQUEST).write_text("{}")
-    training._keep(tmp_path, {"losses": torch.ones(64, 2)})
-    assert training._begin(tmp_path, {}).keys() == {"losses"}
+    training.keep_training(tmp_path, {"losses": torch.ones(64, 2)})
+    assert training.begin_training(tmp_path, {}).keys() == {"losses"}
     raw = bytearray(path.read_bytes())
     raw[-50] ^= 1
     path.write_bytes(raw)
     with pytest.raises(InvalidTraining, match="its checksum differs"):
-        training._begin(tmp_path, {})
+        training.begin_training(tmp_path, {})
     path.unlink()
     os.mkfifo(path)
     with pytest.raises(InvalidTraining, match="isn't a regular file"):
-        training._begin(tmp_path, {})
+        training.begin_training(tmp_path, {})
