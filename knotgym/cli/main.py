@@ -20,6 +20,7 @@ from typer.core import TyperCommand, TyperGroup
 from knotgym.cli.dataset_commands import dataset_app
 from knotgym.cli.demo_commands import compile_kernels, demo
 from knotgym.cli.learning_commands import train
+from knotgym.cli.play_command import play
 from knotgym.cli.policy_commands import collect, evaluate
 from knotgym.cli.prompt_commands import prompt
 from knotgym.cli.run_commands import generate, images
@@ -62,7 +63,7 @@ _APP: dict[str, Any] = {**_HELP, "add_completion": False, "pretty_exceptions_ena
 
 app = typer.Typer(cls=Group, no_args_is_help=True, **_APP)
 app.add_typer(dataset_app, name="dataset", cls=Group, **_HELP)
-for _command in (demo, generate, collect, suite, train, evaluate, images, prompt):
+for _command in (demo, generate, collect, suite, train, evaluate, play, images, prompt):
     app.command(cls=Command)(_command)
 app.command("compile", cls=Command)(compile_kernels)
 for _listed in dataset_app.registered_commands:
