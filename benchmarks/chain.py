@@ -34,6 +34,7 @@ from rich.console import Console
 from knotgym.rope.chain.chain_simulation import ChainSimulation
 from knotgym.rope.chain.solver import SCHEDULE
 from knotgym.rope.model import Rope, RopeConfig
+from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.rope.simulation import Simulation
 from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.crossings import find_crossings, label_many
@@ -96,7 +97,7 @@ def apart(one: Array, other: Array) -> dict[str, float]:
 
 def speed(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
     qpos = read_states(shipped("random-walk"), images=False).qpos[: args.ropes]
-    engines = [Simulation(len(qpos)), ChainSimulation(len(qpos))]
+    engines = [MujocoSimulation(len(qpos)), ChainSimulation(len(qpos))]
     for engine in engines:
         engine.lay(qpos)
         timed(engine, pulls(len(qpos), 1, rng))
@@ -116,7 +117,7 @@ def speed(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
 def distance(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
     qpos = starts(args.states, rng)
     actions = pulls(len(qpos), 4, rng)
-    truth = traced(Simulation(len(qpos)), qpos, actions)
+    truth = traced(MujocoSimulation(len(qpos)), qpos, actions)
     found = traced(ChainSimulation(len(qpos)), qpos, actions)
     same = [
         statistics.mean(a == b for a, b in zip(label_many(one), label_many(other), strict=True))
@@ -149,7 +150,7 @@ def laid(qpos: Array) -> ChainSimulation:
 def frontier(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
     qpos = starts(args.states, rng)
     actions = pulls(len(qpos), 4, rng)
-    reference = Simulation(len(qpos))
+    reference = MujocoSimulation(len(qpos))
     truth, told = traced(reference, qpos, actions), {}
     for schedule in SCHEDULES:
         chain = ChainSimulation(len(qpos), schedule=schedule)
@@ -165,8 +166,8 @@ def frontier(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, An
 def converge(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
     qpos = starts(args.states, rng)
     actions = pulls(len(qpos), 4, rng)
-    truth = traced(Simulation(len(qpos)), qpos, actions)
-    fine = traced(Simulation(len(qpos), Rope(FINE)), qpos, actions)
+    truth = traced(MujocoSimulation(len(qpos)), qpos, actions)
+    fine = traced(MujocoSimulation(len(qpos), Rope(FINE)), qpos, actions)
     told: dict[str, Any] = {"fine MuJoCo from MuJoCo": apart(fine, truth)}
     for schedule in (SCHEDULE, (1,) * 24, (1,) * 96):
         chain = traced(ChainSimulation(len(qpos), schedule=schedule), qpos, actions)
@@ -181,7 +182,7 @@ def play(args: argparse.Namespace, rng: np.random.Generator) -> dict[str, Any]:
     qpos = qpos[rng.integers(len(qpos), size=args.ropes)]
     actions = [rng.uniform(-1, 1, (args.ropes, 6)) for _ in range(50)]
     told: dict[str, Any] = {}
-    for name, engine in (("MuJoCo", Simulation), ("chain", ChainSimulation)):
+    for name, engine in (("MuJoCo", MujocoSimulation), ("chain", ChainSimulation)):
         simulation = engine(args.ropes)
         simulation.lay(qpos)
         for step, action in enumerate(actions, 1):
@@ -277,7 +278,7 @@ def adversarial(args: argparse.Namespace, rng: np.random.Generator) -> dict[str,
                         except UndecidedKnot:
                             counted["undecided"] += 1
         told[name] = counted | {
-            "taken back": simulation.actions_taken_back,
+            "taken back": simulation.steps_reduced,
             "edge length off at most": worst,
             "crossings at most": most,
             "memory at most, MB": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024,

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.rope.model import Array
+from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.rope.simulation import Simulation
 from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.crossings import find_crossings
@@ -122,7 +123,7 @@ def _starts() -> Array:
 def play(way: str, seed: int, ropes: int, length: int, every: int) -> dict[str, Any]:
     """One slice: so many actions of each rope, all in one way."""
     began = time.process_time()
-    simulation, starts = Simulation(ropes), _starts()
+    simulation, starts = MujocoSimulation(ropes), _starts()
     rng = np.random.default_rng(seed)
     rows = rng.integers(len(starts), size=ropes // 2)
     simulation.lay(starts[rows], np.arange(len(rows)))

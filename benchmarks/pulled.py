@@ -3,7 +3,7 @@
 import numpy as np
 
 from knotgym.datasets.trajectory import Episode
-from knotgym.rope.simulation import Simulation
+from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.topology.crossings import label_many
 
 EPISODES, STEPS = 50, 50
@@ -13,7 +13,7 @@ def pulled_about(rng: np.random.Generator) -> list[Episode]:
     """Episodes in which a bead is led across the rope, each for eight actions; a rope's goal is
     where the next one ends.
     """
-    simulation = Simulation(EPISODES, threads=0)
+    simulation = MujocoSimulation(EPISODES, threads=0)
     start_qpos, points, actions = simulation.qpos(), [simulation.points.copy()], []
     for step in range(STEPS):
         if step % 8 == 0:

@@ -9,7 +9,7 @@ import numpy as np
 from knotgym.control.action_sequence import step_ropes
 from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, propose
 from knotgym.rope.model import Array
-from knotgym.rope.simulation import Simulation
+from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.topology.crossings import count_crossings
 
 ROPES = 32
@@ -22,7 +22,7 @@ def tangled(
     """Yield `count` configurations (beads, 3) with `least` to `most` crossings, at most every
     fourth step of a rope.
     """
-    simulation, config = Simulation(ROPES, threads=0), MacroActionConfig()
+    simulation, config = MujocoSimulation(ROPES, threads=0), MacroActionConfig()
     controller = WaypointController(ROPES, config)
     loop = np.repeat(simulation.rope.qpos(simulation.rope.loop())[None], ROPES, axis=0)
     step = given = 0

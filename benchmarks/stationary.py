@@ -20,7 +20,7 @@ from rich.table import Table
 from knotgym.common.streams import Stream, key
 from knotgym.generate.states.random_walk import STARTS
 from knotgym.rope.actions import drawn_actions
-from knotgym.rope.simulation import Simulation
+from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.topology.crossings import count_crossings
 
 FRAME = 10  # actions
@@ -29,7 +29,7 @@ _WHAT = ("radius", "crossings", "loops")
 
 def walked(start: str, ropes: int, actions: int, seed: int) -> NDArray[np.float64]:
     """Radius of gyration and crossings, (actions // FRAME, 2, ropes)."""
-    simulation = Simulation(ropes, threads=0)
+    simulation = MujocoSimulation(ropes, threads=0)
     qpos = simulation.rope.qpos(STARTS[start](simulation.rope))
     simulation.lay(np.repeat(qpos[None], ropes, axis=0))
     drawn = [drawn_actions(key(Stream.RANDOM_WALK, seed, rope), actions) for rope in range(ropes)]

@@ -20,6 +20,7 @@ from rich.table import Table
 
 from knotgym.control.action_sequence import step_ropes
 from knotgym.generate.states.archive import Archive, Elite
+from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.rope.simulation import Simulation
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
@@ -60,7 +61,7 @@ def main() -> None:
     parser.add_argument("--most-nx", type=int, default=4)
     parser.add_argument("--out", type=Path, default=Path("ways.json"))
     args = parser.parse_args()
-    archive, simulation = Archive.load(args.archive), Simulation()
+    archive, simulation = Archive.load(args.archive), MujocoSimulation()
     table = Table(
         "nx",
         "codes there are",

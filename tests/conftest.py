@@ -15,7 +15,7 @@ from knotgym.generate.states.archive import Archive
 from knotgym.generate.states.search import SearchConfig, advance, new_archive
 from knotgym.rendering.picture import draw
 from knotgym.rope.model import Rope
-from knotgym.rope.simulation import Simulation
+from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.runs.executors import InProcess
 from knotgym.states.state_file import States, read_states, shipped, write_states
 from knotgym.topology.crossings import label
@@ -102,7 +102,7 @@ def states_path(states: States, tmp_path_factory: pytest.TempPathFactory) -> str
 @pytest.fixture(scope="session")
 def tangled(rope: Rope) -> NDArray[np.float64]:
     """Generalized positions of ropes in mid-motion: float64 (40, nq)."""
-    simulation, rng = Simulation(8, rope, threads=0), np.random.default_rng(1)
+    simulation, rng = MujocoSimulation(8, rope, threads=0), np.random.default_rng(1)
     seen = []
     for _ in range(12):
         simulation.act(rng.uniform(-1, 1, (8, 6)))

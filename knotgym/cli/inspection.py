@@ -48,7 +48,7 @@ from knotgym.generate.merge_shards import merge_shards, shard_folder_of
 from knotgym.prompting.transcripts import transcripts_at
 from knotgym.rendering.video import film_frames, require_film, write_film
 from knotgym.rope.model import Array, Rope
-from knotgym.rope.simulation import Simulation
+from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.runs.executors import executor
 from knotgym.runs.progress import Progress
 from knotgym.states.state_file import (
@@ -304,7 +304,7 @@ def film(named: str, row: int, out: Path, overwrite: bool, progress: Progress) -
     require_film(out)
     kind, path = resolve_dataset(named, "states", "episodes")
     scene = (_state_scene if kind == "states" else _episode_scene)(path, row)
-    simulation, steps = Simulation(1, scene.rope), len(scene.actions)
+    simulation, steps = MujocoSimulation(1, scene.rope), len(scene.actions)
     simulation.lay(scene.start_qpos[None])
     ropes, pulls = [simulation.points[0].copy()], []
     for step, action in enumerate(scene.actions):

@@ -35,7 +35,7 @@ from knotgym.envs.reward import consecutive
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.actions import steps_taken
 from knotgym.rope.model import Rope
-from knotgym.rope.simulation import SHARES, Simulation
+from knotgym.rope.mujoco_simulation import SHARES, MujocoSimulation
 from knotgym.rope.towing import TowBound
 from knotgym.topology.crossings import label, label_many
 from knotgym.topology.gauss import GaussCode
@@ -62,7 +62,7 @@ def replay(
     """
     if not episodes:
         return []
-    simulation = Simulation(len(episodes), Rope(task.rope), threads)
+    simulation = MujocoSimulation(len(episodes), Rope(task.rope), threads)
     simulation.lay(np.array([episode.start_qpos for episode in episodes]))
     lengths = np.array([len(episode) for episode in episodes])
     different: list[int | None] = [None] * len(episodes)

@@ -21,7 +21,7 @@ from knotgym.drawing.drawn_curve import DrawingConfig, drawn_curve
 from knotgym.rendering.picture import draw
 from knotgym.rope.actions import drawn_actions
 from knotgym.rope.model import Array, Rope
-from knotgym.rope.simulation import Simulation
+from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.states.near_duplicates import pairs_within, repeated
 from knotgym.states.schema import COLUMNS, DRAWING, RANDOM_WALK, REPLAYED, STATE_SPLITS
 from knotgym.states.splits import overlap
@@ -260,7 +260,7 @@ def _replayed(states: States, rows: Sequence[int], rope: Rope, count: Count) -> 
     left = sorted(actions)
     if not left:
         return {}
-    simulation = Simulation(len(left), rope, threads=0)
+    simulation = MujocoSimulation(len(left), rope, threads=0)
     simulation.lay(states.source["start_qpos"][left])
     whole = np.ones(len(left), dtype=bool)
     lengths = np.array([len(actions[row]) for row in left])

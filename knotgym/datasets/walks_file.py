@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from knotgym.common.atomic_files import atomic_write, new_hdf5
 from knotgym.common.errors import KnotgymError
 from knotgym.common.hdf5_files import Column, opened_hdf5, read_attribute, read_column
+from knotgym.rope.engines import simulation_of
 from knotgym.rope.model import Array, RopeConfig
-from knotgym.rope.simulation_pool import simulation_of
 
 FORMAT = "knotgym-walks"
 FORMAT_VERSION = 1

@@ -27,9 +27,9 @@ from knotgym.envs.observations import (
 from knotgym.envs.reward import Outcome
 from knotgym.envs.tasks import InvalidSetting, TaskConfig
 from knotgym.rendering.picture import draw
+from knotgym.rope.engines import simulation
 from knotgym.rope.model import Array, Rope, RopeConfig
 from knotgym.rope.reset_noise import start_qpos
-from knotgym.rope.simulation import Simulation
 from knotgym.rope.towing import TowBound, centres, distances_towed
 from knotgym.states.schema import CODE_SPLITS
 from knotgym.states.state_file import States, read_states, shipped, ships, states_file
@@ -53,9 +53,8 @@ class EpisodeBatch:
         failed: bool (count,), whether the simulation blew up in the last step.
         origins: float64 (count, 3), each rope's centre at reset, metres.
         beads: int (count,), bead pulled in the last step; -1 at reset.
-        forces: float64 (count, 3), force applied to it in the last step, newtons.
-        applied_shares: float64 (count,), fraction of the requested force that was applied, see
-            `Simulation.step`.
+        forces: float64 (count, 3), mean force applied to it in the last step, newtons.
+        applied_shares: float64 (count,), as of `Simulation`.
     """
 
     def __init__(self, config: TaskConfig, count: int = 1, threads: int = 1) -> None:
@@ -63,7 +62,7 @@ class EpisodeBatch:
             raise InvalidSetting(f"num_envs must be at least 1, got {count}")
         self.config = config
         self.count = count
-        self.simulation = Simulation(count, Rope(config.rope), threads)
+        self.simulation = simulation(config.engine, count, Rope(config.rope), threads)
         self._picture = picture_config(config)
         starts, goals = _sides(config)
         self._starts, self._goals = starts.states, goals.states

@@ -10,6 +10,7 @@ from knotgym.common.errors import KnotgymError
 from knotgym.envs.reward import FAILURE_REWARD, SUCCESS_REWARD, RewardRule
 from knotgym.quality.limits import RESET_NOISE
 from knotgym.rendering.views import check_depth, checked_views
+from knotgym.rope.engines import ENGINES, MUJOCO
 from knotgym.states.schema import CODE_SPLITS, STATE_SPLITS
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ class TaskConfig:
         states: a set that ships, "readable" (the same as None), "random-walk" or "hard-unknots"; or
             the path of a state file, or of the run that made it; or the id of a Minari dataset that
             contains one. If a file has no plain loops, they come from the readable set.
+        engine: "mujoco", the reference; or "chain", the fast solver, see `rope.chain`.
         observation: "pixels", "state", "both" or "symbolic".
         max_goals: sample goals from the first so many goal configurations of the split; None for
             all.
@@ -81,6 +83,7 @@ class TaskConfig:
     nx: int = 2
     split: str = "train"
     states: str | None = None
+    engine: str = MUJOCO
     observation: str = "pixels"
     max_goals: int | None = None
     horizon: int = 50
@@ -102,6 +105,7 @@ class TaskConfig:
         for name, known in {
             "task": tuple(TASKS),
             "split": (*STATE_SPLITS, *CODE_SPLITS),
+            "engine": ENGINES,
             "observation": OBSERVATIONS,
             "layout": LAYOUTS,
             "camera": ("orthographic", "perspective"),
@@ -129,6 +133,11 @@ class TaskConfig:
             raise InvalidSetting(
                 f"split {self.split!r} needs several diagrams, and with nx = {self.nx} there is"
                 " only one up to symmetry; use an nx of at least 2, or split 'train' or 'test'"
+            )
+        if self.engine != MUJOCO and self.integrator_steps != 24:
+            raise InvalidSetting(
+                f"integrator_steps are steps of MuJoCo, and engine {self.engine!r} chooses its own;"
+                f" leave it at 24, got {self.integrator_steps}"
             )
         if self.hold > self.horizon:
             raise InvalidSetting(

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from knotgym.rendering.picture import PictureConfig, crossing_pixels, draw, project
 from knotgym.rope.model import Array, Rope
-from knotgym.rope.simulation import Simulation
+from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.topology.crossings import find_crossings
 
 Canvas = NDArray[np.uint8]
@@ -57,7 +57,7 @@ def example_rope() -> Array:
 
 def _pull(heading: str, bead: int, axis: int, view: str) -> Canvas:
     """Draw a rope before and after a pull, one above the other, and the action between them."""
-    simulation = Simulation(1)
+    simulation = MujocoSimulation(1)
     before = simulation.points[0].copy()
     force = np.eye(3)[axis] * simulation.rope.config.max_force
     action = simulation.actions([bead], force[None])[0]

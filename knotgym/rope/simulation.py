@@ -1,37 +1,24 @@
-"""Batched simulation of many independent ropes.
+"""The interface of the simulation engines: many independent ropes, stepped together.
 
-A rope's *state* is its MuJoCo integration state (qpos, qvel, warm start, time, ...). A rope
-restored from a saved state continues bit for bit, with any number of threads. Actions follow the
-published interface, see `actions`.
+A rope's *state* is everything that the engine needs to continue bit for bit, with any number of
+threads and beside any other ropes. Its *qpos* are MuJoCo's generalized positions with either
+engine. Actions follow the published interface, see `actions`; `engines` makes simulations by name.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, ClassVar
 
-import mujoco
 import numpy as np
-from mujoco.batch import Batch, SimulationError
 from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.errors import KnotgymError
 from knotgym.rope.actions import decode_actions, encode_actions
 from knotgym.rope.model import Array, InvalidRope, Rope
 
-_BLOWN_UP = [
-    int(w.value)
-    for w in (
-        mujoco.mjtWarning.mjWARN_BADQPOS,
-        mujoco.mjtWarning.mjWARN_BADQVEL,
-        mujoco.mjtWarning.mjWARN_BADQACC,
-    )
-]
-
 ROUNDING = 1e-6  # tolerance for float32 rounding of actions beyond 1; they are clipped to 1
-
-# Fractions of the force that a step is tried with, in this order, until the rope stays closed.
-SHARES = (1.0, 0.5, 0.25, 0.0)
 
 Ids = Sequence[int] | NDArray[np.int64] | None
 
@@ -40,18 +27,26 @@ class InvalidAction(KnotgymError, ValueError):
     """An action outside [-1, 1]^6, or not finite."""
 
 
-class Simulation:
+class Simulation(ABC):
     """A fixed number of independent ropes, stepped together on a thread pool.
 
     Attributes:
+        engine: the name of the engine, see `engines`.
+        shares: the values that an entry of `applied_shares` can have.
         rope: the model that all ropes share.
         count: number of ropes.
         points: float64 (count, beads, 3), metres, after the last call; the simulation's own memory,
             so copy what you keep.
-        applied_shares: float64 (count,), the fraction of the requested force that each rope's last
-            step applied: 1, or less if the step was repeated, or 0 if the rope didn't move.
+        applied_shares: float64 (count,), the fraction of the requested impulse (force times time)
+            that each rope's last step applied: 1, or less where the engine had to hold back, or 0
+            if the rope didn't move.
         steps_taken: actions taken so far, summed over all ropes.
+        steps_reduced: how many of them applied a share below 1.
     """
+
+    engine: ClassVar[str]
+    shares: ClassVar[tuple[float, ...]]
+    points: Array
 
     def __init__(self, count: int = 1, rope: Rope | None = None, threads: int = 1) -> None:
         """Start with `count` plain loops; `threads` 0 uses every core."""
@@ -59,13 +54,9 @@ class Simulation:
             raise InvalidRope(f"a simulation needs at least 1 rope, got {count}")
         self.rope = rope or Rope()
         self.count = count
-        self._threads = threads
-        self._batch = Batch(self.rope.model, count, min(threads, count) if threads else 0)
-        self._qpos: Array = self._batch.bind("qpos")
-        self._xfrc: Array = self._batch.bind("xfrc_applied")
-        self.points: Array = self.rope.points(self._qpos)
         self.applied_shares: Array = np.ones(count)
-        self.steps_taken = 0
+        self.steps_taken = self.steps_reduced = 0
+        self._threads = threads
 
     def __getstate__(self) -> dict[str, Any]:
         return {
@@ -75,46 +66,33 @@ class Simulation:
             "states": self.states(),
         }
 
-    def __setstate__(self, saved: dict[str, Any]) -> None:
-        Simulation.__init__(self, saved["count"], Rope(saved["config"]), saved["threads"])
-        self.restore(saved["states"])
-
     @property
     def max_force(self) -> float:
         """Largest component of the force of an action, newtons."""
         return self.rope.config.max_force
 
+    @abstractmethod
     def qpos(self, ids: Ids = None) -> Array:
-        """Return a copy of the generalized positions: float64 (len(ids), nq)."""
-        return self._qpos[self._all(ids)].copy()
+        """Return a copy of MuJoCo's generalized positions: float64 (len(ids), nq)."""
 
+    @abstractmethod
     def states(self, ids: Ids = None) -> Array:
-        """Return a copy of the integration states: float64 (len(ids), nstate)."""
-        return self._batch.state[self._all(ids)].copy()
+        """Return a copy of the states: float64 (len(ids), nstate)."""
 
+    @abstractmethod
     def restore(self, states: Array, ids: Ids = None) -> None:
-        """Set ropes to states that `states` returned for a rope of the same model."""
-        where = self._all(ids)
-        self._batch.state[where] = states
-        self.points[where] = self.rope.points(self._qpos[where])
+        """Set ropes to states that `states` returned, with this engine and the same model."""
 
+    @abstractmethod
     def lay(self, qpos: ArrayLike, ids: Ids = None) -> None:
         """Reset ropes to rest at generalized positions float64 (len(ids), nq).
 
-        Nothing of their earlier state (velocity, warm start, time) is kept.
+        Nothing of their earlier state is kept.
         """
-        where = self._all(ids)
-        self._batch.reset(where, stage=mujoco.mjtStage.mjSTAGE_NONE.value)
-        self._qpos[where] = qpos
-        self.points[where] = self.rope.points(self._qpos[where])
 
+    @abstractmethod
     def step(self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None) -> NDArray[np.bool_]:
-        """Apply a force to one bead of each rope for one action, frame_skip integrator steps.
-
-        The closures between sub-chains are soft, and a fold at a closure can hold it open by
-        millimetres. A step that would open one wider than a bead's diameter is repeated from the
-        same state with the next fraction in SHARES of the force; if all fail, the rope doesn't
-        move. `applied_shares` holds the fraction that was applied.
+        """Apply a force to one bead of each rope for one action, timestep * frame_skip seconds.
 
         Args:
             beads: int (len(ids),); the force acts at the bead's centre of mass.
@@ -122,54 +100,8 @@ class Simulation:
             ids: the ropes, in increasing order; None for all.
 
         Returns:
-            bool (len(ids),): False where the simulation blew up; such a rope is restored to its
-            state before the call.
+            bool (len(ids),): False where the simulation blew up; such a rope stays as it was.
         """
-        where, bodies = self._all(ids), self.rope.bodies[np.asarray(beads)]
-        full = np.asarray(forces, dtype=np.float64)
-        self.steps_taken += len(where)
-        before = self._batch.state[where].copy()
-        stable = np.ones(len(where), dtype=bool)
-        pending = np.arange(len(where))  # indices into `where` of ropes still to be stepped
-        self.applied_shares[where] = 0.0
-        for share in SHARES:
-            blew_up, gaps = self._integrate(where[pending], bodies[pending], share * full[pending])
-            fails = blew_up | ~(gaps < 2 * self.rope.config.radius)
-            failed = pending[fails]
-            self.applied_shares[where[pending[~fails]]] = share
-            stable[pending[blew_up]] = False
-            if not len(failed):
-                break
-            self.restore(before[failed], where[failed])
-            # less force is tried only for ropes that opened, not for those that blew up
-            pending = failed[stable[failed]]
-            if not len(pending):
-                break
-        return stable
-
-    def _integrate(
-        self, where: NDArray[np.int64], bodies: NDArray[np.int64], forces: Array
-    ) -> tuple[NDArray[np.bool_], Array]:
-        """Step ropes `where` through one action.
-
-        Returns:
-            Which of them blew up, bool (n,), and their largest gaps, float64 (n,), metres.
-        """
-        # MuJoCo resets a rope that blew up to the plain loop, and its warning counts with it; they
-        # start from 0 here, so that any count is from this step
-        self._batch.warning[where] = 0
-        self._xfrc[where, bodies, :3] = forces
-        blew_up = np.zeros(len(where), dtype=bool)
-        try:
-            self._batch.step(where, nstep=self.rope.config.frame_skip)
-        except SimulationError as error:
-            blew_up |= np.isin(where, error.ids)
-        finally:
-            self._xfrc[where] = 0.0
-        self.points[where], gaps = self.rope.points_and_gaps(self._qpos[where])
-        blew_up |= self._batch.warning[where][:, _BLOWN_UP, 1].any(axis=1)
-        blew_up |= ~np.isfinite(self.points[where]).all(axis=(1, 2))
-        return blew_up, gaps
 
     def act(self, actions: ArrayLike, ids: Ids = None) -> NDArray[np.bool_]:
         """Take one action with each rope, see `actions`.

@@ -36,7 +36,7 @@ from knotgym.loaders import arrays
 from knotgym.rendering.diagram import draw_diagram
 from knotgym.rendering.picture import draw
 from knotgym.rope.model import Rope
-from knotgym.rope.simulation import Simulation
+from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.runs import engine as run_engine
 from knotgym.runs.executors import executor
 from knotgym.states.near_duplicates import NEAR, distances
@@ -166,7 +166,7 @@ def test_pictures_are_those_of_the_points(states: States) -> None:
 
 @pytest.mark.slow  # verification replays every row in test_commands
 def test_every_provenance_ends_in_its_row_bit_for_bit(states: States) -> None:
-    simulation = Simulation()
+    simulation = MujocoSimulation()
     for row in range(len(states)):
         simulation.lay(states.source["start_qpos"][row][None])
         for action in states.source["actions"][row, : states.source["steps"][row]]:

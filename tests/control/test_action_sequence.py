@@ -4,11 +4,11 @@ import numpy as np
 
 from knotgym.control.action_sequence import NO_ACTIONS, ActionSequence, resting, step_ropes
 from knotgym.rope.model import Rope
-from knotgym.rope.simulation import Simulation
+from knotgym.rope.mujoco_simulation import MujocoSimulation
 
 
 def test_a_step_is_the_action_that_it_returns(rope: Rope) -> None:
-    one, other, rng = Simulation(1, rope), Simulation(1, rope), np.random.default_rng(2)
+    one, other, rng = MujocoSimulation(1, rope), MujocoSimulation(1, rope), np.random.default_rng(2)
     for _ in range(6):
         actions, held = step_ropes(one, rng.integers(100, size=1), rng.uniform(-1, 1, (1, 3)))
         assert held.all() and actions.dtype == np.float32 and other.act(actions).all()
@@ -16,7 +16,7 @@ def test_a_step_is_the_action_that_it_returns(rope: Rope) -> None:
 
 
 def test_a_step_moves_the_bead_that_was_meant(rope: Rope) -> None:
-    simulation, rng = Simulation(1, rope), np.random.default_rng(3)
+    simulation, rng = MujocoSimulation(1, rope), np.random.default_rng(3)
     for bead in rng.integers(100, size=20):
         before = simulation.points.copy()
         actions, _ = step_ropes(simulation, np.array([bead]), rng.uniform(-1, 1, (1, 3)))

@@ -29,7 +29,7 @@ from knotgym.control.transition_graph import (
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.model import Rope
-from knotgym.rope.simulation import Simulation
+from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.states.state_file import read_states, shipped
 from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.gauss import GaussCode
@@ -217,7 +217,7 @@ def test_a_plan_that_is_solved_ends_in_the_goal_when_acted_out(states_path: str)
     start = episodes.simulation.states([0])[0]
     goal = GaussCode(())
     planned = plan(
-        Simulation(4),
+        MujocoSimulation(4),
         start,
         goal,
         shipped_transition_graph(GRAPH),
@@ -233,7 +233,7 @@ def test_a_plan_that_is_solved_ends_in_the_goal_when_acted_out(states_path: str)
 
 def test_a_hard_unknot_is_hauled_loose() -> None:
     states = read_states(shipped("hard-unknots"), images=False)
-    simulation = Simulation(8)
+    simulation = MujocoSimulation(8)
     simulation.lay(states.qpos[:1], [0])
     start = simulation.states([0])[0]
     planned = plan(
@@ -255,7 +255,7 @@ def test_a_hard_unknot_is_hauled_loose() -> None:
 
 def test_ropes_of_few_crossings_are_not_hauled(states_path: str) -> None:
     def planned(hauling: bool) -> Plan:
-        simulation = Simulation(4)
+        simulation = MujocoSimulation(4)
         simulation.lay(read_states(states_path, images=False).qpos[-1:], [0])
         return plan(
             simulation,
@@ -286,7 +286,7 @@ def test_a_plan_holds_the_goal_as_long_as_asked(states_path: str) -> None:
 
 
 def test_without_counts_the_crossings_guide() -> None:
-    simulation = Simulation(4)
+    simulation = MujocoSimulation(4)
     start = simulation.states([0])[0]
     planned = plan(
         simulation,
@@ -301,7 +301,7 @@ def test_without_counts_the_crossings_guide() -> None:
 
 
 def test_planning_keeps_its_budget_and_says_what_it_spent() -> None:
-    simulation = Simulation(4)
+    simulation = MujocoSimulation(4)
     goal = codes_of("0_1", 4)[0]
     planned = plan(
         simulation,
@@ -317,7 +317,7 @@ def test_planning_keeps_its_budget_and_says_what_it_spent() -> None:
 
 def test_a_search_that_has_had_its_chance_begins_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     def searched(budget: int) -> tuple[list[Node], Plan]:
-        simulation, met = Simulation(4), list[Node]()
+        simulation, met = MujocoSimulation(4), list[Node]()
         planned = plan(
             simulation,
             simulation.states([0])[0],

@@ -20,7 +20,7 @@ from knotgym.datasets.walks_file import (
     write_walks,
 )
 from knotgym.rope.model import Rope
-from knotgym.rope.simulation import Simulation
+from knotgym.rope.mujoco_simulation import MujocoSimulation
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ def made(numbers: list[int], bases: list[int], steps: int) -> Made:
 @pytest.fixture(scope="module")
 def states() -> NDArray[np.float64]:
     """Integration states of three ropes in motion."""
-    simulation = Simulation(3, Rope())
+    simulation = MujocoSimulation(3, Rope())
     simulation.act(np.random.default_rng(0).uniform(-1, 1, (3, 6)))
     return simulation.states()
 

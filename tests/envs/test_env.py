@@ -513,6 +513,12 @@ def test_a_row_of_the_other_split_is_refused(make: Make, states: States) -> None
         ({"hold": 0}, "hold must be a whole number of at least 1, got 0"),
         ({"image_size": 4}, "image_size must be a whole number from 16 to 2048, got 4"),
         ({"integrator_steps": 12}, "integrator_steps must be a whole number from 20 to 96, got 12"),
+        ({"engine": "bullet"}, "no engine 'bullet'; there is mujoco, chain"),
+        (
+            {"engine": "chain", "integrator_steps": 20},
+            "integrator_steps are steps of MuJoCo, and engine 'chain' chooses its own; leave it at"
+            " 24, got 20",
+        ),
         ({"reset_noise": -0.1}, r"reset_noise must be in \[0, 1\), got -0.1"),
         ({"reset_noise": float("nan")}, r"reset_noise must be in \[0, 1\), got nan"),
         (
@@ -524,7 +530,7 @@ def test_a_row_of_the_other_split_is_refused(make: Make, states: States) -> None
         ({"depth": True, "renderer": "mujoco"}, "depth needs renderer 'opencv'"),
         (
             {"noise": 0.1},
-            "got an unexpected keyword argument 'noise'; there is nx, split, states, observation",
+            "got an unexpected keyword argument 'noise'; there is nx, split, states, engine",
         ),
     ],
     ids=str,

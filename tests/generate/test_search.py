@@ -12,7 +12,7 @@ from knotgym.generate.states.archive import Archive, Elite
 from knotgym.generate.states.search import SearchConfig, advance, new_archive, search_round
 from knotgym.quality.measures import Limits, base_spacing, measure
 from knotgym.rope.model import Rope, base_shifts
-from knotgym.rope.simulation import Simulation
+from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.runs.executors import InProcess, executor
 from knotgym.runs.pools import Pool
 from knotgym.topology.crossings import find_crossings, label
@@ -104,7 +104,7 @@ def test_another_seed_searches_elsewhere(searched: Archive, tmp_path: Path) -> N
 def test_every_sequence_from_the_plain_loop_ends_in_its_state_bit_for_bit(
     searched: Archive, rope: Rope
 ) -> None:
-    simulation = Simulation(1, rope)
+    simulation = MujocoSimulation(1, rope)
     for elite in elites(searched):
         simulation.lay(rope.qpos(rope.loop())[None])
         for bead, force in zip(elite.sequence.beads, elite.sequence.forces, strict=True):
@@ -114,7 +114,7 @@ def test_every_sequence_from_the_plain_loop_ends_in_its_state_bit_for_bit(
 
 
 def test_every_elite_shows_its_code_walked_from_its_base(searched: Archive, rope: Rope) -> None:
-    simulation = Simulation(1, rope)
+    simulation = MujocoSimulation(1, rope)
     for elite in elites(searched):
         simulation.restore(elite.state[None])
         assert elite.base_shift in base_shifts(rope.config)
@@ -126,7 +126,7 @@ def test_every_elite_shows_its_code_walked_from_its_base(searched: Archive, rope
 
 
 def test_the_objective_of_an_elite_is_that_of_its_state(searched: Archive, rope: Rope) -> None:
-    simulation = Simulation(1, rope)
+    simulation = MujocoSimulation(1, rope)
     for elite in elites(searched)[:40]:
         simulation.restore(elite.state[None])
         points = np.roll(simulation.points[0], -elite.base_shift, axis=0)
@@ -136,7 +136,7 @@ def test_the_objective_of_an_elite_is_that_of_its_state(searched: Archive, rope:
 
 
 def test_base_spacing_is_taken_from_the_shifted_base(searched: Archive, rope: Rope) -> None:
-    simulation = Simulation(1, rope)
+    simulation = MujocoSimulation(1, rope)
     crossed = [elite for elite in elites(searched) if elite.code.nx][:10]
     assert len(crossed) > 5
     for elite in crossed:

@@ -23,7 +23,7 @@ from knotgym.generate.states.search import SearchConfig, new_archive
 from knotgym.generate.states.state_recipe import StateRecipe
 from knotgym.quality.measures import Limits
 from knotgym.rope.model import Rope
-from knotgym.rope.simulation import Simulation
+from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.runs.engine import CHECKPOINT
 from knotgym.runs.executors import InProcess
 from knotgym.runs.shards import Shard
@@ -145,7 +145,7 @@ def test_a_planned_sequence_is_demonstrated_to_the_code_and_to_its_mirror_image(
         made = demonstrate(task).demonstration
         assert made is not None and label(made.points[-1]).matches(code)
         assert not any(label(points).matches(code) for points in made.points[:-1])
-        simulation = Simulation(1, rope)
+        simulation = MujocoSimulation(1, rope)
         simulation.lay(made.start_qpos[None])
         for action in made.actions:
             assert simulation.act(action[None]).all()
@@ -168,7 +168,7 @@ def test_what_play_met_and_keeps_all_limits_is_a_state(rope: Rope, tmp_path: Pat
     recipe.begin()
     follow(recipe, tmp_path)
     state = next(one for one in recipe.states.values() if one.policy == "play")
-    simulation = Simulation(1, rope)
+    simulation = MujocoSimulation(1, rope)
     simulation.lay(state.start_qpos[None])
     for action in state.actions:
         simulation.act(action[None])

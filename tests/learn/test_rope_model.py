@@ -13,7 +13,7 @@ import pytest
 from knotgym.learn.fitting import Stretches, error
 from knotgym.learn.rope_model import BEADS, CHORD, DURATION, FIRST_GUESS, Dynamics
 from knotgym.rope.model import Rope
-from knotgym.rope.simulation import Simulation
+from knotgym.rope.mujoco_simulation import MujocoSimulation
 
 pytestmark = pytest.mark.clients  # compiling it takes long
 
@@ -21,7 +21,7 @@ BEAD, FORCE = np.array([25]), np.array([[0.5, 0.8, 0.3]])
 
 
 def loop() -> np.ndarray:
-    points = Simulation(1).points.copy()
+    points = MujocoSimulation(1).points.copy()
     return points - points.mean(axis=1, keepdims=True)
 
 
@@ -158,8 +158,8 @@ def test_a_fresh_compilation_moves_ropes_as_a_cached_one_does(tmp_path: Path) ->
     code = (
         "import hashlib, numpy as np\n"
         "from knotgym.learn.rope_model import FIRST_GUESS, Dynamics\n"
-        "from knotgym.rope.simulation import Simulation\n"
-        "points, rng = Simulation(4).points.copy(), np.random.default_rng(0)\n"
+        "from knotgym.rope.mujoco_simulation import MujocoSimulation\n"
+        "points, rng = MujocoSimulation(4).points.copy(), np.random.default_rng(0)\n"
         "speeds = np.zeros_like(points)\n"
         "for _ in range(4):\n"
         "    beads, forces = rng.integers(0, 100, 4), rng.uniform(-1, 1, (4, 3))\n"

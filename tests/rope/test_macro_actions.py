@@ -18,7 +18,7 @@ from knotgym.rope.macro_actions import (
     propose,
 )
 from knotgym.rope.model import Rope
-from knotgym.rope.simulation import Simulation
+from knotgym.rope.mujoco_simulation import MujocoSimulation
 
 CONFIG = MacroActionConfig()
 
@@ -97,7 +97,11 @@ def test_a_controller_leads_towards_the_waypoint(rope: Rope) -> None:
 
 
 def test_a_controller_leads_its_bead_to_the_last_waypoint(rope: Rope) -> None:
-    simulation, controller, points = Simulation(1, rope), WaypointController(1, CONFIG), rope.loop()
+    simulation, controller, points = (
+        MujocoSimulation(1, rope),
+        WaypointController(1, CONFIG),
+        rope.loop(),
+    )
     waypoints = points[40] + np.array([[0.03, 0.0, 0.02], [0.08, 0.02, 0.02], [0.08, 0.02, 0.0]])
     controller.begin(0, MacroAction("shift", 40, waypoints))
     for _ in range(15):

@@ -331,7 +331,7 @@ def spoilt(room: Path, done: str, after: int) -> Path:
     path = room / "spoilt.py"
     path.write_text(
         "import itertools, os, signal\n"
-        "from knotgym.rope.simulation import Simulation\n"
+        "from knotgym.rope.mujoco_simulation import MujocoSimulation as Simulation\n"
         "def spoilt(*words, **more):\n"
         f"    if next(Simulation.taken) >= {after}:\n        {done}\n"
         "    return Simulation.whole(*words, **more)\n"

@@ -18,6 +18,7 @@ from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import KnotgymError
 from knotgym.generate.states.archive import Archive
 from knotgym.rope.model import Array, Rope
+from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.rope.simulation import Simulation
 from knotgym.states.near_duplicates import families
 from knotgym.states.state_file import read_states, shipped
@@ -74,7 +75,7 @@ def seed_states(
         raise NoSeedStates(
             "walks start from an archive or from states, not both: give --archive or --states"
         )
-    simulation = Simulation(1, Rope())
+    simulation = MujocoSimulation(1, Rope())
     path = archive or states or shipped()
     read = _archived if archive else _curated
     found = read(path, max(nx), simulation)

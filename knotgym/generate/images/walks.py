@@ -20,6 +20,7 @@ from knotgym.control.action_sequence import step_ropes
 from knotgym.quality.difficulty import ease
 from knotgym.quality.label_limits import LabelLimits, pressed_together, visits_too_close
 from knotgym.quality.measures import Limits, measure
+from knotgym.rope.engines import simulation_of
 from knotgym.rope.macro_actions import (
     MacroAction,
     MacroActionConfig,
@@ -29,7 +30,6 @@ from knotgym.rope.macro_actions import (
 )
 from knotgym.rope.model import Array, Rope, RopeConfig
 from knotgym.rope.relaxation import RelaxationConfig, relaxed
-from knotgym.rope.simulation_pool import simulation_of
 from knotgym.topology.crossings import count_crossings, find_crossings
 from knotgym.topology.reference_labeller import pyknotid_code
 

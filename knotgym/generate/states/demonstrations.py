@@ -25,9 +25,9 @@ from knotgym.generate.states.drawn_states import ONE, MadeState, judged
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.quality.measures import measure
 from knotgym.rope.actions import steps_taken
+from knotgym.rope.engines import simulation_of
 from knotgym.rope.model import Array, RopeConfig
 from knotgym.rope.simulation import Simulation
-from knotgym.rope.simulation_pool import simulation_of
 from knotgym.states.schema import PLAY
 from knotgym.topology.crossings import label, label_many
 from knotgym.topology.gauss import GaussCode

@@ -20,9 +20,9 @@ from knotgym.drawing.drawn_curve import UndrawnCode, drawn_curve
 from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.random_walk import RESET_NOISE
 from knotgym.quality.measures import Limits, Quality, measure, noise_survival
+from knotgym.rope.engines import simulation_of
 from knotgym.rope.model import Array, RopeConfig
 from knotgym.rope.simulation import Simulation
-from knotgym.rope.simulation_pool import simulation_of
 from knotgym.states.schema import DRAWING
 from knotgym.topology.crossings import find_crossings, label
 from knotgym.topology.diagrams import chiralities

@@ -18,9 +18,9 @@ from knotgym.control.transition_graph import shipped_transition_graph
 from knotgym.generate.states.archive import Elite
 from knotgym.generate.states.search import SearchConfig, readings
 from knotgym.quality.measures import Limits
+from knotgym.rope.engines import simulation_of
 from knotgym.rope.model import Array
 from knotgym.rope.simulation import Simulation
-from knotgym.rope.simulation_pool import simulation_of
 from knotgym.topology.gauss import GaussCode
 
 PACE = 7  # actions allowed per change of code on the way to the goal

@@ -20,8 +20,8 @@ from knotgym.common.streams import Stream, generator, key
 from knotgym.generate.states.generate_config import InvalidGenerateConfig, check_nx
 from knotgym.quality.measures import Quality, measure, noise_survival
 from knotgym.rope.actions import drawn_actions
+from knotgym.rope.engines import simulation_of
 from knotgym.rope.model import Array, Rope, RopeConfig
-from knotgym.rope.simulation_pool import simulation_of
 from knotgym.states.schema import STATE_SPLITS
 from knotgym.topology.crossings import find_crossings
 from knotgym.topology.gauss import GaussCode

@@ -21,10 +21,10 @@ from knotgym.control.action_sequence import NO_ACTIONS, ActionSequence, step_rop
 from knotgym.control.transition_counts import TransitionCounts, TransitionRecorder
 from knotgym.generate.states.archive import Archive, ArchiveConfig, Elite
 from knotgym.quality.measures import Limits, base_spacing, measure
+from knotgym.rope.engines import simulation_of
 from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, propose
 from knotgym.rope.model import Array, Rope, RopeConfig, base_shifts
-from knotgym.rope.simulation import Simulation
-from knotgym.rope.simulation_pool import simulation_of
+from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.runs.engine import Batch
 from knotgym.runs.pools import Pool
 from knotgym.topology.crossings import find_crossings, label_many
@@ -136,7 +136,7 @@ class Discovery(NamedTuple):
 def new_archive(config: SearchConfig, start: Array | None = None) -> Archive:
     """Return an archive that starts from the plain loop, or from a configuration (beads, 3)."""
     rope = Rope(config.rope)
-    simulation = Simulation(1, rope)
+    simulation = MujocoSimulation(1, rope)
     points = rope.loop() if start is None else start
     simulation.lay(rope.qpos(points)[None])
     origin = "loop" if start is None else np.asarray(points).tolist()

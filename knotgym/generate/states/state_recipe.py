@@ -51,8 +51,8 @@ from knotgym.generate.states.generate_config import GenerateConfig, InvalidGener
 from knotgym.generate.states.planned_sequences import Found, Target, reach
 from knotgym.generate.states.search import SearchConfig, new_archive, replays, search_round
 from knotgym.quality.measures import Quality
+from knotgym.rope.engines import simulation_of
 from knotgym.rope.model import Rope, RopeConfig
-from knotgym.rope.simulation_pool import simulation_of
 from knotgym.runs.engine import CHECKPOINT, Batch, run
 from knotgym.runs.progress import Progress, Status, tell_if_long
 from knotgym.runs.run_options import NotEnough, RunOptions

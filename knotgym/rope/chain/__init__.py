@@ -1,6 +1,4 @@
-"""The chain engine: a fast solver for the closed rope, with the interface of MuJoCo's engine.
-
-`chain_simulation.ChainSimulation` takes the place of `knotgym.rope.simulation.Simulation`.
+"""The chain engine: a fast solver for the closed rope, behind the interface `rope.simulation`.
 
 | module | holds |
 | --- | --- |

@@ -1,9 +1,8 @@
-"""Many ropes stepped at once by the chain engine, with the interface of MuJoCo's `Simulation`.
+"""Many ropes stepped at once by the chain engine.
 
 A rope's *state* holds, for each vertex, its position and velocity and the side and spin of the bead
-that begins there (`dynamics`). A restored rope goes on bit for bit, at any number of threads and in
-any company. MuJoCo's qpos become states and states qpos, the beads' twist included; velocities
-don't.
+that begins there (`dynamics`). MuJoCo's qpos become states and states qpos, the beads' twist
+included; velocities don't.
 """
 
 from __future__ import annotations
@@ -31,23 +30,24 @@ from knotgym.rope.chain.dynamics import (
     set_lengths,
 )
 from knotgym.rope.chain.simd import LANES
-from knotgym.rope.chain.solver import LOST, SCHEDULE, STATE, advance
+from knotgym.rope.chain.solver import LOST, SCHEDULE, STATE, TICKS, advance
 from knotgym.rope.model import Array, InvalidRope, Rope, sub_chains
 from knotgym.rope.simulation import Ids, Simulation
 
 _STIFF = 1e4  # N s/m, what an edge resists being stretched with
 _FLOOR = 0.25  # distance that contact keeps at any force, in diameters
+_TICKS = TICKS * sum(SCHEDULE)  # of an action
 
 
 class ChainSimulation(Simulation):
-    """A fixed number of independent ropes, stepped together by the chain engine.
+    """Ropes stepped by the chain engine.
 
-    Attributes:
-        rope, count, points, steps_taken: as of `Simulation`.
-        taken_back: bool (count,): whether part of a rope's last action was taken back, because it
-            could not be proved that no strands pass each other.
-        actions_taken_back: so many, all ropes together.
+    An action is carried out with its full force until no substep can be proved safe; the rest of it
+    is taken back. Its applied share is the fraction of its time that was carried out.
     """
+
+    engine = "chain"
+    shares = tuple((np.arange(_TICKS, -1, -1) / _TICKS).tolist())  # with SCHEDULE
 
     def __init__(
         self,
@@ -56,31 +56,24 @@ class ChainSimulation(Simulation):
         threads: int = 1,
         schedule: tuple[int, ...] = SCHEDULE,
     ) -> None:
-        """Lay `count` plain loops; `threads` 0 takes every core.
+        """Start with `count` plain loops; `threads` 0 uses every core.
 
         `schedule` are the relative lengths of an action's substeps.
         """
-        if count < 1:
-            raise InvalidRope(f"a simulation needs at least 1 rope, got {count}")
-        self.rope = rope or Rope()
+        super().__init__(count, rope, threads)
         longest = longest_edge(self.rope.config.radius)
         if self.rope.config.bead_length > longest:
             raise InvalidRope(
                 "the chain engine takes ropes whose beads are at most"
                 f" {1000 * longest:.2f} mm long, got {1000 * self.rope.config.bead_length:.2f} mm"
             )
-        self.count = count
-        self._threads = threads
         self._schedule = np.array(schedule, dtype=np.int64)
         self._numbers, self._damping, self._contact = parameters(self.rope)
         workers = min(threads or cpu_count() or 1, -(-count // LANES))
         self._pool = ThreadPoolExecutor(workers) if workers > 1 else None
         self._workers = workers
         self._states: Array = np.empty((count, self.rope.config.beads, STATE))
-        self.points: Array = np.empty((count, self.rope.config.beads, 3))
-        self.taken_back: NDArray[np.bool_] = np.zeros(count, dtype=bool)
-        self.actions_taken_back = 0
-        self.steps_taken = 0
+        self.points = np.empty((count, self.rope.config.beads, 3))
         self.lay(np.repeat(self.rope.qpos(self.rope.loop())[None], count, axis=0))
 
     def __getstate__(self) -> dict[str, Any]:
@@ -93,24 +86,20 @@ class ChainSimulation(Simulation):
         self.restore(saved["states"])
 
     def qpos(self, ids: Ids = None) -> Array:
-        """Generalized positions for MuJoCo: float64 (len(ids), nq)."""
         states = self._states[self._all(ids)]
         return to_qpos(self.rope, states[:, :, :3], states[:, :, 6:9])
 
     def states(self, ids: Ids = None) -> Array:
-        """Copy of the states: float64 (len(ids), beads * STATE)."""
         where = self._all(ids)
         return self._states[where].reshape(len(where), -1)
 
     def restore(self, states: Array, ids: Ids = None) -> None:
-        """Put ropes back into states that `states` returned, for a rope of the same model."""
         where = self._all(ids)
         self._states[where] = np.reshape(states, (len(where), *self._states.shape[1:]))
         self.points[where] = self._states[where, :, :3]
-        self.taken_back[where] = False
 
     def lay(self, qpos: ArrayLike, ids: Ids = None) -> None:
-        """Lay ropes at rest at generalized positions float64 (len(ids), nq).
+        """Reset ropes to rest at generalized positions float64 (len(ids), nq).
 
         A gap between two sub-chains is closed: vertices near it move by less than the gap.
         """
@@ -129,16 +118,6 @@ class ChainSimulation(Simulation):
         self.restore(states, where)
 
     def step(self, beads: ArrayLike, forces: ArrayLike, ids: Ids = None) -> NDArray[np.bool_]:
-        """Apply a force to one bead of each rope for one action.
-
-        Args:
-            beads: int (len(ids),), each acted on at its centre.
-            forces: (len(ids), 3), newtons, world frame.
-            ids: the ropes, in rising order; None for all.
-
-        Returns:
-            bool (len(ids),): False where a rope's state is not finite; it stays as it was.
-        """
         where = self._all(ids)
         states, pulled = self._states[where], np.ascontiguousarray(beads, dtype=np.int64)
         forces = np.ascontiguousarray(forces, dtype=np.float64)
@@ -162,10 +141,10 @@ class ChainSimulation(Simulation):
         firsts = range(0, len(where), sizes) if len(where) else ()
         list((self._pool.map if self._pool else map)(move, firsts))
         self._states[where], self.points[where] = states, states[:, :, :3]
-        back = counts[:, LOST] > 0
-        self.taken_back[where] = back
-        self.actions_taken_back += int(np.count_nonzero(back))
+        total = TICKS * int(self._schedule.sum())
+        self.applied_shares[where] = (total - counts[:, LOST]) / total
         self.steps_taken += len(where)
+        self.steps_reduced += int(np.count_nonzero(counts[:, LOST]))
         return np.asarray(np.isfinite(states).all(axis=(1, 2)), dtype=bool)
 
 

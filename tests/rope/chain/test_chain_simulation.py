@@ -17,7 +17,8 @@ from knotgym.rope.chain.chain_simulation import ChainSimulation, parameters
 from knotgym.rope.chain.contact import closest
 from knotgym.rope.chain.simd import LANES, put
 from knotgym.rope.model import Rope, RopeConfig, clearance
-from knotgym.rope.simulation import InvalidAction, Simulation
+from knotgym.rope.mujoco_simulation import MujocoSimulation
+from knotgym.rope.simulation import InvalidAction
 from knotgym.topology.crossings import find_crossings, label, label_many
 from knotgym.topology.knots import is_unknot, knot_type
 
@@ -57,7 +58,7 @@ def lengths(points: Array) -> Array:
 
 
 def test_beads_end_where_mujoco_puts_them(rope: Rope, curls: Array) -> None:
-    chain, mujoco = ChainSimulation(5, rope), Simulation(5, rope)
+    chain, mujoco = ChainSimulation(5, rope), MujocoSimulation(5, rope)
     chain.lay(curls)
     mujoco.lay(curls)
     for bar, (beads, forces) in zip((1e-3, 2e-3, 3e-3), pulls(5, 3), strict=True):
@@ -127,7 +128,7 @@ def test_random_play_never_ties_or_unties_a_knot(rope: Rope, curls: Array) -> No
         chain.step(beads, np.sign(forces) * 0.2)
         codes = label_many(chain.points)
         assert all(map(is_unknot, codes[:5])) and knot_type(codes[5]) == "3_1"
-    assert chain.actions_taken_back == 0 and chain.steps_taken == 240
+    assert chain.steps_reduced == 0 and chain.steps_taken == 240
 
 
 def test_a_substep_that_cannot_be_proved_safe_is_taken_back(rope: Rope, curls: Array) -> None:
@@ -138,10 +139,10 @@ def test_a_substep_that_cannot_be_proved_safe_is_taken_back(rope: Rope, curls: A
     chain.restore(states)
     before = chain.points.copy()
     assert chain.step([3, 3], np.zeros((2, 3))).tolist() == [True, True]
-    assert chain.taken_back.tolist() == [False, True] and chain.actions_taken_back == 1
+    assert (chain.applied_shares == 1).tolist() == [True, False] and chain.steps_reduced == 1
     assert np.abs(chain.points - before).max() < 1e-3
     chain.step([3, 3], np.full((2, 3), 0.1))
-    assert not chain.taken_back.any()
+    assert (chain.applied_shares == 1).all()
 
 
 def test_a_state_that_is_not_finite_is_told(rope: Rope) -> None:
@@ -197,7 +198,7 @@ def test_a_rope_goes_to_mujoco_and_back(rope: Rope, curls: Array) -> None:
     chain.lay(curls)
     moved(chain, 6)
     qpos = chain.qpos()
-    mujoco = Simulation(5, rope)
+    mujoco = MujocoSimulation(5, rope)
     mujoco.lay(qpos)
     assert np.abs(mujoco.points - chain.points).max() < 1e-9
     back = ChainSimulation(5, rope)

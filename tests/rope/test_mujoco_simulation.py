@@ -8,12 +8,13 @@ import pytest
 from numpy.typing import NDArray
 
 from knotgym.rope.model import Rope, RopeConfig
-from knotgym.rope.simulation import InvalidAction, Simulation
+from knotgym.rope.mujoco_simulation import MujocoSimulation
+from knotgym.rope.simulation import InvalidAction
 
 from ..conftest import curled, rough_play
 
 
-def moved(simulation: Simulation, steps: int, seed: int = 0) -> NDArray[np.float64]:
+def moved(simulation: MujocoSimulation, steps: int, seed: int = 0) -> NDArray[np.float64]:
     """Return states after random actions, the same for rope i in a batch of any size."""
     rngs = [np.random.default_rng([seed, i]) for i in range(simulation.count)]
     for _ in range(steps):
@@ -21,7 +22,7 @@ def moved(simulation: Simulation, steps: int, seed: int = 0) -> NDArray[np.float
     return simulation.states()
 
 
-def blown_up(simulation: Simulation, rope: int, velocity: float = 1e8) -> None:
+def blown_up(simulation: MujocoSimulation, rope: int, velocity: float = 1e8) -> None:
     """Give a rope velocities at which every integrator fails."""
     states = simulation.states([rope])
     model = simulation.rope.model
@@ -30,17 +31,17 @@ def blown_up(simulation: Simulation, rope: int, velocity: float = 1e8) -> None:
 
 
 def test_a_simulation_starts_with_plain_loops(rope: Rope) -> None:
-    simulation = Simulation(2, rope)
+    simulation = MujocoSimulation(2, rope)
     assert np.abs(simulation.points - rope.loop()).max() < 1e-12
 
 
 def test_a_simulation_needs_a_rope() -> None:
     with pytest.raises(ValueError, match="at least 1 rope, got 0"):
-        Simulation(0)
+        MujocoSimulation(0)
 
 
 def test_one_batched_rope_is_mujocos_own_loop(rope: Rope) -> None:
-    simulation, data = Simulation(1, rope), mujoco.MjData(rope.model)
+    simulation, data = MujocoSimulation(1, rope), mujoco.MjData(rope.model)
     rng = np.random.default_rng(0)
     for _ in range(4):
         bead, force = int(rng.integers(100)), rng.uniform(-0.2, 0.2, 3)
@@ -55,18 +56,18 @@ def test_one_batched_rope_is_mujocos_own_loop(rope: Rope) -> None:
 @pytest.fixture(scope="module")
 def six(rope: Rope) -> NDArray[np.float64]:
     """Return three of six ropes, stepped by one thread."""
-    return moved(Simulation(6, rope, 1), 3)[:3]
+    return moved(MujocoSimulation(6, rope, 1), 3)[:3]
 
 
 @pytest.mark.parametrize(("count", "threads"), [(6, 2), (6, 0), (3, 1), (3, 3)])
 def test_states_are_the_same_bytes_in_any_batch_on_any_threads(
     rope: Rope, six: NDArray[np.float64], count: int, threads: int
 ) -> None:
-    assert np.array_equal(moved(Simulation(count, rope, threads), 3)[:3], six)
+    assert np.array_equal(moved(MujocoSimulation(count, rope, threads), 3)[:3], six)
 
 
 def test_ropes_not_named_stand_still(rope: Rope) -> None:
-    simulation = Simulation(3, rope)
+    simulation = MujocoSimulation(3, rope)
     before = moved(simulation, 2)
     simulation.act(np.full((1, 6), 0.5), [1])
     assert np.array_equal(simulation.states([0, 2]), before[[0, 2]])
@@ -74,16 +75,16 @@ def test_ropes_not_named_stand_still(rope: Rope) -> None:
 
 
 def test_points_are_those_of_qpos(rope: Rope) -> None:
-    simulation = Simulation(2, rope)
+    simulation = MujocoSimulation(2, rope)
     moved(simulation, 3)
     assert np.array_equal(simulation.points, rope.points(simulation.qpos()))
 
 
 def test_a_restored_rope_goes_on_bit_for_bit(rope: Rope) -> None:
-    simulation = Simulation(2, rope)
+    simulation = MujocoSimulation(2, rope)
     saved = moved(simulation, 4)
     onwards = moved(simulation, 3, seed=1)
-    elsewhere = Simulation(3, rope, threads=2)
+    elsewhere = MujocoSimulation(3, rope, threads=2)
     moved(elsewhere, 2, seed=9)
     elsewhere.restore(saved, [0, 2])
     rngs = [np.random.default_rng([1, i]) for i in range(2)]
@@ -93,7 +94,7 @@ def test_a_restored_rope_goes_on_bit_for_bit(rope: Rope) -> None:
 
 
 def test_saved_states_are_copies(rope: Rope) -> None:
-    simulation = Simulation(1, rope)
+    simulation = MujocoSimulation(1, rope)
     states, qpos = simulation.states(), simulation.qpos()
     kept = states.copy(), qpos.copy()
     moved(simulation, 1)
@@ -101,7 +102,7 @@ def test_saved_states_are_copies(rope: Rope) -> None:
 
 
 def test_a_pickled_simulation_goes_on_bit_for_bit() -> None:
-    simulation = Simulation(2, Rope(RopeConfig(frame_skip=6)), threads=2)
+    simulation = MujocoSimulation(2, Rope(RopeConfig(frame_skip=6)), threads=2)
     moved(simulation, 3)
     again = pickle.loads(pickle.dumps(simulation))
     assert again.rope.config == simulation.rope.config and np.array_equal(
@@ -111,7 +112,7 @@ def test_a_pickled_simulation_goes_on_bit_for_bit() -> None:
 
 
 def test_a_rope_laid_forgets_what_it_did(rope: Rope) -> None:
-    used, fresh = Simulation(1, rope), Simulation(1, rope)
+    used, fresh = MujocoSimulation(1, rope), MujocoSimulation(1, rope)
     moved(used, 5)
     qpos = rope.qpos(rope.from_curve(curled(2)))[None]
     used.lay(qpos)
@@ -121,7 +122,7 @@ def test_a_rope_laid_forgets_what_it_did(rope: Rope) -> None:
 
 
 def test_laying_one_rope_leaves_the_others(rope: Rope) -> None:
-    simulation = Simulation(3, rope)
+    simulation = MujocoSimulation(3, rope)
     before = moved(simulation, 3)
     simulation.lay(rope.qpos(rope.loop())[None], [1])
     assert np.array_equal(simulation.states([0, 2]), before[[0, 2]])
@@ -145,7 +146,7 @@ def test_laying_one_rope_leaves_the_others(rope: Rope) -> None:
 def test_bad_actions_are_refused_and_nothing_moves(
     rope: Rope, actions: NDArray[np.float64], message: str
 ) -> None:
-    simulation = Simulation(2, rope)
+    simulation = MujocoSimulation(2, rope)
     before = moved(simulation, 2)
     with pytest.raises(InvalidAction, match=message):
         simulation.act(actions)
@@ -153,7 +154,7 @@ def test_bad_actions_are_refused_and_nothing_moves(
 
 
 def test_rounding_beyond_1_is_taken_for_1(rope: Rope) -> None:
-    one, other = Simulation(1, rope), Simulation(1, rope)
+    one, other = MujocoSimulation(1, rope), MujocoSimulation(1, rope)
     one.act(np.array([[0.1, 0, 0, 1, -1, 1]]))
     other.act(np.array([[0.1, 0, 0, np.nextafter(np.float32(1), np.float32(2)), -1 - 1e-6, 1]]))
     assert np.array_equal(one.states(), other.states())
@@ -162,28 +163,28 @@ def test_rounding_beyond_1_is_taken_for_1(rope: Rope) -> None:
 
 
 def test_a_call_refused_by_mujoco_leaves_no_force_behind(rope: Rope) -> None:
-    simulation, other = Simulation(2, rope), Simulation(2, rope)
+    simulation, other = MujocoSimulation(2, rope), MujocoSimulation(2, rope)
     with pytest.raises(ValueError, match="sorted and unique"):
         simulation.step([3, 3], np.full((2, 3), 0.2), [1, 1])
     assert np.array_equal(moved(simulation, 2), moved(other, 2))
 
 
 def test_an_action_pulls_the_nearest_bead(rope: Rope) -> None:
-    simulation = Simulation(1, rope)
+    simulation = MujocoSimulation(1, rope)
     at = 1.2 * simulation.points[0, 30] / rope.config.reach
     beads, forces = simulation.read_actions(np.concatenate([at, [0.5, -1.0, 0.25]])[None])
     assert beads.tolist() == [30] and np.allclose(forces, [[0.1, -0.2, 0.05]])
 
 
 def test_a_pulled_bead_goes_where_it_is_pulled(rope: Rope) -> None:
-    simulation = Simulation(1, rope)
+    simulation = MujocoSimulation(1, rope)
     before = simulation.points[0, 40].copy()
     simulation.step([40], [[0.0, 0.0, 0.2]])
     assert 0.02 < simulation.points[0, 40, 2] - before[2] < 0.06
 
 
 def test_actions_and_read_actions_are_inverse(rope: Rope) -> None:
-    simulation, rng = Simulation(8, rope), np.random.default_rng(0)
+    simulation, rng = MujocoSimulation(8, rope), np.random.default_rng(0)
     moved(simulation, 3)
     for _ in range(20):
         beads, forces = rng.integers(0, 100, 8), rng.uniform(-0.2, 0.2, (8, 3))
@@ -194,13 +195,13 @@ def test_actions_and_read_actions_are_inverse(rope: Rope) -> None:
 
 
 def test_forces_too_large_for_an_action_are_cut(rope: Rope) -> None:
-    simulation = Simulation(1, rope)
+    simulation = MujocoSimulation(1, rope)
     assert simulation.actions([0], [[5.0, -5.0, 0.0]])[0, 3:].tolist() == [1.0, -1.0, 0.0]
 
 
 @pytest.mark.parametrize("velocity", [1e8, 1e12, np.inf, np.nan])
 def test_a_blown_up_rope_is_told_and_stands_where_it_stood(rope: Rope, velocity: float) -> None:
-    simulation = Simulation(3, rope)
+    simulation = MujocoSimulation(3, rope)
     moved(simulation, 2)
     blown_up(simulation, 1, velocity)
     before, points = simulation.states(), simulation.points.copy()
@@ -212,14 +213,14 @@ def test_a_blown_up_rope_is_told_and_stands_where_it_stood(rope: Rope, velocity:
 
 
 def test_a_rope_that_blows_up_again_is_told_again(rope: Rope) -> None:
-    simulation = Simulation(2, rope)
+    simulation = MujocoSimulation(2, rope)
     blown_up(simulation, 0)
     for _ in range(3):
         assert simulation.act(np.full((2, 6), 0.3)).tolist() == [False, True]
 
 
 def test_neighbours_of_a_blown_up_rope_move_as_ever(rope: Rope) -> None:
-    simulation, other = Simulation(3, rope), Simulation(3, rope)
+    simulation, other = MujocoSimulation(3, rope), MujocoSimulation(3, rope)
     blown_up(simulation, 1)
     for one in (simulation, other):
         moved(one, 2)
@@ -227,7 +228,7 @@ def test_neighbours_of_a_blown_up_rope_move_as_ever(rope: Rope) -> None:
 
 
 def test_a_blown_up_rope_can_be_laid_again(rope: Rope) -> None:
-    simulation, fresh = Simulation(1, rope), Simulation(1, rope)
+    simulation, fresh = MujocoSimulation(1, rope), MujocoSimulation(1, rope)
     blown_up(simulation, 0, np.nan)
     simulation.act(np.zeros((1, 6)))
     for one in (simulation, fresh):
@@ -236,13 +237,13 @@ def test_a_blown_up_rope_can_be_laid_again(rope: Rope) -> None:
 
 
 def test_a_force_that_is_no_number_moves_nothing(rope: Rope) -> None:
-    simulation = Simulation(2, rope)
+    simulation = MujocoSimulation(2, rope)
     assert simulation.step([0, 0], [[np.nan, 0, 0], [0.1, 0, 0]]).tolist() == [False, True]
     assert np.isfinite(simulation.points).all()
 
 
 def test_a_torn_rope_is_told(rope: Rope) -> None:
-    simulation = Simulation(1, rope)
+    simulation = MujocoSimulation(1, rope)
     qpos = rope.qpos(rope.loop())
     qpos[rope.model.jnt_qposadr[rope.model.body_jntadr[1]] + 2] += (
         0.5  # one sub-chain far above the others
@@ -254,7 +255,7 @@ def test_a_torn_rope_is_told(rope: Rope) -> None:
 @pytest.mark.parametrize(("row", "share"), [(9, 0.5), (29, 0.0)])
 def test_an_eased_step_says_which_share_of_the_force_it_applied(row: int, share: float) -> None:
     qpos, actions = rough_play(row)
-    simulation, other = Simulation(1), Simulation(1)
+    simulation, other = MujocoSimulation(1), MujocoSimulation(1)
     for one in (simulation, other):
         one.lay(qpos[None])
     for action in actions:
@@ -266,7 +267,7 @@ def test_an_eased_step_says_which_share_of_the_force_it_applied(row: int, share:
 
 
 def test_a_rope_that_blows_up_had_no_force_applied(rope: Rope) -> None:
-    simulation = Simulation(2, rope)
+    simulation = MujocoSimulation(2, rope)
     blown_up(simulation, 0, np.nan)
     assert simulation.act(np.zeros((2, 6))).tolist() == [False, True]
     assert simulation.applied_shares.tolist() == [0.0, 1.0]
@@ -310,7 +311,7 @@ def test_the_root_of_a_sub_chain_is_bookkeeping(nx: int, finer: int, share: floa
         bead, force = int(rng.integers(100)), rng.choice([-0.2, 0.2], 3)
         ends = []
         for rope, start in zip((here, there), starts, strict=True):
-            simulation = Simulation(1, rope)
+            simulation = MujocoSimulation(1, rope)
             simulation.lay(start[None])
             assert simulation.step([bead], force[None]).all()
             ends.append(simulation.points[0].copy())

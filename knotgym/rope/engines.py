@@ -1,0 +1,59 @@
+"""The simulation engines by name, and simulations shared within a process."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from knotgym.common.errors import KnotgymError
+
+if TYPE_CHECKING:
+    from knotgym.rope.model import Rope, RopeConfig
+    from knotgym.rope.simulation import Simulation
+
+MUJOCO, CHAIN = "mujoco", "chain"
+ENGINES = (MUJOCO, CHAIN)  # the reference, and the fast solver of `rope.chain`
+
+_shared: dict[tuple[str, int, RopeConfig], Simulation] = {}
+
+
+class UnknownEngine(KnotgymError, ValueError):
+    """No engine has this name."""
+
+
+def require_engine(engine: object) -> None:
+    """Raise UnknownEngine unless `engine` is the name of an engine."""
+    if engine not in ENGINES:
+        raise UnknownEngine(f"no engine {engine!r}; there is {', '.join(ENGINES)}")
+
+
+def simulation_class(engine: str) -> type[Simulation]:
+    """Return the class of an engine's simulations; only this imports the engine."""
+    require_engine(engine)
+    if engine == CHAIN:
+        from knotgym.rope.chain.chain_simulation import ChainSimulation
+
+        return ChainSimulation
+    from knotgym.rope.mujoco_simulation import MujocoSimulation
+
+    return MujocoSimulation
+
+
+def simulation(
+    engine: str, count: int = 1, rope: Rope | None = None, threads: int = 1
+) -> Simulation:
+    """Return a simulation of `count` plain loops; `threads` 0 uses every core."""
+    return simulation_class(engine)(count, rope, threads)
+
+
+def simulation_of(count: int, config: RopeConfig, engine: str = MUJOCO) -> Simulation:
+    """Return this process's simulation of `count` ropes, creating it on the first call.
+
+    The caller must lay or restore every rope before use, and must be done with the simulation
+    before it is requested again.
+    """
+    from knotgym.rope.model import Rope
+
+    key = engine, count, config
+    if key not in _shared:
+        _shared[key] = simulation(engine, count, Rope(config))
+    return _shared[key]
