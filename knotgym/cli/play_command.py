@@ -64,7 +64,9 @@ def play(
     host: Annotated[
         str,
         option(
-            "--host", help="Where to serve; any host but the loopback asks for a token.", group=_PAGE
+            "--host",
+            help="Where to serve; any host but the loopback asks for a token.",
+            group=_PAGE,
         ),
     ] = "127.0.0.1",
     port: Annotated[int, option("--port", help="Port of the page.", group=_PAGE)] = 8080,

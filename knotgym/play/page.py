@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from knotgym.common.errors import KnotgymError, one_line
-from knotgym.envs.tasks import TaskConfig
+from knotgym.envs.tasks import TASKS, TaskConfig
 from knotgym.play.recorder import Recorder
 from knotgym.play.scene import SCALE, RopeScene
 from knotgym.play.session import Session
@@ -34,8 +34,8 @@ _MOST_TABS = 16  # ropes at a time
 _TRIES = 5  # wrong tokens before a tab is left alone
 _LOOPBACK = ("127.0.0.1", "localhost", "::1")
 _KEYS = """
-**Drag** a bead to pull it; **shift**: over, **alt**: under what lies in the way. Drag the background
-to turn, scroll to zoom.
+**Drag** a bead to pull it; **shift**: over, **alt**: under what lies in the way. Drag the
+background to turn, scroll to zoom.
 
 | key | | key | |
 | --- | --- | --- | --- |
@@ -117,8 +117,8 @@ class Player:
             self._offer(f"Compare with {self._config.compared}", None, lambda: self._foresee(both))
         self._lift = gui.add_slider("Height of drags", -1.0, 1.0, 0.1, 0.0)
         with gui.add_folder("Another task", expand_by_default=False):
-            tasks = gui.add_dropdown("Task", ("unknot", "tie", "convert"), task.task)
-            sizes = gui.add_dropdown("Crossings", ("1", "2", "3", "4"), str(task.nx))
+            tasks = gui.add_dropdown("Task", tuple(TASKS), initial_value=task.task)
+            sizes = gui.add_dropdown("Crossings", ("1", "2", "3", "4"), initial_value=str(task.nx))
         for handle in (tasks, sizes):
             handle.on_update(lambda _: self._wants(lambda: self._change(tasks, sizes)))
         with gui.add_folder("Keys", expand_by_default=False):
@@ -360,7 +360,9 @@ class Page:
         asked = client.gui.add_text("Token", "")
 
         def answer(_: Any) -> None:
-            if left[0] and hmac.compare_digest(str(asked.value)[:100].encode(), self.token.encode()):
+            if left[0] and hmac.compare_digest(
+                str(asked.value)[:100].encode(), self.token.encode()
+            ):
                 left[0] = 0
                 asked.remove()
                 self._join(client)

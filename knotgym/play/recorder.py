@@ -67,7 +67,12 @@ class Recorder:
     """
 
     def __init__(
-        self, task: TaskConfig, seed: int, dataset_id: str, player: str = "", root: Path | None = None
+        self,
+        task: TaskConfig,
+        seed: int,
+        dataset_id: str,
+        player: str = "",
+        root: Path | None = None,
     ) -> None:
         """Prepare the recording.
 
@@ -105,7 +110,7 @@ class Recorder:
         self.folder = (root or minari_root()) / dataset_id
         self._root = root
         self._lock, self._stack = threading.Lock(), ExitStack()
-        self._seeds: dict[int, None] = {}
+        self._seeds: set[int] = set()
         self._taken: set[int] = set()
         self.recovered = 0
         if os.path.lexists(self.folder):
@@ -136,7 +141,9 @@ class Recorder:
         """Return the number of an episode that is neither recorded nor under way."""
         with self._lock:
             number = 0
-            while number in self._taken or episode_seed(self._seed, number, EVALUATION) in self._seeds:
+            while (
+                number in self._taken or episode_seed(self._seed, number, EVALUATION) in self._seeds
+            ):
                 number += 1
             self._taken.add(number)
             return number
@@ -175,8 +182,11 @@ class Recorder:
             )
             new.unlink()
             (self._staging / _JOURNAL.format(number)).unlink(missing_ok=True)
-            self._seeds[episode_seed(self._seed, number, EVALUATION)] = None
+            self._seeds.add(self._seed_of(number))
             return played.success
+
+    def _seed_of(self, number: int) -> int:
+        return episode_seed(self._seed, number, EVALUATION)
 
     def _continue(self) -> None:
         reader = EpisodeReader(self.folder)
@@ -188,7 +198,7 @@ class Recorder:
                 f"{self.folder} isn't a recording of this task with these settings: give another"
                 f" --id, or the settings {as_json(task)}"
             )
-        self._seeds = dict.fromkeys(int(seed) for seed in seeds if seed is not None)
+        self._seeds = {int(seed) for seed in seeds if seed is not None}
 
 
 def _journalled(path: Path) -> tuple[int, list[NDArray[np.float32]]]:

@@ -67,7 +67,7 @@ class RopeScene:
             self.beads.batched_positions = middles
 
     def mark(self, points: Array) -> None:
-        """Write each crossing's number and sign beside it, in the order in which a walk meets it."""
+        """Write each crossing's number and sign beside it, in the order of a walk."""
         found = find_crossings(points)
         first = np.minimum(found.over_place, found.under_place)
         with self._client.atomic():
@@ -137,9 +137,7 @@ def _poses(points: Array) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """
     ends = np.roll(points, -1, axis=0)
     along = (ends - points) / np.linalg.norm(ends - points, axis=1, keepdims=True)
-    turns = np.stack(
-        [1 + along[:, 0], np.zeros(len(points)), -along[:, 2], along[:, 1]], axis=1
-    )
+    turns = np.stack([1 + along[:, 0], np.zeros(len(points)), -along[:, 2], along[:, 1]], axis=1)
     opposite = np.linalg.norm(turns, axis=1) < 1e-6  # d = -x: half a turn about z
     turns[opposite] = 0.0, 0.0, 0.0, 1.0
     turns /= np.linalg.norm(turns, axis=1, keepdims=True)

@@ -103,7 +103,8 @@ def test_a_recording_is_a_dataset(session: Session, recorder: Recorder) -> None:
 
 
 def test_a_recording_is_evaluated(session: Session, recorder: Recorder) -> None:
-    recorder.finish(0, [] if session.pull(*PULLS[0]) else session.actions)
+    session.pull(*PULLS[0])
+    recorder.finish(0, session.actions)
     policy = make_policy(PolicyConfig(policy=f"recorded:{recorder.folder}"))
     again = rollout(TASK, policy, [0], 4, streams=EVALUATION)[0].episode
     np.testing.assert_array_equal(again.points, EpisodeReader(recorder.folder).episode(0).points)
