@@ -44,7 +44,7 @@ def told_episodes(path: Path) -> Told:
     faults = verify_episodes(path, frames=None, pyknotid=False, act_out=True)
     reader, given = EpisodeReader(path), {}
     show_episodes(path)
-    labelled = reader.has_expert_actions
+    labelled = reader.has("expert_action")
     given["told"] = digest(repr((labelled, reader.metadata(), reader.task, reader.versions)))
     for index in range(len(reader)):
         given[f"episode {index}"] = reader.episode(index).digest()

@@ -41,8 +41,8 @@ class BatchedVecEnv(VecEnv):
         beads = self.episodes.simulation.rope.config.beads
         space = self.goals.space if self.goals else observation_space(config, beads)
         self._rngs = [np.random.default_rng() for _ in range(num_envs)]
-        self._actions: NDArray[np.float32] = np.zeros((num_envs, 6), np.float32)
-        super().__init__(num_envs, space, action_space())
+        self._actions: NDArray[Any] = np.empty(0)
+        super().__init__(num_envs, space, action_space(config, beads))
 
     def reset(self) -> Any:
         """Restart every episode, with the seeds and options that were set."""
@@ -54,13 +54,13 @@ class BatchedVecEnv(VecEnv):
         self._reset_options()
         return stack_observations([self._observation(i) for i in range(self.num_envs)])
 
-    def step_async(self, actions: NDArray[np.float32]) -> None:
+    def step_async(self, actions: NDArray[Any]) -> None:
         """Store the actions for `step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Take the stored actions; episodes that end are restarted at once."""
-        rewards, terminated, truncated = self.episodes.step(self._actions, np.arange(self.num_envs))
+        rewards, terminated, truncated = self.episodes.act(self._actions, np.arange(self.num_envs))
         dones = terminated | truncated
         observations, infos = [], []
         for i in range(self.num_envs):

@@ -40,7 +40,7 @@ class GoalEnv(KnotEnv):
         self.goals.begin(0)
         return self.goals.observation(0), info
 
-    def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[Any]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Take one action, as `KnotEnv.step`."""
         _, *outcome = super().step(action)
         return self.goals.observation(0), *outcome  # type: ignore[return-value]

@@ -64,7 +64,7 @@ class OGBenchEnv(KnotEnv):
             info["goal_rendered"] = halves(self.episodes.rgb(0))[1]
         return _goal_to_info(both, info)
 
-    def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[Any]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Take one action, as `KnotEnv.step`."""
         both, reward, terminated, truncated, info = super().step(action)
         rope, info = _goal_to_info(both, info)

@@ -47,8 +47,8 @@ from knotgym.datasets.page.page_writer import write_page
 from knotgym.generate.merge_shards import merge_shards, shard_folder_of
 from knotgym.prompting.transcripts import transcripts_at
 from knotgym.rendering.video import film_frames, require_film, write_film
-from knotgym.rope.model import Array, Rope
-from knotgym.rope.mujoco_simulation import MujocoSimulation
+from knotgym.rope.engines import simulation_of
+from knotgym.rope.model import Array, RopeConfig
 from knotgym.runs.executors import executor
 from knotgym.runs.progress import Progress
 from knotgym.states.state_file import (
@@ -304,13 +304,13 @@ def film(named: str, row: int, out: Path, overwrite: bool, progress: Progress) -
     require_film(out)
     kind, path = resolve_dataset(named, "states", "episodes")
     scene = (_state_scene if kind == "states" else _episode_scene)(path, row)
-    simulation, steps = MujocoSimulation(1, scene.rope), len(scene.actions)
+    simulation, steps = simulation_of(1, scene.rope, scene.engine), len(scene.actions)
     simulation.lay(scene.start_qpos[None])
     ropes, pulls = [simulation.points[0].copy()], []
     for step, action in enumerate(scene.actions):
         progress.stage("replaying steps", step, steps)
         beads, forces = simulation.read_actions(action[None])
-        pulls.append((int(beads[0]), forces[0] / scene.rope.config.max_force))
+        pulls.append((int(beads[0]), forces[0] / scene.rope.max_force))
         simulation.act(action[None])
         ropes.append(simulation.points[0].copy())
     if not np.array_equal(simulation.points[0], scene.end):
@@ -329,7 +329,8 @@ def film(named: str, row: int, out: Path, overwrite: bool, progress: Progress) -
 class _Scene(NamedTuple):
     """What to replay: actions from a start state to an end state, and the goal shown beside it."""
 
-    rope: Rope
+    engine: str
+    rope: RopeConfig
     start_qpos: Array
     actions: NDArray[np.float32]
     end: Array
@@ -347,7 +348,8 @@ def _state_scene(path: Path, row: int) -> _Scene:
     actions = states.source["actions"][row, : states.source["steps"][row]]
     end = states.points[row]
     reached = np.arange(len(actions) + 1) == len(actions)
-    return _Scene(Rope(), states.source["start_qpos"][row], actions, end, end, reached)
+    start = states.source["start_qpos"][row]
+    return _Scene(states.engine, RopeConfig(), start, actions, end, end, reached)
 
 
 def _episode_scene(path: Path, row: int) -> _Scene:
@@ -356,7 +358,8 @@ def _episode_scene(path: Path, row: int) -> _Scene:
     episode = reader.episode(row)
     reader.close()
     return _Scene(
-        Rope(reader.task.rope),
+        reader.task.engine,
+        reader.task.rope,
         episode.start_qpos,
         episode.actions,
         episode.points[-1],

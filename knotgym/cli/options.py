@@ -99,6 +99,14 @@ ResetNoiseOption = Annotated[
         group=ENVIRONMENT,
     ),
 ]
+EngineOption = Annotated[
+    str,
+    option(
+        "--engine",
+        help="Simulation engine: mujoco, the reference, or chain, which is many times as fast.",
+        group=ENVIRONMENT,
+    ),
+]
 IntegratorStepsOption = Annotated[
     int,
     option(

@@ -13,6 +13,7 @@ from knotgym.cli.options import (
     METADATA,
     BudgetOption,
     DepthOption,
+    EngineOption,
     ExecutorOption,
     HoldOption,
     HorizonOption,
@@ -113,6 +114,7 @@ def collect(
     hold: HoldOption = 1,
     tow_limit: TowLimitOption = None,
     reset_noise: ResetNoiseOption = 0.015,
+    engine: EngineOption = "mujoco",
     integrator_steps: IntegratorStepsOption = 24,
     noise: NoiseOption = 0.1,
     budget: BudgetOption = 20000,
@@ -185,6 +187,7 @@ def collect(
                 hold=hold,
                 tow_limit=tow_limit,
                 reset_noise=reset_noise,
+                engine=engine,
                 integrator_steps=integrator_steps,
             )
             for one in numbers(crossings)
@@ -262,6 +265,7 @@ def evaluate(
     hold: HoldOption = 1,
     tow_limit: TowLimitOption = None,
     reset_noise: ResetNoiseOption = 0.015,
+    engine: EngineOption = "mujoco",
     integrator_steps: IntegratorStepsOption = 24,
     noise: NoiseOption = 0.1,
     budget: BudgetOption = 20000,
@@ -300,6 +304,7 @@ def evaluate(
             hold=hold,
             tow_limit=tow_limit,
             reset_noise=reset_noise,
+            engine=engine,
             integrator_steps=integrator_steps,
         )
         config = EvaluateConfig(

@@ -10,6 +10,7 @@ import typer
 from knotgym.cli.options import (
     ENVIRONMENT,
     RUN,
+    EngineOption,
     HoldOption,
     IntegratorStepsOption,
     OverwriteOption,
@@ -134,6 +135,7 @@ def prompt(
     hold: HoldOption = 1,
     tow_limit: TowLimitOption = None,
     reset_noise: ResetNoiseOption = 0.015,
+    engine: EngineOption = "mujoco",
     integrator_steps: IntegratorStepsOption = 24,
     camera: Annotated[
         str,
@@ -192,6 +194,7 @@ def prompt(
             reset_noise=reset_noise,
             image_size=image_size,
             camera=camera,
+            engine=engine,
             integrator_steps=integrator_steps,
         )
         settings: dict[str, Any] = {

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from knotgym.cli.options import (
+    EngineOption,
     ExecutorOption,
     NxOption,
     OverwriteOption,
@@ -143,6 +144,7 @@ def generate(
             group=_SEARCH,
         ),
     ] = 0,
+    engine: EngineOption = "mujoco",
     seed: SeedOption = 0,
     workers: WorkersOption = 0,
     executor: ExecutorOption = "local",
@@ -191,6 +193,7 @@ def generate(
             "" if split_by == "state" else f"by-{split_by}",
             Path(codes).stem if codes else "",
             "" if demonstrations else "states",
+            "" if engine == "mujoco" else engine,
             made_from(archive),
             f"seed{seed}" if seed else "",
         )
@@ -205,7 +208,9 @@ def generate(
             }.items():
                 if given:
                     raise typer.BadParameter(f"{name} needs --source drawing, not random-walk")
-            walks = RandomWalkConfig(nx=numbers(nx), count=count, seed=seed, attempts=attempts)
+            walks = RandomWalkConfig(
+                nx=numbers(nx), count=count, engine=engine, seed=seed, attempts=attempts
+            )
             walk_states(with_settings(walks, settings), folder, options, progress=progress)
             return
         if archive is not None and not demonstrations:
@@ -222,6 +227,7 @@ def generate(
             every_code=every_code or int(bool(listed_codes)),
             split_by=split_by,
             knot=knot,
+            engine=engine,
             demonstrations=demonstrations,
             seed=seed,
             attempts=attempts,
@@ -282,6 +288,7 @@ def images(
             help="Side in pixels, 64 to 512; from several (64,128) one is drawn at random."
         ),
     ] = "128",
+    engine: EngineOption = "mujoco",
     seed: SeedOption = 0,
     workers: WorkersOption = 0,
     executor: ExecutorOption = "local",
@@ -328,12 +335,14 @@ def images(
             test_nx=held_nx,
             test_share=test_share,
             code_share=code_share,
+            engine=engine,
             seed=seed,
             appearance=AppearanceConfig(vary=varied, sizes=tuple(map(int, sizes))),
         )
         folder = out or default_folder(
             f"images-nx{nx}",
             made_from(archive or states),
+            "" if engine == "mujoco" else engine,
             "varied" if varied else "",
             "" if size == "128" else f"{size}px",
             f"seed{seed}" if seed else "",

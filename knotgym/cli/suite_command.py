@@ -10,6 +10,7 @@ import typer
 from knotgym.cli.options import (
     ENVIRONMENT,
     BudgetOption,
+    EngineOption,
     ExecutorOption,
     ObservationOption,
     OverwriteOption,
@@ -56,6 +57,7 @@ def suite(
             show_default="random=250,scripted=500,noisy-expert=150,expert=1000",
         ),
     ] = "",
+    engine: EngineOption = "mujoco",
     observation: ObservationOption = "state",
     budget: BudgetOption = 1000,
     out: Annotated[
@@ -108,6 +110,7 @@ def suite(
             policies=words(policies),
             states=words(states),
             episodes=_sizes(episodes, words(policies)),
+            engine=engine,
             observation=observation,
             budget=budget,
             seed=seed,

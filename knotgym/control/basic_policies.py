@@ -7,17 +7,27 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.control.policy import Choice, Effort, PlanningPolicy, Policy, UnplannedPolicy
 from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.tasks import TaskConfig
+from knotgym.rope.actions import choices
 from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, propose
 
 
 class RandomPolicy(UnplannedPolicy):
-    """Uniform actions."""
+    """Uniform actions of the task's view."""
 
     def __init__(self) -> None:
         super().__init__("random")
 
+    def suited(self, task: TaskConfig) -> TaskConfig:
+        return task
+
     def act(self, episodes: EpisodeBatch, ids: NDArray[np.int64]) -> Choice:
-        actions = np.stack([uniform_action(self._rngs[int(index)]) for index in ids])
+        rngs = [self._rngs[int(index)] for index in ids]
+        if episodes.config.action == "pull":
+            actions = np.stack([uniform_action(rng) for rng in rngs])
+        else:
+            counts = choices(episodes.config.action, episodes.simulation.points.shape[1])
+            actions = np.stack([rng.integers(counts) for rng in rngs])
         return Choice(actions, [""] * len(ids))
 
 

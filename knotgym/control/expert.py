@@ -18,8 +18,9 @@ from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policy import Choice, Effort, Policy
 from knotgym.control.transition_graph import TransitionGraph, shipped_transition_graph
 from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.rope.engines import simulation
 from knotgym.rope.macro_actions import WaypointController
-from knotgym.rope.mujoco_simulation import MujocoSimulation
+from knotgym.rope.simulation import Simulation
 
 BLIND = "blind"  # first word of the reason for an action that no plan contains
 
@@ -54,7 +55,7 @@ class Expert(Policy):
         """Take the planner's settings, and the graph of distances; None for the one that ships."""
         self.config = config or PlannerConfig()
         self._graph = graph
-        self._simulation: MujocoSimulation | None = None
+        self._simulation: Simulation | None = None
         self._progress: dict[int, _Progress] = {}
         self._controller = WaypointController(0, self.config.macro_actions)
 
@@ -112,7 +113,8 @@ class Expert(Policy):
 
     def _plan(self, episodes: EpisodeBatch, index: int, progress: _Progress, steps: int) -> Plan:
         if self._simulation is None:
-            self._simulation = MujocoSimulation(self.config.batch_size, episodes.simulation.rope)
+            acting = episodes.simulation
+            self._simulation = simulation(acting.engine, self.config.batch_size, acting.rope)
         # where the rope shows the goal already, only the rest of the hold is still to be planned
         hold, held = episodes.config.hold, int(episodes.held[index])
         return plan(

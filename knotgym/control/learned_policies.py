@@ -127,7 +127,8 @@ def load_model(path: Path, algorithm: str = "") -> Model:
 
     Args:
         path: .zip, .onnx (one input, or inputs named like the parts of the observation) or .pt. The
-            model takes a batch of the environment's observations and returns actions (n, 6).
+            model takes a batch of the environment's observations and returns actions of its view,
+            such as (n, 6).
         algorithm: class name of the Stable-Baselines3 algorithm; PPO if empty.
 
     Raises:

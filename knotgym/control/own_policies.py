@@ -7,9 +7,10 @@
         def reset(self): ...                    # or reset(generator); called as an episode begins
         def act(self, observation): ...         # or act(observation, info, generator)
 
-Actions are six numbers in [-1, 1]. Episodes are played side by side, so each gets its own deep copy
-of the object; a class is called once, without arguments, to make the object to copy. Random draws
-should come from the episode's generator, or the run can't be repeated.
+Actions are those of the task's action view, by default six numbers in [-1, 1]. Episodes are played
+side by side, so each gets its own deep copy of the object; a class is called once, without
+arguments, to make the object to copy. Random draws should come from the episode's generator, or the
+run can't be repeated.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from numpy.typing import NDArray
 from knotgym.common.errors import one_line
 from knotgym.control.policy import Choice, InvalidPolicy, UnplannedPolicy, checked
 from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.tasks import TaskConfig
 
 _PROTOCOL = (
     "must be a function of (observation) or of (observation, info, generator), or an object with"
@@ -66,6 +68,9 @@ class OwnPolicy(UnplannedPolicy):
             raise InvalidPolicy(f"policy {name} {_PROTOCOL}")
         self._given, self._takes, self._reset_takes = given, takes, reset_takes
         self._own: dict[int, Any] = {}  # by episode
+
+    def suited(self, task: TaskConfig) -> TaskConfig:
+        return task
 
     def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:
         super().begin(episodes, index, rng)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from knotgym.common.errors import KnotgymError, one_line
+from knotgym.envs.environment import action_space
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.simulation import InvalidAction
@@ -21,11 +22,12 @@ class Choice(NamedTuple):
     """Actions for n episodes.
 
     Attributes:
-        actions: float32 (n, 6), in [-1, 1].
+        actions: actions of the task's view, see `knotgym.rope.action_views`; pulls are float32
+            (n, 6), in [-1, 1].
         moves: n reasons of a word or two; "" where the policy gives none.
     """
 
-    actions: NDArray[np.float32]
+    actions: NDArray[Any]
     moves: list[str]
 
 
@@ -41,22 +43,28 @@ def checked(
         name: of the policy, for error messages.
 
     Raises:
-        InvalidPolicy: an action isn't six finite numbers in [-1, 1].
+        InvalidPolicy: an action isn't one of the task's view, such as six finite numbers in
+            [-1, 1].
     """
-    wanted = f"policy {name} must give 6 finite numbers in [-1, 1] for an episode"
+    space = action_space(episodes.config, episodes.simulation.points.shape[1])
+    (size,) = space.shape or ()
+    numbers = "finite numbers in [-1, 1]" if size == 6 else "whole numbers"
+    wanted = f"policy {name} must give {size} {numbers} for an episode"
     try:
         rows = [np.asarray(action, dtype=np.float32).reshape(-1) for action in actions]
     except (TypeError, ValueError) as error:
         raise InvalidPolicy(f"{wanted}: {one_line(error)}") from error
     for row in rows:
-        if len(row) != 6:
+        if len(row) != size:
             raise InvalidPolicy(f"{wanted}, got {row.tolist()[:8]}")
     array = np.stack(rows)
     try:
-        episodes.simulation.read_actions(array, ids)
+        episodes.view.check(array, ids)
     except InvalidAction as error:
         raise InvalidPolicy(f"{wanted}: {one_line(error)}") from error
-    return Choice(np.clip(array, -1, 1), [""] * len(actions))
+    if size == 6:
+        array = np.clip(array, -1, 1)
+    return Choice(array, [""] * len(actions))
 
 
 class Effort(NamedTuple):
@@ -81,11 +89,16 @@ class Policy(Protocol):
     def suited(self, task: TaskConfig) -> TaskConfig:
         """Return the task with the observation that this policy needs.
 
-        Called before any episode begins. A policy that can act in any task returns it unchanged.
+        Called before any episode begins. A policy that can act in any task returns it unchanged;
+        most choose pulls.
 
         Raises:
             InvalidPolicy: the task lacks something that the policy needs, such as a view.
         """
+        if task.action != "pull":
+            raise InvalidPolicy(
+                f"this policy chooses pulls, so its action must be 'pull', got {task.action!r}"
+            )
         return task
 
     def begin(self, episodes: EpisodeBatch, index: int, rng: np.random.Generator) -> None:

@@ -18,10 +18,12 @@ from numpy.typing import NDArray
 from knotgym.common.streams import Stream, derived_seed, generator
 from knotgym.control.expert import Expert
 from knotgym.control.policy import Effort, Policy
-from knotgym.datasets.trajectory import Episode
+from knotgym.datasets.trajectory import MACRO_INFOS, Episode
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.model import Array
+
+_NO_MACRO = -1, -1, 0  # bead, target and side at the start
 
 
 class EpisodeStreams(NamedTuple):
@@ -79,7 +81,12 @@ class _Track:
     def see(self, episodes: EpisodeBatch, index: int, move: str) -> None:
         """Record the current state, and the reason for the action that led to it."""
         self.points.append(episodes.simulation.points[index].copy())
-        self.infos.append({**episodes.info(index), "move": move})
+        info = {**episodes.info(index), "move": move}
+        if episodes.config.action == "macro":
+            view = episodes.view
+            macro = view.macros[index].tolist() if view.pulls[index] else _NO_MACRO
+            info |= dict(zip(MACRO_INFOS, (view.pulls[index] == 1, *macro), strict=True))
+        self.infos.append(info)
 
     def ask(
         self, expert: Expert, episodes: EpisodeBatch, index: int, rng: np.random.Generator
@@ -124,20 +131,27 @@ def rollout(
         policy.begin(episodes, index, generator(streams.policy, seed, number, attempt))
         tracks.append(_begun(episodes, index))
     under_way = np.arange(len(numbers))
+    moves: dict[int, str] = {}
     while len(under_way):
         if labeller is not None:
             for index in under_way.tolist():
                 key = (seed, numbers[index], len(tracks[index].actions))
                 tracks[index].ask(labeller, episodes, index, generator(Stream.EXPERT_LABEL, *key))
-        actions, moves = policy.act(episodes, under_way)
-        rewards, terminated, truncated = episodes.step(actions, under_way)
+        deciding = under_way[~episodes.view.busy[under_way]]
+        if len(deciding):
+            actions, reasons = policy.act(episodes, deciding)
+            episodes.view.begin(actions, deciding, episodes.codes)
+            moves |= dict(zip(deciding.tolist(), reasons, strict=True))
+        # whatever the view, an episode is its pulls
+        pulls = episodes.view.next_pulls(under_way).astype(np.float32)
+        rewards, terminated, truncated = episodes.step(pulls, under_way)
         for row, index in enumerate(under_way.tolist()):
             track = tracks[index]
-            track.actions.append(np.clip(actions[row], -1, 1))  # as the simulation read it
+            track.actions.append(np.clip(pulls[row], -1, 1))  # as the simulation read it
             track.rewards.append(float(rewards[row]))
             track.terminations.append(bool(terminated[row]))
             track.truncations.append(bool(truncated[row]))
-            track.see(episodes, index, moves[row])
+            track.see(episodes, index, moves[index])
         under_way = under_way[~(terminated | truncated)]
     return [
         Rollout(
@@ -153,7 +167,7 @@ def _begun(episodes: EpisodeBatch, index: int) -> _Track:
     """Start the record of an episode that has just been reset."""
     info = episodes.info(index)
     track = _Track(
-        start_qpos=episodes.simulation.qpos([index])[0],
+        start_qpos=episodes.start_qpos[index].copy(),
         goal_points=episodes.goal_points(index),
         options={name: int(info[name]) for name in ("start", "goal")},
         goal=str(info["goal_gauss_code"]),
@@ -166,6 +180,11 @@ def _episode(track: _Track, policy: str, seed: int) -> Episode:
     def column(name: str, dtype: type) -> NDArray[Any]:
         return np.array([info[name] for info in track.infos], dtype=dtype)
 
+    macros: dict[str, Any] = {
+        name: column(name, np.bool_ if name == "macro_start" else np.int64)
+        for name in MACRO_INFOS
+        if name in track.infos[0]
+    }
     return Episode(
         start_qpos=track.start_qpos,
         points=np.stack(track.points),
@@ -183,6 +202,7 @@ def _episode(track: _Track, policy: str, seed: int) -> Episode:
         is_success=column("is_success", np.bool_),
         simulation_failed=column("simulation_failed", np.bool_),
         move=column("move", np.str_),
+        **macros,
         expert_action=(
             # the last state has no action; a row of zeros keeps one row per state
             np.stack([*track.expert_actions, np.zeros(6, dtype=np.float32)])

@@ -141,11 +141,9 @@ class EpisodeReader:
         """Return the number of episodes."""
         return len(self.rows)
 
-    @property
-    def has_expert_actions(self) -> bool:
-        """Whether every episode stores the expert's action at each of its states."""
-        name = dataset_path("expert_action")
-        return all(name in self.group(index) for index in range(len(self)))
+    def has(self, name: str) -> bool:
+        """Return whether every episode stores an array that episodes may lack."""
+        return all(dataset_path(name) in self.group(index) for index in range(len(self)))
 
     def __iter__(self) -> Iterator[Episode]:
         return (self.episode(index) for index in range(len(self)))
@@ -251,7 +249,7 @@ class EpisodeReader:
     def observations(
         self,
         index: int,
-        steps: slice = slice(None),
+        steps: slice | NDArray[np.int64] = slice(None),
         *,
         goal_step: int | None = None,
         observation: str = "",
@@ -261,7 +259,7 @@ class EpisodeReader:
 
         Args:
             index: position of the episode in this reader.
-            steps: which of its T + 1 states.
+            steps: which of its T + 1 states; an array must be increasing.
             goal_step: state of the episode to show as the goal instead of its own.
             observation: "pixels", "state", "both" or "symbolic"; "" for the task's.
             picture: a `knotgym.rendering.picture.PictureConfig` to render with, instead of using
@@ -302,7 +300,13 @@ class EpisodeReader:
                 for name in names
             }
 
-    def _stored(self, index: int, steps: slice, goal_step: int | None, wanted: str) -> Any:
+    def _stored(
+        self,
+        index: int,
+        steps: slice | NDArray[np.int64],
+        goal_step: int | None,
+        wanted: str,
+    ) -> Any:
         data = self.stored_observations(index)
         names = ("pixels", "state") if wanted == "both" else (wanted,)
         seen = {name: data[name][steps] for name in names}

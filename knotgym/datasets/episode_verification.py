@@ -34,8 +34,8 @@ from knotgym.envs.observations import observe, picture_config
 from knotgym.envs.reward import consecutive
 from knotgym.envs.tasks import TaskConfig
 from knotgym.rope.actions import steps_taken
+from knotgym.rope.engines import simulation, simulation_class, simulation_of
 from knotgym.rope.model import Rope
-from knotgym.rope.mujoco_simulation import SHARES, MujocoSimulation
 from knotgym.rope.towing import TowBound
 from knotgym.topology.crossings import label, label_many
 from knotgym.topology.gauss import GaussCode
@@ -52,7 +52,7 @@ def replay(
 
     Args:
         episodes: episodes of one task, replayed in parallel in one simulation.
-        task: the task, which says what the rope is like.
+        task: the task, which names the engine and the rope.
         threads: threads of the simulation, 0 for all cores.
         count: progress callback, called after each step of the simulation.
 
@@ -62,20 +62,20 @@ def replay(
     """
     if not episodes:
         return []
-    simulation = MujocoSimulation(len(episodes), Rope(task.rope), threads)
-    simulation.lay(np.array([episode.start_qpos for episode in episodes]))
+    ropes = simulation(task.engine, len(episodes), Rope(task.rope), threads)
+    ropes.lay(np.array([episode.start_qpos for episode in episodes]))
     lengths = np.array([len(episode) for episode in episodes])
     different: list[int | None] = [None] * len(episodes)
     for step in range(int(lengths.max()) + 1):
         going = np.flatnonzero(lengths >= step).tolist()
         if step:
-            simulation.act(np.array([episodes[i].actions[step - 1] for i in going]), going)
+            ropes.act(np.array([episodes[i].actions[step - 1] for i in going]), going)
             replayed = int(np.minimum(lengths, step).sum())
             count("steps replayed", replayed, int(lengths.sum()))
         for i in going:
-            same = np.array_equal(simulation.points[i], episodes[i].points[step])
+            same = np.array_equal(ropes.points[i], episodes[i].points[step])
             if step:
-                same &= simulation.applied_shares[i] == episodes[i].applied_share[step]
+                same &= ropes.applied_shares[i] == episodes[i].applied_share[step]
             if different[i] is None and not same:
                 different[i] = step
     return different
@@ -154,13 +154,14 @@ def episode_faults(episode: Episode, task: TaskConfig, rope: Rope) -> list[str]:
                 f"step {wrong[0]}: {name} is {stored[wrong[0]].tolist()!r}, should be"
                 f" {right[wrong[0]].tolist()!r} ({len(wrong)} such)"
             )
-    # nothing was scaled before the start; later shares are those that the simulation can choose
-    wrong = np.flatnonzero(~np.isin(episode.applied_share, SHARES))
+    # nothing was scaled before the start; later shares are those that the engine can choose
+    shares = simulation_class(task.engine).shares
+    wrong = np.flatnonzero(~np.isin(episode.applied_share, shares))
     if len(wrong) or episode.applied_share[0] != 1:
         step = wrong[0] if len(wrong) else 0
         faults.append(
             f"step {step}: applied_share is {episode.applied_share[step]}, should be"
-            f" {', '.join(map(str, SHARES)) if step else '1.0'}"
+            f" {_listed(shares) if step else '1.0'}"
         )
     for what, actions in (("action", episode.actions), ("expert's action", episode.expert_action)):
         if actions is not None and np.abs(actions).max() > 1:
@@ -177,7 +178,9 @@ def episode_faults(episode: Episode, task: TaskConfig, rope: Rope) -> list[str]:
         )
     elif goal.nx and codes[0].matches(goal):
         faults.append("starts in its goal's code")
-    if not np.array_equal(rope.points(episode.start_qpos), episode.points[0]):
+    at_start = simulation_of(1, task.rope, task.engine)
+    at_start.lay(episode.start_qpos[None])
+    if not np.array_equal(at_start.points[0], episode.points[0]):
         faults.append("step 0: the rope doesn't lie where start_qpos lays it")
     if episode.relabelled and not np.array_equal(episode.goal_points, episode.points[-1]):
         faults.append("relabelled, but its goal isn't its last state")
@@ -345,6 +348,12 @@ def _outcome(
         "truncations": outcome.truncated,
         "rewards": outcome.rewards,
     }
+
+
+def _listed(shares: Sequence[float]) -> str:
+    """List shares, or what many of them are multiples of."""
+    few = len(shares) < 10
+    return ", ".join(map(str, shares)) if few else f"a multiple of 1/{len(shares) - 1}"
 
 
 def _counted(names: Iterable[object]) -> dict[str, int]:

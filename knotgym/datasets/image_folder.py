@@ -34,7 +34,7 @@ def finish(
         walks: all walks of the run; only those that a row comes from are written.
     """
     used = {walk for path in shards for walk in _walks_used(path)}
-    write_walks(folder / "walks.h5", walks_of(states, walks, used))
+    write_walks(folder / "walks.h5", walks_of(states, walks, used, request["config"]["engine"]))
     write_card_and_manifest(folder, shards, request, report)
 
 

@@ -71,6 +71,7 @@ class _WalkBatch(NamedTuple):
     states: Array
     beads: NDArray[np.int16]
     forces: NDArray[np.float32]
+    engine: str
     rows: list[_WalkRow]
     relaxation: RelaxationConfig
 
@@ -247,7 +248,7 @@ def _walk_batches(folder: Path) -> tuple[list[_WalkBatch], list[str]]:
     for batch, own in sorted(rows.items()):
         part = slice(batch * _BATCH, (batch + 1) * _BATCH)
         beads, forces = walks.beads[part], walks.forces[part]
-        batches.append(_WalkBatch(states[part], beads, forces, own, relaxation))
+        batches.append(_WalkBatch(states[part], beads, forces, walks.engine, own, relaxation))
     return batches, faults
 
 
@@ -263,7 +264,7 @@ def _relaxation(folder: Path) -> RelaxationConfig:
 def _walk_faults(batch: _WalkBatch) -> list[str]:
     """Repeat walks, relax, apply symmetries; list the rows whose points differ."""
     rope, faults = Rope(), []
-    traces = retrace(batch.states, batch.beads, batch.forces)
+    traces = retrace(batch.states, batch.beads, batch.forces, batch.engine)
     for row, walk, source, stored in batch.rows:
         if not (0 <= source["pulls"] < traces.shape[1] and 0 <= source["rounds"] <= _MOST_ROUNDS):
             faults.append(

@@ -332,7 +332,7 @@ def minari_entries(metadata: MinariMetadata, task: TaskConfig) -> dict[str, Any]
         "minari_version": minari.__version__,
         "requirements": [*here, "minari>=0.5.4"],
         "observation_space": _bounds(replace(task, split="train", states=None)),
-        "action_space": serialize_space(action_space()),
+        "action_space": serialize_space(action_space(replace(task, action="pull"))),
         "env_spec": environment_spec(task).to_json(),
         "eval_env_spec": environment_spec(_evaluated(task, metadata.eval_split)).to_json(),
     }

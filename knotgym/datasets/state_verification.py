@@ -20,8 +20,8 @@ from knotgym.datasets.trajectory import Episode
 from knotgym.drawing.drawn_curve import DrawingConfig, drawn_curve
 from knotgym.rendering.picture import draw
 from knotgym.rope.actions import drawn_actions
+from knotgym.rope.engines import MUJOCO, UnknownEngine, require_engine, simulation
 from knotgym.rope.model import Array, Rope
-from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.states.near_duplicates import pairs_within, repeated
 from knotgym.states.schema import COLUMNS, DRAWING, RANDOM_WALK, REPLAYED, STATE_SPLITS
 from knotgym.states.splits import overlap
@@ -42,6 +42,8 @@ _BATCH = 64  # rows replayed in one simulation
 # metres; tolerance for a start that is drawn again from its seed: other processors round
 # differently and the relaxation amplifies that. Replays from the stored start must be exact.
 _REDRAWN = 1e-4
+# metres; the chain engine's qpos are computed from its points, and back with rounding
+_CONVERTED = 1e-9
 _LONGEST = 100_000  # actions of a random walk; a corrupted larger number would exhaust the memory
 
 
@@ -56,6 +58,11 @@ def state_faults(states: States, count: Count = uncounted) -> Iterator[str]:
             f"rope model {states.attributes.get('rope')} is not this version's,"
             f" {rope.config.fingerprint}"
         )
+        return
+    try:
+        require_engine(states.engine)
+    except UnknownEngine as error:
+        yield f"states.h5: {error}"
         return
     misshapen = list(_misshapen(states, rope))
     if misshapen:
@@ -172,7 +179,8 @@ def _row_faults(states: States, row: int, rope: Rope, end: Array | None) -> Iter
     if not (np.isfinite(points).all() and np.isfinite(qpos).all()):
         yield "coordinates are not finite"
         return
-    if not np.array_equal(rope.points(qpos), points):
+    rounding = 0.0 if states.engine == MUJOCO else _CONVERTED
+    if not np.abs(rope.points(qpos) - points).max() <= rounding:
         yield "points are not those of qpos"
     across = list(spread_faults(points, rope))
     if across:
@@ -260,16 +268,16 @@ def _replayed(states: States, rows: Sequence[int], rope: Rope, count: Count) -> 
     left = sorted(actions)
     if not left:
         return {}
-    simulation = MujocoSimulation(len(left), rope, threads=0)
-    simulation.lay(states.source["start_qpos"][left])
+    ropes = simulation(states.engine, len(left), rope, threads=0)
+    ropes.lay(states.source["start_qpos"][left])
     whole = np.ones(len(left), dtype=bool)
     lengths = np.array([len(actions[row]) for row in left])
     for step in range(int(lengths.max())):
         count("steps replayed", int(np.minimum(lengths, step).sum()), int(lengths.sum()))
         ids = np.flatnonzero(whole & (step < lengths))
         if len(ids):
-            whole[ids] = simulation.act([actions[left[k]][step] for k in ids], ids)
-    qpos = simulation.qpos()
+            whole[ids] = ropes.act([actions[left[k]][step] for k in ids], ids)
+    qpos = ropes.qpos()
     return {row: qpos[k] for k, row in enumerate(left) if whole[k]}
 
 

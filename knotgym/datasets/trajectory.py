@@ -4,9 +4,9 @@ Hindsight relabelling makes a code that the episode reached its goal.
 
 states   s0  s1  s2  s3     action t leads from s[t] to s[t + 1]; no action leaves s3
 actions    a0  a1  a2       rewards, terminations and truncations go with the actions
-infos    i0  i1  i2  i3     one entry per state; bead, force, applied_share and move describe the
-                            step that led to the state (none led to s0); expert_action is what the
-                            expert would do there
+infos    i0  i1  i2  i3     one entry per state; bead, force, applied_share, move and macro_*
+                            describe the step that led to the state (none led to s0); expert_action
+                            is what the expert would do there
 """
 
 from __future__ import annotations
@@ -48,10 +48,15 @@ _INFOS = (
     Column("simulation_failed", "bool", ("states",)),
     Column("move", "text", ("states",)),
     Column("expert_action", "float32", ("states", 6), finite=True),
+    Column("macro_start", "bool", ("states",)),
+    Column("macro_bead", "int64", ("states",)),
+    Column("macro_target", "int64", ("states",)),
+    Column("macro_side", "int64", ("states",)),
 )
 ARRAYS = {column.name: column for column in (*_COLUMNS, *_INFOS)}  # in the order of the digest
 INFOS = tuple(column.name for column in _INFOS)
-OPTIONAL = ("move", "expert_action")  # infos that an episode may lack
+MACRO_INFOS = ("macro_start", "macro_bead", "macro_target", "macro_side")
+OPTIONAL = ("move", "expert_action", *MACRO_INFOS)  # infos that an episode may lack
 
 
 class InvalidEpisode(KnotgymError, ValueError):
@@ -83,6 +88,11 @@ class Episode:
             gives no reasons.
         expert_action: float32 (T + 1, 6), in [-1, 1]: the first action of the expert's plan from
             each state, zeros at the last state; None if the expert wasn't run.
+        macro_start: bool (T + 1,), whether the step that led here was the first of a macro-action;
+            None, as the other three, if the episode wasn't played in macro-actions.
+        macro_bead, macro_target: int64 (T + 1,), bead that the macro-action leads and bead whose
+            strand it passes; -1 where no macro-action led.
+        macro_side: int64 (T + 1,), +1 over, -1 under, 0 where no macro-action led.
         goal_gauss_code: the code to reach.
         seed: seed of the reset; None if no seed reproduces this episode.
         options: options of the reset: rows `start` and `goal` of the state file.
@@ -113,6 +123,10 @@ class Episode:
     simulation_failed: NDArray[np.bool_]
     move: NDArray[np.str_] | None = None
     expert_action: NDArray[np.float32] | None = None
+    macro_start: NDArray[np.bool_] | None = None
+    macro_bead: NDArray[np.int64] | None = None
+    macro_target: NDArray[np.int64] | None = None
+    macro_side: NDArray[np.int64] | None = None
     goal_gauss_code: str
     seed: int | None = None
     options: Mapping[str, int] = field(default_factory=dict)

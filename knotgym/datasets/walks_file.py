@@ -3,8 +3,8 @@
 It holds the start states of the walks and the steps of every walk that a row uses, so that each
 configuration can be reproduced without the archive.
 
-    /       attributes: format, format_version, rope
-    state   float64 (s, nstate)     MuJoCo integration states that walks start from
+    /       attributes: format, format_version, rope, engine
+    state   float64 (s, nstate)     the engine's states that walks start from
     number  int64 (w,)              number of the walk, as rows refer to it
     start   int64 (w,)              row of `state` that the walk starts from
     beads   int16 (w, T)            bead pulled in each step
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from knotgym.common.atomic_files import atomic_write, new_hdf5
 from knotgym.common.errors import KnotgymError
 from knotgym.common.hdf5_files import Column, opened_hdf5, read_attribute, read_column
-from knotgym.rope.engines import simulation_of
+from knotgym.rope.engines import ENGINES, MUJOCO, simulation_of
 from knotgym.rope.model import Array, RopeConfig
 
 FORMAT = "knotgym-walks"
@@ -71,9 +71,12 @@ class Walks:
     start: NDArray[np.int64]
     beads: NDArray[np.int16]
     forces: NDArray[np.float32]
+    engine: str = MUJOCO
 
 
-def walks_of(states: Array, made: Sequence[WalksMade], used: set[int]) -> Walks:
+def walks_of(
+    states: Array, made: Sequence[WalksMade], used: set[int], engine: str = MUJOCO
+) -> Walks:
     """Select the walks that are used, and the states that they start from.
 
     Args:
@@ -91,11 +94,12 @@ def walks_of(states: Array, made: Sequence[WalksMade], used: set[int]) -> Walks:
         start=start.astype(np.int64),
         beads=_padded([piece.beads[rows] for piece, rows in kept]),
         forces=_padded([piece.forces[rows] for piece, rows in kept]),
+        engine=engine,
     )
 
 
 def joined_walks(pieces: Sequence[Walks]) -> Walks:
-    """Concatenate the walks of several files; their numbers must differ."""
+    """Concatenate the walks of several files of one engine; their numbers must differ."""
     firsts = np.cumsum([0, *(len(piece.state) for piece in pieces[:-1])])
     starts = [piece.start + first for piece, first in zip(pieces, firsts, strict=True)]
     return Walks(
@@ -104,6 +108,7 @@ def joined_walks(pieces: Sequence[Walks]) -> Walks:
         start=np.concatenate(starts),
         beads=_padded([piece.beads for piece in pieces]),
         forces=_padded([piece.forces for piece in pieces]),
+        engine=pieces[0].engine,
     )
 
 
@@ -111,10 +116,10 @@ def write_walks(path: str | os.PathLike[str], walks: Walks) -> None:
     """Write the file atomically."""
     with atomic_write(path) as temporary, new_hdf5(temporary) as file:
         file.attrs["format"], file.attrs["format_version"] = FORMAT, FORMAT_VERSION
-        file.attrs["rope"] = RopeConfig().fingerprint
-        for name, column in vars(walks).items():
-            options = {} if name in ("number", "start") else _COMPRESSED
-            file.create_dataset(name, data=column, **options)
+        file.attrs["rope"], file.attrs["engine"] = RopeConfig().fingerprint, walks.engine
+        for column in _COLUMNS:
+            options = {} if column.name in ("number", "start") else _COMPRESSED
+            file.create_dataset(column.name, data=getattr(walks, column.name), **options)
 
 
 def read_walks(path: str | os.PathLike[str]) -> Walks:
@@ -135,7 +140,11 @@ def read_walks(path: str | os.PathLike[str]) -> Walks:
                 f" {RopeConfig().fingerprint}"
             )
         sizes: dict[str, int] = {}
-        walks = Walks(**{column.name: read_column(file, column, sizes) for column in _COLUMNS})
+        engine = str(read_attribute(file, Column("engine", "text", ())))
+        if engine not in ENGINES:
+            raise InvalidWalks(f"{path}: no engine {engine!r}; there is {', '.join(ENGINES)}")
+        columns = {column.name: read_column(file, column, sizes) for column in _COLUMNS}
+        walks = Walks(**columns, engine=engine)
         if len(walks.start) and walks.start.max() >= len(walks.state):
             raise InvalidWalks(
                 f"{path}: a walk starts from state {walks.start.max()} of {len(walks.state)}"
@@ -143,17 +152,19 @@ def read_walks(path: str | os.PathLike[str]) -> Walks:
         return walks
 
 
-def retrace(states: Array, beads: NDArray[np.int16], forces: NDArray[np.float32]) -> Array:
+def retrace(
+    states: Array, beads: NDArray[np.int16], forces: NDArray[np.float32], engine: str = MUJOCO
+) -> Array:
     """Replay walks; return the configuration before the first and after every step.
 
     Args:
         states: float64 (w, nstate), the states that they start from.
-        beads, forces: as in `Walks`.
+        beads, forces, engine: as in `Walks`.
 
     Returns:
         float64 (w, T + 1, beads, 3), metres.
     """
-    simulation = simulation_of(len(states), RopeConfig())
+    simulation = simulation_of(len(states), RopeConfig(), engine)
     simulation.restore(states)
     largest = simulation.rope.config.max_force
     frames = [simulation.points.copy()]

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from knotgym.envs.episode_batch import EpisodeBatch
 from knotgym.envs.observations import SYMBOLS
 from knotgym.envs.tasks import InvalidSetting, TaskConfig, UnknownKeyword
+from knotgym.rope.actions import choices
 from knotgym.rope.simulation import InvalidAction
 from knotgym.topology.crossing_kernel import warn_of_compilation
 
@@ -45,12 +46,14 @@ def observation_space(config: TaskConfig, beads: int = 100) -> spaces.Space[Any]
     return choices[config.observation]
 
 
-def action_space() -> spaces.Space[NDArray[np.float32]]:
-    """Return the action space of one rope, (x, y, z, fx, fy, fz); see `knotgym.rope.actions`."""
-    return cast("spaces.Space[NDArray[np.float32]]", spaces.Box(-1.0, 1.0, (6,), np.float32))
+def action_space(config: TaskConfig, beads: int = 100) -> spaces.Space[NDArray[Any]]:
+    """Return the action space of one rope; see `knotgym.rope.action_views`."""
+    if config.action == "pull":
+        return cast("spaces.Space[NDArray[Any]]", spaces.Box(-1.0, 1.0, (6,), np.float32))
+    return spaces.MultiDiscrete(choices(config.action, beads))
 
 
-class KnotEnv(gym.Env[Any, NDArray[np.float32]]):
+class KnotEnv(gym.Env[Any, NDArray[Any]]):
     """Environment with one rope; see `TaskConfig` for keywords and `EpisodeBatch.info` for info."""
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": _FPS}
@@ -65,10 +68,9 @@ class KnotEnv(gym.Env[Any, NDArray[np.float32]]):
 
             self._window = Window(_FPS)
         self.episodes = EpisodeBatch(self.config)
-        self.observation_space = observation_space(
-            self.config, self.episodes.simulation.rope.config.beads
-        )
-        self.action_space = action_space()
+        beads = self.episodes.simulation.rope.config.beads
+        self.observation_space = observation_space(self.config, beads)
+        self.action_space = action_space(self.config, beads)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -79,15 +81,15 @@ class KnotEnv(gym.Env[Any, NDArray[np.float32]]):
         self._show()
         return self.episodes.observation(0), self.episodes.info(0)
 
-    def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+    def step(self, action: NDArray[Any]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Take one action.
 
         Raises:
-            InvalidAction: a number is NaN or outside [-1, 1]; the rope has not moved.
+            InvalidAction: a number is NaN or out of range; the rope has not moved.
             gymnasium.error.ResetNeeded: the environment was never reset.
         """
         _require_reset(self.episodes)
-        reward, terminated, truncated = self.episodes.step(np.asarray(action)[None], np.array([0]))
+        reward, terminated, truncated = self.episodes.act(np.asarray(action)[None], np.array([0]))
         info = self.episodes.info(0)
         ended = terminated[0] or truncated[0]
         self._show("reached" if info["is_success"] else "failed" if ended else "")
@@ -121,7 +123,7 @@ class KnotEnv(gym.Env[Any, NDArray[np.float32]]):
             )
 
 
-class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]):
+class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[Any], NDArray[Any]]):
     """Environment with many ropes; with seed s, rope i behaves as `KnotEnv` with seed s + i.
 
     Args:
@@ -155,10 +157,9 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         self._autoreset, self.autoreset_mode = _autoreset(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
         self.episodes = EpisodeBatch(self.config, num_envs, threads)
-        self.single_observation_space = observation_space(
-            self.config, self.episodes.simulation.rope.config.beads
-        )
-        self.single_action_space = action_space()
+        beads = self.episodes.simulation.rope.config.beads
+        self.single_observation_space = observation_space(self.config, beads)
+        self.single_action_space = action_space(self.config, beads)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._rngs = [np.random.default_rng() for _ in range(num_envs)]
@@ -199,7 +200,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         )
 
     def step(
-        self, actions: NDArray[np.float32]
+        self, actions: NDArray[Any]
     ) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Take one action with every rope; `autoreset_mode` says when ended episodes restart."""
         _require_reset(self.episodes)
@@ -219,7 +220,7 @@ class KnotVectorEnv(gym.vector.VectorEnv[Any, NDArray[np.float32], NDArray[Any]]
         truncated = np.zeros(self.num_envs, dtype=bool)
         running = np.flatnonzero(~done)
         if len(running):
-            rewards[running], terminated[running], truncated[running] = self.episodes.step(
+            rewards[running], terminated[running], truncated[running] = self.episodes.act(
                 actions[running], running
             )
         # next_step: what ended in the step before is reset in this one, and its action ignored

@@ -27,13 +27,14 @@ from knotgym.envs.observations import (
 from knotgym.envs.reward import Outcome
 from knotgym.envs.tasks import InvalidSetting, TaskConfig
 from knotgym.rendering.picture import draw
+from knotgym.rope.action_views import ActionView
 from knotgym.rope.engines import simulation
 from knotgym.rope.model import Array, Rope, RopeConfig
 from knotgym.rope.reset_noise import start_qpos
 from knotgym.rope.towing import TowBound, centres, distances_towed
 from knotgym.states.schema import CODE_SPLITS
 from knotgym.states.state_file import States, read_states, shipped, ships, states_file
-from knotgym.topology.crossings import label_many
+from knotgym.topology.crossings import label, label_many
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import UNKNOT
 
@@ -46,11 +47,13 @@ class EpisodeBatch:
     Attributes:
         config: settings of the task.
         simulation: the ropes.
+        view: turns actions of the view `config.action` into pulls.
         codes: the current Gauss code of each rope, with chirality.
         goals: the goal code of each rope.
         steps: int (count,), actions taken since the reset.
         held: int (count,), consecutive steps for which the goal has been shown.
         failed: bool (count,), whether the simulation blew up in the last step.
+        start_qpos: float64 (count, nq), generalized positions that each rope was laid at.
         origins: float64 (count, 3), each rope's centre at reset, metres.
         beads: int (count,), bead pulled in the last step; -1 at reset.
         forces: float64 (count, 3), mean force applied to it in the last step, newtons.
@@ -63,6 +66,7 @@ class EpisodeBatch:
         self.config = config
         self.count = count
         self.simulation = simulation(config.engine, count, Rope(config.rope), threads)
+        self.view = ActionView(config.action, self.simulation)
         self._picture = picture_config(config)
         starts, goals = _sides(config)
         self._starts, self._goals = starts.states, goals.states
@@ -80,6 +84,7 @@ class EpisodeBatch:
         self.steps = np.zeros(count, dtype=np.int64)
         self.held = np.zeros(count, dtype=np.int64)
         self.failed = np.zeros(count, dtype=bool)
+        self.start_qpos = np.zeros((count, self.simulation.rope.nq))
         self.origins = np.zeros((count, 3))
         self.beads = np.full(count, -1, dtype=np.int64)
         self.forces = np.zeros((count, 3))
@@ -121,26 +126,46 @@ class EpisodeBatch:
             )
         self.start_row[index], self.goal_row[index] = start, goal
         code = GaussCode.parse(str(self._starts.gauss_code_chiral[start]))
-        self.simulation.lay(
-            start_qpos(
-                self.simulation.rope,
-                self._starts.qpos[start],
-                self._starts.points[start],
-                code,
-                self.config.reset_noise,
-                rng,
-            ),
-            [index],
+        self.start_qpos[index] = start_qpos(
+            self.simulation.rope,
+            self._starts.qpos[start],
+            self._starts.points[start],
+            code,
+            self.config.reset_noise,
+            rng,
         )
+        self.simulation.lay(self.start_qpos[[index]], [index])
         self.origins[index] = centres(self.simulation.points[[index]])[0]
-        self.codes[index] = code
+        # the chain engine closes the gaps of a state without noise, so it is read again
+        self.codes[index] = label(self.simulation.points[index])
         self.goals[index] = GaussCode.parse(str(self._goals.gauss_code[goal]))
+        self.view.reset(index)
         self.steps[index] = self.held[index] = 0
         self.failed[index] = False
         self.beads[index], self.forces[index], self.applied_shares[index] = -1, 0.0, 1.0
 
+    def act(self, actions: ArrayLike, ids: NDArray[np.int64]) -> Outcome:
+        """Carry out one action of the view `config.action` in each episode of `ids`.
+
+        Raises:
+            InvalidAction: an action is invalid; no rope has moved.
+        """
+        if self.config.action == "pull":
+            return self.step(actions, ids)
+        self.view.begin(actions, ids, self.codes)
+        total = Outcome(
+            np.zeros(len(ids)), np.zeros(len(ids), dtype=bool), np.zeros(len(ids), dtype=bool)
+        )
+        rows = np.arange(len(ids))
+        while len(rows):
+            outcome = self.step(self.view.next_pulls(ids[rows]), ids[rows])
+            for whole, part in zip(total, outcome, strict=True):
+                whole[rows] = part  # rewards before the last pull are 0
+            rows = rows[self.view.busy[ids[rows]]]
+        return total
+
     def step(self, actions: ArrayLike, ids: NDArray[np.int64]) -> Outcome:
-        """Take one action in each episode of `ids`; see `reward` for the outcome.
+        """Make one pull (n, 6) in each episode of `ids`; see `reward` for the outcome.
 
         If a simulation blows up, its rope doesn't move, its episode is truncated and `failed` set.
         """
@@ -161,9 +186,11 @@ class EpisodeBatch:
             )
         self.steps[ids] += 1
         self.held[ids] = np.where(reached & ~towed, self.held[ids] + 1, 0)
-        return self.config.reward_rule.outcome(
+        outcome = self.config.reward_rule.outcome(
             self.held[ids], self.steps[ids], self.failed[ids], towed
         )
+        self.view.pulled(ids, self.codes, outcome.terminated | outcome.truncated)
+        return outcome
 
     def tow_bound(self, index: int) -> TowBound | None:
         """Return the bound on towing of rope `index`; None without a `tow_limit`."""
@@ -233,6 +260,8 @@ class EpisodeBatch:
             "force": self.forces[index].copy(),
             "applied_share": float(self.applied_shares[index]),
         }
+        if self.config.action == "macro":
+            info["macro_pulls"] = int(self.view.pulls[index])
         if not self.config.numeric_infos:
             return info
         numeric = {

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from knotgym.rope.model import RopeConfig
 
 OBSERVATIONS = ("pixels", "state", "both", "symbolic")
+ACTIONS = ("pull", "bead", "macro")  # see `knotgym.rope.action_views`
 LAYOUTS = ("beside", "stacked")  # arrangement of the rope's and the goal's picture
 MAX_NX = 11  # crossings of the largest hard unknots; the rope hardly has room for more
 
@@ -55,9 +56,11 @@ class TaskConfig:
             contains one. If a file has no plain loops, they come from the readable set.
         engine: "mujoco", the reference; or "chain", the fast solver, see `rope.chain`.
         observation: "pixels", "state", "both" or "symbolic".
+        action: "pull", six numbers; "bead", a bead and binned forces; or "macro", a bead led past a
+            strand by up to ten pulls. See `knotgym.rope.action_views`.
         max_goals: sample goals from the first so many goal configurations of the split; None for
             all.
-        horizon: steps until truncation.
+        horizon: steps until truncation; a macro-action is as many steps as it has pulls.
         hold: consecutive steps for which the goal code must be shown.
         tow_limit: largest distance of the rope's centre from its position at reset, metres. Beyond
             it no state counts as the goal, and the episode is truncated. None for no limit. With
@@ -85,6 +88,7 @@ class TaskConfig:
     states: str | None = None
     engine: str = MUJOCO
     observation: str = "pixels"
+    action: str = "pull"
     max_goals: int | None = None
     horizon: int = 50
     hold: int = 1
@@ -107,6 +111,7 @@ class TaskConfig:
             "split": (*STATE_SPLITS, *CODE_SPLITS),
             "engine": ENGINES,
             "observation": OBSERVATIONS,
+            "action": ACTIONS,
             "layout": LAYOUTS,
             "camera": ("orthographic", "perspective"),
             "renderer": ("auto", "opencv", "mujoco"),

@@ -227,6 +227,7 @@ def _states(ordered: Sequence[ShardFolder], report: dict[str, Any], folder: Path
             nx,
             name,
             str(merged.knot[0]),
+            merged.engine,
             sources,
             len(mine),
             folder / "minari",

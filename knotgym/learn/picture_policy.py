@@ -36,6 +36,7 @@ class PicturePolicy(Policy):
                 ("camera", task.camera, "orthographic"),
                 ("image_size", task.image_size, SIZE),
                 ("hold", task.hold, 1),
+                ("action", task.action, "pull"),
             )
             if given != needed
         ]

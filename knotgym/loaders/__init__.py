@@ -8,6 +8,9 @@ train split). The other arguments are
                     dataset's environment
     picture         a `knotgym.rendering.picture.PictureConfig`, to render pictures with another
                     size, camera, colours or views, with or without depth
+    action          "pull", "bead" or "macro", a view of the actions (`knotgym.rope.action_views`);
+                    None for that of the dataset's environment. "macro" needs a dataset that records
+                    macro-actions
     relabel         hindsight relabelling, "last" or "all": a code that was reached becomes the goal
                     (see `Transitions`)
     labels          True to use the expert's actions instead of those taken, if the dataset has them
@@ -33,7 +36,7 @@ if TYPE_CHECKING:
     from knotgym.loaders.frame_cache import FrameCache, NoCache
     from knotgym.loaders.perception import images
     from knotgym.loaders.rows import arrays
-    from knotgym.loaders.transitions import NoLabels, Transitions
+    from knotgym.loaders.transitions import NoLabels, NoMacroActions, Transitions
 else:
     from knotgym.common.lazy_exports import lazy_exports
 
@@ -44,6 +47,7 @@ else:
             "MissingExtra": "knotgym.common.errors",
             "NoCache": "knotgym.loaders.frame_cache",
             "NoLabels": "knotgym.loaders.transitions",
+            "NoMacroActions": "knotgym.loaders.transitions",
             "Transitions": "knotgym.loaders.transitions",
             "arrays": "knotgym.loaders.rows",
             "images": "knotgym.loaders.perception",
@@ -58,6 +62,7 @@ __all__ = [
     "MissingExtra",
     "NoCache",
     "NoLabels",
+    "NoMacroActions",
     "Transitions",
     "arrays",
     "images",

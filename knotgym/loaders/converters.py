@@ -38,6 +38,7 @@ def torch_dataset(
     *,
     observation: str | None = None,
     picture: Any = None,
+    action: str | None = None,
     relabel: str | None = None,
     labels: bool = False,
     cache: Any = None,
@@ -47,7 +48,7 @@ def torch_dataset(
     Any number of DataLoader workers can share it.
 
     Args:
-        dataset, observation, picture, relabel, labels, cache: see `knotgym.loaders`.
+        dataset, observation, picture, action, relabel, labels, cache: see `knotgym.loaders`.
         kind: what an item is:
             "transitions": observation, action, reward, next_observation, terminal, timeout; a list
                 of indices, as from a BatchSampler, gives a batch;
@@ -75,6 +76,7 @@ def torch_dataset(
             dataset,
             observation=observation,
             picture=picture,
+            action=action,
             relabel=relabel,
             labels=labels,
             cache=cache,
@@ -93,7 +95,8 @@ def to_d3rlpy(
 ) -> Any:
     """Make a `d3rlpy.dataset.ReplayBuffer` of all transitions.
 
-    Pictures are channels first; "both" is a tuple of pixels and state.
+    Actions are pulls: d3rlpy has no actions of several whole numbers. Pictures are channels first;
+    "both" is a tuple of pixels and state.
 
     d3rlpy keeps T observations for T actions and drops the last transition of an episode that
     didn't terminate, which here is the one with the reward for failing. To keep that transition,
@@ -110,6 +113,7 @@ def to_d3rlpy(
         dataset,
         observation=observation,
         picture=picture,
+        action="pull",
         relabel=relabel,
         labels=labels,
         cache=cache,
@@ -143,6 +147,7 @@ def to_tensordict(
     *,
     observation: str | None = None,
     picture: Any = None,
+    action: str | None = None,
     relabel: str | None = None,
     labels: bool = False,
     cache: Any = None,
@@ -150,7 +155,7 @@ def to_tensordict(
     """Make a `tensordict.TensorDict` of all N transitions, to `extend` a TorchRL buffer with.
 
     Args:
-        dataset, observation, picture, relabel, labels, cache: see `knotgym.loaders`.
+        dataset, observation, picture, action, relabel, labels, cache: see `knotgym.loaders`.
 
     Returns:
         Batch size [N]. Keys: observation (for "both", pixels and state); action; done, terminated
@@ -166,6 +171,7 @@ def to_tensordict(
         dataset,
         observation=observation,
         picture=picture,
+        action=action,
         relabel=relabel,
         labels=labels,
         cache=cache,

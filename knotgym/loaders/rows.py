@@ -14,6 +14,7 @@ def arrays(
     *,
     observation: str | None = None,
     picture: Any = None,
+    action: str | None = None,
     relabel: str | None = None,
     labels: bool = False,
     cache: Any = None,
@@ -21,14 +22,15 @@ def arrays(
     """Load all N transitions of a dataset, in the order of its episodes.
 
     Args:
-        dataset, observation, picture, relabel, labels, cache: see `knotgym.loaders`.
+        dataset, observation, picture, action, relabel, labels, cache: see `knotgym.loaders`.
 
     Returns:
         observations, next_observations: uint8 (N, views * size, 2 size, 3 or 4), float32
             (N, 6 beads), dicts of both, or int16 (N, 2, symbols). Each picture is held twice,
             which takes 200 kB per transition at size 128 with one view and no depth.
-        actions: float32 (N, 6).
+        actions: float32 (N, 6); int64 (N, 4) in the view "bead" and (N, 3) in "macro".
         rewards: float64 (N,).
+        pulls: int64 (N,), in the view "macro" only: pulls of each macro-action, to discount by.
         terminals, timeouts: bool (N,); exactly one of them is true in the last row of an episode.
     """
     return rows(
@@ -36,6 +38,7 @@ def arrays(
             dataset,
             observation=observation,
             picture=picture,
+            action=action,
             relabel=relabel,
             labels=labels,
             cache=cache,
@@ -63,4 +66,5 @@ def rows(transitions: Transitions) -> dict[str, Any]:
         "next_observations": after[""] if plain else after,
         "terminals": transitions.terminals,
         "timeouts": transitions.timeouts,
+        **({"pulls": transitions.pulls} if transitions.action == "macro" else {}),
     }

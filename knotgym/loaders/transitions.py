@@ -15,9 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from knotgym.common.errors import KnotgymError
 from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.datasets.trajectory import codes_in_bounds, goal_steps
+from knotgym.datasets.trajectory import MACRO_INFOS, codes_in_bounds, goal_steps
 from knotgym.envs.reward import success_at_last
+from knotgym.envs.tasks import ACTIONS, InvalidSetting
 from knotgym.loaders.frame_cache import CachedFrames, FrameCache, NoCache, goal_axis
+from knotgym.rope.actions import CHOICES, decode_actions, force_choices
 
 _CACHED_SEGMENTS = 256  # segments whose codes stay in memory
 
@@ -26,10 +28,14 @@ class NoLabels(KnotgymError, ValueError):
     """The dataset has no expert actions, or they can't be used with hindsight."""
 
 
-class Columns(NamedTuple):
-    """The T transitions of a segment without observations: actions (T, 6), the others (T,)."""
+class NoMacroActions(KnotgymError, ValueError):
+    """The dataset doesn't record macro-actions."""
 
-    actions: NDArray[np.float32]
+
+class Columns(NamedTuple):
+    """The T transitions of a segment without observations: actions (T, ...), the others (T,)."""
+
+    actions: NDArray[Any]
     rewards: NDArray[np.float64]
     terminals: NDArray[np.bool_]
     timeouts: NDArray[np.bool_]
@@ -38,14 +44,22 @@ class Columns(NamedTuple):
 class Transitions:
     """N transitions in S segments. Can be pickled, and read from any process.
 
-    Data are read when needed, so opening is fast; only relabel reads all codes.
+    Data are read when needed, so opening is fast; only relabel reads all codes, and the view
+    "macro" where macro-actions start.
+
+    In the view "macro" a transition is a macro-action. It leads from the state in which the
+    macro-action began to that in which the next one began, or to the segment's last; its reward is
+    the sum over the pulls between, of which only the last can have one. States before the first
+    macro-action are left out, and so are segments without any.
 
     Attributes:
         episode: int64 (S,), index of the segment's episode in the dataset.
         goal_step: int64 (S,), which state of the episode is the goal; -1 for the episode's own
             goal.
         starts: int64 (S + 1,), the first transition of each segment, then N.
-        actions: float32 (N, 6).
+        action: view of the actions, see `knotgym.rope.action_views`.
+        actions: float32 (N, 6); in other views int64 (N, 4) or (N, 3).
+        pulls: int64 (N,), pulls of each transition: 1 unless the view is "macro".
         rewards: float64 (N,).
         terminals, timeouts: bool (N,).
     """
@@ -56,6 +70,7 @@ class Transitions:
         *,
         observation: str | None = None,
         picture: Any = None,
+        action: str | None = None,
         relabel: str | None = None,
         labels: bool = False,
         cache: Any = None,
@@ -68,6 +83,7 @@ class Transitions:
             observation: "pixels", "state", "both" or "symbolic"; None for the environment's.
             picture: a `knotgym.rendering.picture.PictureConfig` to render with; None for the
                 environment's pictures.
+            action: "pull", "bead" or "macro"; None for the environment's.
             relabel: None for episodes as they are. "last": the goal becomes the last new code that
                 an episode reached, and the episode ends there. "all": one such segment for every
                 code that it reached. An episode that never leaves its first code gives none.
@@ -77,15 +93,28 @@ class Transitions:
 
         Raises:
             NoCache: the observations have no pictures, or the cache has no room for them.
-            NoLabels: labels are requested together with relabel, or the dataset has none.
+            NoLabels: labels are requested together with relabel or the view "macro", or the
+                dataset has none.
+            NoMacroActions: the view is "macro", and an episode doesn't record them.
+            InvalidSetting: there is no such view.
         """
         self._reader = EpisodeReader(dataset)
-        self._action_column = "expert_action" if labels else "actions"
+        self._labels = labels
+        self.action = self._reader.task.action if action is None else action
+        if self.action not in ACTIONS:
+            raise InvalidSetting(f"no action {action!r}; there is {', '.join(ACTIONS)}")
+        if self.action == "macro" and labels:
+            raise NoLabels("the expert's actions are pulls: use labels without action 'macro'")
+        if self.action == "macro" and not self._reader.has("macro_start"):
+            raise NoMacroActions(
+                f"{self._reader.path} doesn't record macro-actions: use action 'pull' or 'bead', or"
+                " collect it with a policy that acts in macro-actions"
+            )
         if labels and relabel is not None:
             raise NoLabels(
                 "the expert's actions lead to the episode's own goal: use labels without relabel"
             )
-        if labels and not self._reader.has_expert_actions:
+        if labels and not self._reader.has("expert_action"):
             raise NoLabels(
                 f"{self._reader.path} has no expert actions: collect it with --labels expert"
             )
@@ -106,8 +135,13 @@ class Transitions:
                 for goal in goal_steps(codes, relabel, hold)
             ]
             lengths = [goal for _, goal in parts]
+        # the states before and after each segment's transitions
+        ends = [self._ends(k, length) for (k, _), length in zip(parts, lengths, strict=True)]
+        kept = [row for row, own in enumerate(ends) if len(own) > 1]
+        self._states_of = [ends[row] for row in kept]
+        parts = [parts[row] for row in kept]
         self.episode, self.goal_step = np.array(parts, dtype=np.int64).reshape(-1, 2).T
-        self.starts: NDArray[np.int64] = np.cumsum([0, *lengths])
+        self.starts: NDArray[np.int64] = np.cumsum([0, *(len(own) - 1 for own in self._states_of)])
 
     @property
     def _shown(self) -> str:
@@ -115,9 +149,11 @@ class Transitions:
         return str(self._seen["observation"] or self._reader.task.observation)
 
     @cached_property
-    def actions(self) -> NDArray[np.float32]:
-        """float32 (N, 6)."""
-        return self._all(0, np.empty((0, 6), np.float32))
+    def actions(self) -> NDArray[Any]:
+        """float32 (N, 6); in other views int64 (N, 4) or (N, 3)."""
+        if self.action == "pull":
+            return self._all(0, np.empty((0, 6), np.float32))
+        return self._all(0, np.empty((0, len(CHOICES[self.action])), np.int64))
 
     @cached_property
     def rewards(self) -> NDArray[np.float64]:
@@ -134,6 +170,19 @@ class Transitions:
         """bool (N,), true where an episode was truncated."""
         return self._all(3, np.empty(0, bool))
 
+    @cached_property
+    def pulls(self) -> NDArray[np.int64]:
+        """int64 (N,), pulls of each transition."""
+        return np.concatenate([np.empty(0, np.int64), *map(np.diff, self._states_of)])
+
+    def _ends(self, index: int, length: int) -> NDArray[np.int64]:
+        """Return the states of an episode's first `length` pulls that transitions lead between."""
+        if self.action != "macro":
+            return np.arange(length + 1)
+        # the step that led to state i starts in state i - 1
+        begun = np.flatnonzero(self._reader.column(index, "macro_start")[1 : length + 1])
+        return np.append(begun, length)
+
     def _cached(self, cache: Any) -> CachedFrames:
         if self._shown not in ("pixels", "both"):
             raise NoCache(
@@ -147,17 +196,40 @@ class Transitions:
     def columns(self, segment: int) -> Columns:
         """Read a segment without its observations; the result is kept in memory."""
         if segment not in self._read:
-            index, goal = int(self.episode[segment]), int(self.goal_step[segment])
-            actions, *outcome = (
-                self._reader.column(index, name)
-                for name in (self._action_column, "rewards", "terminations", "truncations")
-            )
-            actions = actions[: len(outcome[0])]  # expert actions exist for the last state too
+            index, ends = int(self.episode[segment]), self._states_of[segment]
+            outcome: list[NDArray[Any]]
             if self._relabelled:
-                actions = actions[:goal]
-                outcome = list(success_at_last(goal, self._reader.task.success_reward))
-            self._read[segment] = Columns(actions, *outcome)
+                outcome = list(success_at_last(int(ends[-1]), self._reader.task.success_reward))
+            else:
+                outcome = [
+                    self._reader.column(index, name)
+                    for name in ("rewards", "terminations", "truncations")
+                ]
+            # over each transition rewards are summed; an episode ends in its last pull only
+            rewards, *ended = outcome
+            self._read[segment] = Columns(
+                self._actions(index, ends),
+                np.add.reduceat(rewards, ends[:-1]),
+                *(flags[ends[1:] - 1] for flags in ended),
+            )
         return self._read[segment]
+
+    def _actions(self, index: int, ends: NDArray[np.int64]) -> NDArray[Any]:
+        """Return the actions that lead from each of the states `ends` of an episode to the next."""
+        reader, length = self._reader, int(ends[-1])
+        if self.action == "macro":
+            led = (reader.column(index, name)[ends[:-1] + 1] for name in MACRO_INFOS[1:])
+            bead, target, side = led
+            return np.stack([bead, target, (side + 1) // 2], axis=1)
+        pulls = reader.column(index, "expert_action" if self._labels else "actions")[:length]
+        if self.action == "pull":
+            return pulls
+        if self._labels:
+            points = reader.column(index, "points")[:length]
+            beads = decode_actions(pulls, points, reader.task.rope)[0]
+        else:
+            beads = reader.column(index, "bead")[1 : length + 1]
+        return np.column_stack([beads, force_choices(pulls[:, 3:])])
 
     def _codes_in_bounds(self, index: int) -> NDArray[np.str_]:
         """Return an episode's codes up to the first state that is towed too far to be a goal."""
@@ -192,19 +264,22 @@ class Transitions:
         return segment, int(frame - starts[segment])
 
     def observations(self, segment: int, start: int = 0, stop: int | None = None) -> Any:
-        """Return the observations of the states [start, stop) among the T + 1 of a segment.
+        """Return the observations of the states [start, stop) of a segment with T transitions.
+
+        There are T + 1; see `Transitions` for those of the view "macro".
 
         Returns:
             uint8 (n, views * size, 2 size, 3 or 4), float32 (n, 6 beads), a dict of both, or int16
             (n, 2, symbols).
         """
-        last = int(self.starts[segment + 1] - self.starts[segment]) + 1
         goal = int(self.goal_step[segment])
-        steps = slice(start, last if stop is None else min(stop, last))
+        states = self._states_of[segment][start:stop]
+        # HDF5 reads a range many times faster than a list
+        steps = states if self.action == "macro" else slice(states[0], states[-1] + 1)
         episode, goal_step = int(self.episode[segment]), None if goal < 0 else goal
         if self._frames is None:
             return self._reader.observations(episode, steps, goal_step=goal_step, **self._seen)
-        ropes = self._frames.offsets[episode] + np.arange(last)[steps]
+        ropes = self._frames.offsets[episode] + states
         goals = self._frames.goal(self.episode[[segment]], self.goal_step[[segment]])
         pictures = self._frames.pictures(ropes, np.broadcast_to(goals, ropes.shape))
         if self._shown == "pixels":
@@ -254,11 +329,13 @@ class Transitions:
         steps = wanted - self.starts[segments]
         if self._frames is not None and self._shown == "pixels":
             episodes = self.episode[segments]
-            ropes = self._frames.offsets[episodes] + steps
+            places = zip(segments.tolist(), steps.tolist(), strict=True)
+            ends = np.array([self._states_of[k][step : step + 2] for k, step in places])
+            before, after = (self._frames.offsets[episodes] + one for one in ends.T)
             goals = self._frames.goal(episodes, self.goal_step[segments])
             if apart:
-                return tuple(self._frames.frames[rows] for rows in (ropes, ropes + 1, goals))
-            return tuple(self._frames.pictures(rows, goals) for rows in (ropes, ropes + 1))
+                return tuple(self._frames.frames[rows] for rows in (before, after, goals))
+            return tuple(self._frames.pictures(rows, goals) for rows in (before, after))
         pairs = [
             self.observations(segment, step, step + 2)
             for segment, step in zip(segments.tolist(), steps.tolist(), strict=True)
@@ -278,10 +355,10 @@ class Transitions:
         return rope[:, 0], rope[:, 1], goal[:, 0]
 
     def codes(self, segment: int) -> list[str]:
-        """Return the Gauss codes of a segment's T + 1 states; recent segments are cached."""
+        """Return the Gauss codes of a segment's states; recent segments are cached."""
         if segment not in self._codes:
             if len(self._codes) == _CACHED_SEGMENTS:
                 del self._codes[next(iter(self._codes))]
-            codes = self._reader.column(int(self.episode[segment]), "gauss_code").tolist()
-            self._codes[segment] = codes[: int(self.starts[segment + 1] - self.starts[segment]) + 1]
+            codes = self._reader.column(int(self.episode[segment]), "gauss_code")
+            self._codes[segment] = codes[self._states_of[segment]].tolist()
         return self._codes[segment]

@@ -3,6 +3,9 @@
 An action pulls the bead nearest to the point (x, y, z), given in units of `RopeConfig.reach`, with
 the force (fx, fy, fz), given in units of `RopeConfig.max_force`.
 Source: arXiv 2505.18028.
+
+In the view "bead" the same pull is four whole numbers: the bead, and which of FORCE_CHOICES forces
+each component has. These are evenly spaced from -1 to 1.
 """
 
 from __future__ import annotations
@@ -18,6 +21,11 @@ if TYPE_CHECKING:
     from knotgym.rope.model import RopeConfig  # not at run time, so that loaders need no simulator
 
 Array = NDArray[np.float64]
+
+# Odd, so that one of the forces is exactly 0.
+FORCE_CHOICES = 11
+# Values of each whole number of an action, by view; 0 stands for the number of beads.
+CHOICES = {"bead": (0, FORCE_CHOICES, FORCE_CHOICES, FORCE_CHOICES), "macro": (0, 0, 2)}
 
 
 def decode_actions(
@@ -56,6 +64,14 @@ def encode_actions(
     return np.clip(np.concatenate([position, force], axis=1), -1, 1).astype(np.float32)
 
 
+FORCE_BINS = 127  # a quantized component is one of 2 * 127 + 1 multiples of max_force / 127
+
+
+def quantized(forces: ArrayLike) -> Array:
+    """Round forces in units of the largest force to multiples of 1 / FORCE_BINS."""
+    return np.rint(np.asarray(forces, dtype=np.float64) * FORCE_BINS) / FORCE_BINS
+
+
 def steps_taken(
     actions: ArrayLike, points: Array, rope: RopeConfig
 ) -> tuple[NDArray[np.int64], Array]:
@@ -81,3 +97,33 @@ def drawn_actions(key: tuple[int, ...], steps: int) -> NDArray[np.float32]:
     same key is a prefix of a longer one.
     """
     return generator_of(key).uniform(-1, 1, (steps, 6)).astype(np.float32)
+
+
+def force_choices(forces: ArrayLike) -> NDArray[np.int64]:
+    """Return the nearest choice for each force component in [-1, 1], int64 of the same shape.
+
+    >>> force_choices([-1.0, 0.0, 0.97]).tolist()
+    [0, 5, 10]
+    """
+    half = (FORCE_CHOICES - 1) // 2
+    return np.rint(half * (1 + np.asarray(forces, dtype=np.float64))).astype(np.int64)
+
+
+def chosen_forces(chosen: ArrayLike) -> Array:
+    """Return the force component, quantized, that each choice means.
+
+    >>> chosen_forces([0, 5, 10]).tolist()
+    [-1.0, 0.0, 1.0]
+    """
+    half = (FORCE_CHOICES - 1) // 2
+    return quantized((np.asarray(chosen, dtype=np.float64) - half) / half)
+
+
+def choices(view: str, beads: int) -> NDArray[np.int64]:
+    """Return how many values each whole number of an action of a view has.
+
+    >>> choices("macro", 100).tolist()
+    [100, 100, 2]
+    """
+    counts = np.array(CHOICES[view])
+    return np.where(counts, counts, beads)

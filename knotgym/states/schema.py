@@ -20,6 +20,7 @@ ATTRIBUTES = {
     "knotgym": "version of this package",
     "mujoco": "version of MuJoCo",
     "rope": "fingerprint of the rope model, see `RopeConfig.fingerprint`",
+    "engine": "the engine that moved the ropes, mujoco if not given; see `knotgym.rope.engines`",
     "config": "the generating configuration, JSON; a list of them in a merged file",
 }
 DIGEST = "content_sha256"  # attribute: checksum of all columns, see `states.content_digest`

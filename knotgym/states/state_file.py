@@ -30,6 +30,7 @@ from knotgym.common.hdf5_files import (
     read_column,
     stored_column,
 )
+from knotgym.rope.engines import MUJOCO
 from knotgym.states.near_duplicates import repeated
 from knotgym.states.schema import (
     ATTRIBUTES,
@@ -93,6 +94,11 @@ class States:
 
     def __len__(self) -> int:
         return len(self.qpos)
+
+    @property
+    def engine(self) -> str:
+        """The engine that the provenance is replayed with, see `knotgym.rope.engines`."""
+        return str(self.attributes.get("engine", MUJOCO))
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """Return all columns by their path in the file, such as "nx" and "source/steps"."""
@@ -317,6 +323,10 @@ def merge_states(parts: Sequence[States], *, distinct: bool = False) -> States:
             raise InvalidStates(
                 f"states to merge must have one rope model, got {first.attributes.get('rope')} and"
                 f" {other.attributes.get('rope')}"
+            )
+        if other.engine != first.engine:
+            raise InvalidStates(
+                f"states to merge must be of one engine, got {first.engine} and {other.engine}"
             )
         if set(other.quality) != set(first.quality) or set(other.source) != set(first.source):
             raise InvalidStates("the files have different quality or source columns")

@@ -1,3 +1,4 @@
+import io
 import json
 import re
 import sys
@@ -396,3 +397,14 @@ def test_no_seed_makes_an_evaluation_play_the_episodes_of_a_dataset(states_path:
     for scored, stored in zip(films, trained, strict=True):
         assert scored.seed != stored.episode.seed
         assert not np.array_equal(scored.actions[0], stored.episode.actions[0])
+
+
+def test_a_result_says_in_which_view_the_policy_acted(states_path: str) -> None:
+    task = TaskConfig(task="tie", states=states_path, observation="state", action="macro")
+    (result,), _ = evaluate(
+        config(states_path, task=replace(task, horizon=5), episodes=1), InProcess()
+    )
+    assert result.action == "macro"
+    console = Console(record=True, width=80, file=io.StringIO())
+    show([result], console)
+    assert "random (macro)" in console.export_text()

@@ -137,3 +137,15 @@ def test_numbers_beyond_all_bounds_are_refused(name: str, tmp_path: Path) -> Non
     path.write_text(json.dumps(said))
     with pytest.raises(InvalidScores, match="evaluate --out`"):
         read_scores([path])
+
+
+def test_scores_of_macro_actions_never_stand_beside_published_ones(tmp_path: Path) -> None:
+    files = [told(tmp_path / "a", 1, 16, 64), told(tmp_path / "b", 1, 48, 64, action="macro")]
+    page = score_tables(read_scores(files))
+    own = page.index(next(line for line in page if line.endswith("test split, macro-actions")))
+    pulls, macros = page[:own], page[own:]
+    assert any("published" in line for line in pulls)
+    assert not any("published" in line for line in macros)
+    assert [line.split(" | ")[:2] for line in macros if "random" in line] == [
+        ["| random", 'action="macro"']
+    ]

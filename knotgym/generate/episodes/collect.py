@@ -25,6 +25,7 @@ from knotgym.datasets.machine import machine
 from knotgym.datasets.minari_dataset import MinariMetadata, publish
 from knotgym.envs.tasks import OBSERVATIONS, TaskConfig
 from knotgym.generate.episodes.digests import digests, require_unchanged, sources
+from knotgym.rope.engines import MUJOCO
 from knotgym.rope.model import RopeConfig
 from knotgym.runs.engine import Batch, run
 from knotgym.runs.progress import Progress, Status, tell_if_long
@@ -123,7 +124,8 @@ class CollectConfig:
 def plain_id(task: TaskConfig, policy: PolicyConfig, *marks: str) -> str:
     """Return the id of a dataset from its task, its policy and further marks."""
     split = "" if task.split == "train" else task.split
-    name = "-".join([policy.short, *filter(None, (split, *marks))])
+    engine = "" if task.engine == MUJOCO else task.engine
+    name = "-".join([policy.short, *filter(None, (engine, split, *marks))])
     return f"knotgym/{task.task}-nx{task.nx}/{name}-v0"
 
 
@@ -151,7 +153,7 @@ def distinct_id(config: CollectConfig) -> str:
         if file.is_file() and not states:
             states = f"states{sha256(file)[:8]}"
     plain = TaskConfig(task=task.task, nx=task.nx, split=task.split, states=task.states)
-    plain = replace(plain, observation=task.observation)
+    plain = replace(plain, engine=task.engine, observation=task.observation)
     rules = list(differences(as_json(plain), as_json(task)))
     if config.labels or policy.policy in ("noisy-expert", "mixed", "expert"):
         usual = PolicyConfig(policy=policy.policy)
@@ -447,9 +449,8 @@ def _finished(path: Path) -> Tally | None:
 def _metadata(config: CollectConfig, tally: Tally) -> MinariMetadata:
     """Return Minari's metadata; reference scores are those of random and expert policies."""
     task, policy = config.task, config.policy
-    scores = (
-        reference_scores().get(f"{task.task}-nx{task.nx}", {}) if task.rope == RopeConfig() else {}
-    )
+    measured = task.engine == MUJOCO and task.rope == RopeConfig()
+    scores = reference_scores().get(f"{task.task}-nx{task.nx}", {}) if measured else {}
     noise = (
         f", each pull a random one with probability {policy.noise}"
         if policy.policy in ("noisy-expert", "mixed")
@@ -468,7 +469,8 @@ def _metadata(config: CollectConfig, tally: Tally) -> MinariMetadata:
     )
     tried = f", the best of {config.attempts} attempts each" if config.attempts > 1 else ""
     text = (
-        f"KnotGym, task {task.task} with {task.nx} crossings, {task.split} split: {tally.kept}"
+        f"KnotGym, task {task.task} with {task.nx} crossings, {task.split} split, engine"
+        f" {task.engine}: {tally.kept}"
         f" episodes of policy {policy.policy}{noise}{tried}, seed {config.seed}."
         f" {tally.succeeded} of"
         f" {tally.played} episodes played reached the goal within {task.horizon} steps; failed ones"

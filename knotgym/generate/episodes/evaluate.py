@@ -29,6 +29,7 @@ from knotgym.envs.tasks import TaskConfig
 from knotgym.generate.episodes.collect import reference_scores
 from knotgym.generate.episodes.digests import digests, require_unchanged, sources
 from knotgym.generate.episodes.unfinished_evaluation import PlayedEpisode, Unfinished, kept_beside
+from knotgym.rope.engines import MUJOCO
 from knotgym.runs.engine import require_same, whole_request
 from knotgym.runs.executors import executor
 from knotgym.runs.intervals import cluster_interval
@@ -94,6 +95,7 @@ class Result:
 
     Attributes:
         policy, task, nx, split: the setup.
+        action: the view that the policy acted in, see `TaskConfig`.
         episodes, successes: numbers of episodes.
         success_rate, low, high: success rate and the 95 % interval of `cluster_interval`.
         steps: mean over successful episodes; None if there are none.
@@ -110,6 +112,7 @@ class Result:
     task: str
     nx: int
     split: str
+    action: str
     episodes: int
     successes: int
     success_rate: float
@@ -231,7 +234,7 @@ def as_text(report: dict[str, Any]) -> str:
     return re.sub(r"\[[-\d\s.,]+\]", on_one_line, json.dumps(report, indent=1)) + "\n"
 
 
-def show(results: Sequence[Result], console: Console) -> None:
+def show(results: Sequence[Result], console: Console, engine: str = MUJOCO) -> None:
     """Print a row per setup, and a matrix if there are several nx, in at most 80 columns."""
     reached = any(one.steps is not None for one in results)
     table = narrow_table(
@@ -240,7 +243,7 @@ def show(results: Sequence[Result], console: Console) -> None:
     )
     for one in results:
         table.add_row(
-            one.policy,
+            _acting(one),
             one.task,
             one.split,
             str(one.nx),
@@ -266,31 +269,39 @@ def show(results: Sequence[Result], console: Console) -> None:
             f"{task} nx {nx}: the state file has no plain loops; the included ones are used.",
             highlight=False,
         )
-    for line in reference_lines(results):
-        console.print(line, highlight=False)
+    if engine == MUJOCO:
+        for line in reference_lines(results):
+            console.print(line, highlight=False)
+    else:
+        console.print(f"engine {engine}, not the reference engine {MUJOCO}", highlight=False)
     columns = list(dict.fromkeys(one.nx for one in results))
     if len(columns) > 1:
         matrix = narrow_table(
             (*_SETUP[:3], *(f"nx {nx}" for nx in columns)), title="success, %", left=_SETUP[:3]
         )
-        for key in dict.fromkeys((one.policy, one.task, one.split) for one in results):
+        for key in dict.fromkeys((_acting(one), one.task, one.split) for one in results):
             cells = {
                 one.nx: f"{100 * one.success_rate:.1f}"
                 for one in results
-                if (one.policy, one.task, one.split) == key
+                if (_acting(one), one.task, one.split) == key
             }
             matrix.add_row(*key, *(cells[nx] for nx in columns))
         console.print(matrix)
 
 
+def _acting(result: Result) -> str:
+    """Name the policy, and the view that it acted in unless that is "pull"."""
+    return result.policy if result.action == "pull" else f"{result.policy} ({result.action})"
+
+
 def reference_lines(results: Sequence[Result]) -> list[str]:
     """Return a line per task and nx with reference returns to compare a result with.
 
-    References are always measured on readable states.
+    References are always measured on readable states, with MuJoCo.
     """
     known = reference_scores()
     lines = []
-    for task, nx in dict.fromkeys((one.task, one.nx) for one in results):
+    for task, nx in dict.fromkeys((one.task, one.nx) for one in results if one.action == "pull"):
         scores = known.get(f"{task}-nx{nx}")
         if scores is not None:
             lines.append(
@@ -342,7 +353,7 @@ def run(
     done = None if out is None else _done_already(out, video, config, source, existing)
     if done is not None:
         if not quiet:
-            show(done, console)
+            show(done, console, config.task.engine)
             console.print(f"{out} is finished already", soft_wrap=True, highlight=False)
         return done
     for path in (out, video):
@@ -358,7 +369,7 @@ def run(
             results, films = evaluate(config, pool, progress, unfinished)
         require_unchanged(source, sources_of(config))
         if not quiet:
-            show(results, console)
+            show(results, console, config.task.engine)
         if video is not None:  # before `out`, which says that all is done
             frames = [frame for episode in films for frame in film(episode, config.task)]
             with atomic_write(video, overwrite=existing.overwrite) as temporary:
@@ -485,6 +496,7 @@ def _result(policy: PolicyConfig, task: TaskConfig, played: Sequence[PlayedEpiso
         task=task.task,
         nx=task.nx,
         split=task.split,
+        action=make_policy(policy).suited(task).action,
         episodes=len(played),
         successes=successes,
         success_rate=successes / len(played),

@@ -35,6 +35,7 @@ from knotgym.generate.episodes.collect import (
 )
 from knotgym.generate.episodes.suite_card import suite_card
 from knotgym.generate.episodes.suite_scores import read_scores
+from knotgym.rope.engines import ENGINES, MUJOCO
 from knotgym.runs.engine import is_finished, request_of, require_resumable, whole_request
 from knotgym.runs.executors import cores
 from knotgym.runs.progress import Progress, duration
@@ -68,6 +69,7 @@ class SuiteConfig:
         policies: a subset of POLICIES.
         states: a subset of STATES.
         episodes: policy -> episodes per setup and set of states.
+        engine: see `TaskConfig`; other engines than MuJoCo have ids of their own.
         observation: stored observation, see `TaskConfig`; pictures can be drawn from any of them.
         budget: simulated actions per episode for expert planning, see `PlannerConfig`.
         seed: random seed of every dataset.
@@ -78,6 +80,7 @@ class SuiteConfig:
     policies: tuple[str, ...] = POLICIES
     states: tuple[str, ...] = STATES
     episodes: Mapping[str, int] = field(default_factory=lambda: dict(EPISODES))
+    engine: str = MUJOCO
     observation: str = "state"
     budget: int = BUDGET
     seed: int = SEED
@@ -122,6 +125,7 @@ class SuiteConfig:
             task=task,
             nx=nx,
             states=None if states == STATES[0] else states,
+            engine=self.engine,
             observation=self.observation,
         )
         marks = ("" if states == STATES[0] else states, *self._seed_mark())
@@ -254,7 +258,7 @@ def _forecast(
 def _described(config: SuiteConfig, root: Path) -> dict[str, Any]:
     """Describe every existing dataset of the benchmark, of this run or earlier ones, by id."""
     whole = SuiteConfig(observation=config.observation, seed=config.seed)
-    ids = [one.dataset_id for one in whole.sets()]
+    ids = [one.dataset_id for engine in ENGINES for one in replace(whole, engine=engine).sets()]
     return {name: describe_set(root / name) for name in ids if (root / name).exists()}
 
 
@@ -273,6 +277,7 @@ def describe_set(made: Path) -> dict[str, Any]:
             "nx": config["task"]["nx"],
             "split": config["task"]["split"],
             "states": config["task"]["states"] or STATES[0],
+            "engine": config["task"]["engine"],
             "observation": config["task"]["observation"],
             "policy": config["policy"]["policy"],
             "seed": config["seed"],

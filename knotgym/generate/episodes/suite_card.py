@@ -66,8 +66,8 @@ def suite_card(report: Mapping[str, Any], references: Mapping[str, Any]) -> str:
             "",
             *table(
                 (
-                    *("id", "states", "policy", "seed", "episodes", "steps", "reached the goal"),
-                    *("MB", "SHA-256 of main_data.hdf5"),
+                    *("id", "states", "engine", "policy", "seed", "episodes", "steps"),
+                    *("reached the goal", "MB", "SHA-256 of main_data.hdf5"),
                 ),
                 _rows(sets),
             ),
@@ -100,6 +100,7 @@ def _rows(sets: Mapping[str, Any]) -> Iterator[tuple[object, ...]]:
         yield (
             code_span(name),
             plain(one["states"]),
+            plain(one["engine"]),
             plain(one["policy"]),
             one["seed"],
             one["episodes"],

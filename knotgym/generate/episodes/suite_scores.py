@@ -72,21 +72,21 @@ def read_scores(paths: Iterable[Path]) -> list[dict[str, Any]]:
 
 
 def score_tables(rows: Sequence[Mapping[str, Any]], heading: str = "##") -> list[str]:
-    """Return Markdown tables, one per set of states and split, with a row per policy."""
+    """Return Markdown tables, one per set of states and split, with a row per policy.
+
+    Scores of macro-actions have tables of their own, without the published scores.
+    """
     setups = [(task, nx) for task in TASKS for nx in CROSSINGS]
     head = (
         *("policy", "settings", "files", "code", *(f"{task} {nx}" for task, nx in setups)),
         "trained for, s",
     )
     lines: list[str] = []
-    for states, digest, split in dict.fromkeys(
-        (row["states"], row["states_sha256"], row["split"]) for row in rows
-    ):
-        own = [
-            row
-            for row in rows
-            if (row["states"], row["states_sha256"], row["split"]) == (states, digest, split)
-        ]
+    tracks: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
+    for row in sorted(rows, key=_in_macros):
+        key = (row["states"], row["states_sha256"], row["split"], _in_macros(row))
+        tracks.setdefault(key, []).append(row)
+    for (states, digest, split, in_macros), own in tracks.items():
         body: list[Sequence[object]] = []
         for line in dict.fromkeys(tuple(row[name] for name in LINE) for row in own):
             cells = {
@@ -101,16 +101,23 @@ def score_tables(rows: Sequence[Mapping[str, Any]], heading: str = "##") -> list
                 (*map(plain, (policy, settings, files[:8], code[:8])), *told)
                 + ("; ".join(map(_seconds, sorted(trained))),)
             )
-        body += [
-            (f"*{policy}, published*", "", "", "", *told, "") for policy, told in PUBLISHED.items()
-        ]
+        if not in_macros:
+            body += [
+                (f"*{policy}, published*", "", "", "", *told, "")
+                for policy, told in PUBLISHED.items()
+            ]
         lines += [
             "",
-            f"{heading} States {plain(states)} ({plain(digest[:8])}), {plain(split)} split",
+            f"{heading} States {plain(states)} ({plain(digest[:8])}), {plain(split)} split"
+            + (", macro-actions" if in_macros else ""),
             "",
             *table(head, body),
         ]
     return lines
+
+
+def _in_macros(row: Mapping[str, Any]) -> bool:
+    return 'action="macro"' in row["settings"].split("; ")
 
 
 def _rows(told: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
@@ -123,6 +130,7 @@ def _rows(told: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
     for one in told["results"]:
         policy = one["policy"]
         task = {name: value for name, value in asked["task"].items() if name not in _APART}
+        task["action"] = one["action"]  # a policy may choose its own
         plain = {**_PLAIN["policy"], "policy": policy}
         settings = [*_unlike(_PLAIN["task"], task), *_unlike(plain, configs[policy])]
         origins = sorted({one["start_states"], one["goal_states"]})

@@ -67,7 +67,7 @@ def make_images(
         NotEnough: walks from the states don't reach enough different configurations.
     """
     arrow()
-    recipe = ImageRecipe(config, options, seed_states(config.nx, archive, states))
+    recipe = ImageRecipe(config, options, seed_states(config.nx, archive, states, config.engine))
     if progress is not None:
         wanted = sum(recipe.wanted.values())
         tell_if_long(progress, CORE_SECONDS * wanted, options.workers)
@@ -176,6 +176,7 @@ class ImageRecipe:
                     steps,
                     self.config.stride,
                     max(self.config.nx),
+                    self.config.engine,
                     self.config.walk,
                 )
                 path = folder / f"{len(self.walked) + len(units):06d}.npz"

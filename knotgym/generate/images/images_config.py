@@ -9,6 +9,7 @@ from knotgym.common.streams import Stream, generator
 from knotgym.generate.images.selection import SelectionConfig
 from knotgym.generate.images.walks import WalkConfig
 from knotgym.rendering.appearance import AppearanceConfig
+from knotgym.rope.engines import MUJOCO, require_engine
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import LISTED_NX
 
@@ -30,6 +31,7 @@ class ImagesConfig:
         code_share: share of split "test-code" among them, and share of Gauss codes held out for it;
             none for nx with fewer than 4 codes.
         seed: random seed of the run.
+        engine: the engine that walks use, see `knotgym.rope.engines`.
         steps: maximum steps of a walk. Walks for 3 or more crossings make a third of them, those
             for 1 or 2 two thirds, because many crossings are lost sooner.
         stride: steps between frames.
@@ -47,6 +49,7 @@ class ImagesConfig:
     test_share: float = 0.15
     code_share: float = 0.15
     seed: int = 0
+    engine: str = MUJOCO
     steps: int = 12
     stride: int = 2
     rows_per_file: int = 500
@@ -57,6 +60,7 @@ class ImagesConfig:
     idle: int = 6
 
     def __post_init__(self) -> None:
+        require_engine(self.engine)
         if (
             not self.nx
             or any(not 0 <= nx <= LISTED_NX for nx in self.nx)

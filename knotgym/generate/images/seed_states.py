@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from knotgym.common.atomic_files import sha256
 from knotgym.common.errors import KnotgymError
 from knotgym.generate.states.archive import Archive
-from knotgym.rope.model import Array, Rope
-from knotgym.rope.mujoco_simulation import MujocoSimulation
+from knotgym.rope.engines import MUJOCO, simulation_of
+from knotgym.rope.model import Array, RopeConfig
 from knotgym.rope.simulation import Simulation
 from knotgym.states.near_duplicates import families
 from knotgym.states.state_file import read_states, shipped
@@ -58,7 +58,10 @@ class SeedStates:
 
 
 def seed_states(
-    nx: tuple[int, ...], archive: Path | None = None, states: Path | None = None
+    nx: tuple[int, ...],
+    archive: Path | None = None,
+    states: Path | None = None,
+    engine: str = MUJOCO,
 ) -> SeedStates:
     """Read the states that have at most max(nx) crossings.
 
@@ -66,6 +69,7 @@ def seed_states(
         nx: requested numbers of crossings.
         archive: an archive of play.
         states: a state file; if neither is given, the included states are used.
+        engine: the engine that the walks use; an archive must be of the same one.
 
     Raises:
         NoSeedStates: both files were given, or there is no suitable state.
@@ -75,7 +79,7 @@ def seed_states(
         raise NoSeedStates(
             "walks start from an archive or from states, not both: give --archive or --states"
         )
-    simulation = MujocoSimulation(1, Rope())
+    simulation = simulation_of(1, RopeConfig(), engine)
     path = archive or states or shipped()
     read = _archived if archive else _curated
     found = read(path, max(nx), simulation)
@@ -106,7 +110,13 @@ def seed_states(
 
 def _archived(path: Path, max_nx: int, simulation: Simulation) -> list[Array]:
     """Return the distinct integration states of an archive's elites."""
-    niches = Archive.load(path).niches
+    found_archive = Archive.load(path)
+    niches, made_by = found_archive.niches, found_archive.settings.get("engine")
+    if made_by != simulation.engine:
+        raise NoSeedStates(
+            f"{path} was made with engine {made_by}, and walks with engine {simulation.engine}"
+            " can't continue from its states; give the other --engine, or --states"
+        )
     elites = [elite for niche, elites in niches.items() if niche.nx <= max_nx for elite in elites]
     found = list({elite.state.tobytes(): elite.state for elite in elites}.values())
     size = simulation.states().shape[1]

@@ -84,6 +84,7 @@ class Unit:
         steps: steps per walk.
         stride: steps between examined frames.
         max_nx: frames with more crossings are dropped.
+        engine: the engine that moves the ropes.
         config: how walks are made.
     """
 
@@ -93,6 +94,7 @@ class Unit:
     steps: int
     stride: int
     max_nx: int
+    engine: str
     config: WalkConfig
 
 
@@ -137,7 +139,7 @@ class _Met(NamedTuple):
 def make_walks(unit: Unit) -> Frames:
     """Make the walks of a unit; each depends on its number, its seed state and the seed alone."""
     count, config = len(unit.walks), unit.config
-    simulation, ids = simulation_of(WALKS, RopeConfig()), np.arange(count)
+    simulation, ids = simulation_of(WALKS, RopeConfig(), unit.engine), np.arange(count)
     simulation.restore(unit.states, ids)
     rngs = [generator(Stream.IMAGE_WALK, unit.seed, walk.number) for walk in unit.walks]
     gentle = [bool(rng.random() < config.gentle) for rng in rngs]

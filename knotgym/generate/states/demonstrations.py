@@ -135,7 +135,8 @@ class Demonstrated(NamedTuple):
 
 def demonstrate(task: DemonstrationTask) -> Demonstrated:
     """Make a demonstration; the same task gives the same bytes."""
-    rng, simulation = generator_of(task.seed), simulation_of(1, RopeConfig())
+    rng = generator_of(task.seed)
+    simulation = simulation_of(1, RopeConfig(), task.config.engine)
     before = simulation.steps_taken
     legible = [elite for elite in task.elites if _is_legible(elite, simulation, task)]
     for number in range(TRIES):

@@ -94,7 +94,7 @@ class DrawnOnes:
 
 def draw_states(unit: DrawnUnit) -> DrawnOnes:
     """Draw a unit's code until enough states are accepted; the same unit gives the same bytes."""
-    simulation = simulation_of(1, RopeConfig())
+    simulation = simulation_of(1, RopeConfig(), unit.config.engine)
     own, made = unit.code.chirality, DrawnOnes()
     letters = _letters(unit.code, unit.knot) if own is None else (own,)
     for number in range(unit.first, unit.first + unit.drawings):

@@ -11,6 +11,7 @@ from knotgym.drawing.drawn_curve import DrawingConfig
 from knotgym.envs.tasks import MAX_NX
 from knotgym.generate.states.search import SearchSettings
 from knotgym.quality.measures import Limits
+from knotgym.rope.engines import MUJOCO, require_engine
 from knotgym.topology.diagrams import NotPlanar, is_planar
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knots import LISTED_NX
@@ -46,6 +47,7 @@ class GenerateConfig:
         split_by: "state", or "code" for splits that share no code.
         train_share: share of states (or codes) in the train split.
         knot: the rope's knot: a name of `topology.knot_table.diagram_of`, or a file with a curve.
+        engine: the engine of every simulation, see `knotgym.rope.engines`.
         demonstrations: whether to find an action sequence to every code and write demonstrations.
         seed: random seed of the run.
         attempts: drawings per requested state of a code before the code is skipped.
@@ -74,6 +76,7 @@ class GenerateConfig:
     split_by: str = "state"
     train_share: float = 0.5
     knot: str = "0_1"
+    engine: str = MUJOCO
     demonstrations: bool = True
     seed: int = 0
     attempts: int = 100
@@ -102,6 +105,7 @@ class GenerateConfig:
             error=InvalidGenerateConfig,
         )
         check_nx(self.nx, MAX_NX)
+        require_engine(self.engine)
         if self.split_by not in ("state", "code"):
             raise InvalidGenerateConfig(
                 f'split_by must be "state" or "code", got {self.split_by!r}'

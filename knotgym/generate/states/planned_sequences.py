@@ -71,7 +71,7 @@ class _Way(NamedTuple):
 
 def reach(target: Target) -> Found:
     """Plan a sequence to a target; return elites of the goal and of other requested codes."""
-    simulation = simulation_of(target.planner.batch_size, target.search.rope)
+    simulation = simulation_of(target.planner.batch_size, target.search.rope, target.search.engine)
     graph = shipped_transition_graph(target.planner.graph)
     distances = graph.distances(target.goal)
     # The distance from an elite to the mirrored goal is that from the mirrored elite to the goal,

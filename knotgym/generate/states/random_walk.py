@@ -20,7 +20,7 @@ from knotgym.common.streams import Stream, generator, key
 from knotgym.generate.states.generate_config import InvalidGenerateConfig, check_nx
 from knotgym.quality.measures import Quality, measure, noise_survival
 from knotgym.rope.actions import drawn_actions
-from knotgym.rope.engines import simulation_of
+from knotgym.rope.engines import MUJOCO, require_engine, simulation_of
 from knotgym.rope.model import Array, Rope, RopeConfig
 from knotgym.states.schema import STATE_SPLITS
 from knotgym.topology.crossings import find_crossings
@@ -75,6 +75,7 @@ class RandomWalkConfig:
         train_share: share of the ropes, and so of the states, in the train split; splits share no
             rope.
         seed: random seed; rope i takes the actions of stream RANDOM_WALK, seed, i.
+        engine: the engine that moves the ropes, see `knotgym.rope.engines`.
         start: start configuration of the ropes, "coil" or "circle".
         burn_in: actions before the first configuration is examined.
         every: actions between examined configurations.
@@ -90,6 +91,7 @@ class RandomWalkConfig:
     loops: int = 0
     train_share: float = 0.5
     seed: int = 0
+    engine: str = MUJOCO
     start: str = "coil"
     burn_in: int = 300
     every: int = 25
@@ -108,6 +110,7 @@ class RandomWalkConfig:
             error=InvalidGenerateConfig,
         )
         check_nx(self.nx, LISTED_NX)
+        require_engine(self.engine)
         if self.start not in STARTS:
             raise InvalidGenerateConfig(f"no start {self.start!r}; there is {', '.join(STARTS)}")
         if self.longest < self.burn_in + 1:
@@ -184,7 +187,7 @@ def key_of(config: RandomWalkConfig, rope: int) -> tuple[int, ...]:
 def walk(unit: WalkUnit) -> Walked:
     """Walk a unit's ropes; the same unit gives the same bytes."""
     config, ropes = unit.config, range(unit.first, unit.first + unit.config.batch)
-    simulation = simulation_of(config.batch, RopeConfig())
+    simulation = simulation_of(config.batch, RopeConfig(), config.engine)
     start = simulation.rope.qpos(STARTS[config.start](simulation.rope))
     simulation.lay(np.repeat(start[None], config.batch, axis=0))
     actions = np.stack([drawn_actions(key_of(config, rope), config.longest) for rope in ropes])

@@ -260,6 +260,7 @@ def states_of(config: RandomWalkConfig, accepted: list[WalkState]) -> States:
             "knotgym": knotgym.__version__,
             "mujoco": mujoco.__version__,
             "rope": rope.config.fingerprint,
+            "engine": config.engine,
             "config": json.dumps(asdict(config), sort_keys=True),
         },
     )

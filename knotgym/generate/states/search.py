@@ -21,10 +21,9 @@ from knotgym.control.action_sequence import NO_ACTIONS, ActionSequence, step_rop
 from knotgym.control.transition_counts import TransitionCounts, TransitionRecorder
 from knotgym.generate.states.archive import Archive, ArchiveConfig, Elite
 from knotgym.quality.measures import Limits, base_spacing, measure
-from knotgym.rope.engines import simulation_of
+from knotgym.rope.engines import MUJOCO, require_engine, simulation, simulation_of
 from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, propose
 from knotgym.rope.model import Array, Rope, RopeConfig, base_shifts
-from knotgym.rope.mujoco_simulation import MujocoSimulation
 from knotgym.runs.engine import Batch
 from knotgym.runs.pools import Pool
 from knotgym.topology.crossings import find_crossings, label_many
@@ -84,15 +83,18 @@ class SearchConfig(SearchSettings):
         max_nx: states with more crossings are not kept.
         seed: rope i of round r draws from stream SEARCH_ROPE with counters (r, i).
         rope: physics of the rope.
+        engine: the engine that moves it, see `knotgym.rope.engines`.
     """
 
     max_nx: int = 4
     seed: int = 0
     rope: RopeConfig = RopeConfig()
+    engine: str = MUJOCO
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_numbers(self, whole=("max_nx", "seed"))
+        require_engine(self.engine)
 
 
 class SearchUnit(NamedTuple):
@@ -136,13 +138,13 @@ class Discovery(NamedTuple):
 def new_archive(config: SearchConfig, start: Array | None = None) -> Archive:
     """Return an archive that starts from the plain loop, or from a configuration (beads, 3)."""
     rope = Rope(config.rope)
-    simulation = MujocoSimulation(1, rope)
+    first = simulation(config.engine, 1, rope)
     points = rope.loop() if start is None else start
-    simulation.lay(rope.qpos(points)[None])
+    first.lay(rope.qpos(points)[None])
     origin = "loop" if start is None else np.asarray(points).tolist()
     archive = Archive(settings={**asdict(config), "start": origin})
-    for reading in readings(rope.points(simulation.qpos()[0]), Limits(), config.rope):
-        archive.offer(reading.elite(NO_ACTIONS, simulation.states()[0]), config.archive)
+    for reading in readings(first.points[0], Limits(), config.rope):
+        archive.offer(reading.elite(NO_ACTIONS, first.states()[0]), config.archive)
     return archive
 
 
@@ -239,9 +241,9 @@ def replays(
 def confirm(replay: Replay) -> list[Discovery]:
     """Replay each sequence from the plain loop; return the readings of the final states."""
     sequences, config = replay.sequences, replay.config
-    simulation = simulation_of(len(sequences), config.rope)
-    rope = simulation.rope
-    simulation.lay(np.repeat(rope.qpos(rope.loop())[None], len(sequences), axis=0))
+    ropes = simulation_of(len(sequences), config.rope, config.engine)
+    rope = ropes.rope
+    ropes.lay(np.repeat(rope.qpos(rope.loop())[None], len(sequences), axis=0))
     alive = np.ones(len(sequences), dtype=bool)
     lengths = np.array([len(sequence) for sequence in sequences])
     for step in range(max(lengths)):
@@ -249,11 +251,11 @@ def confirm(replay: Replay) -> list[Discovery]:
         if len(ids):
             beads = np.array([sequences[row].beads[step] for row in ids])
             forces = np.stack([sequences[row].forces[step] for row in ids])
-            _, alive[ids] = step_ropes(simulation, beads, forces, ids)
+            _, alive[ids] = step_ropes(ropes, beads, forces, ids)
     return [
-        Discovery(row, len(sequences[row]), reading, simulation.states([row])[0])
+        Discovery(row, len(sequences[row]), reading, ropes.states([row])[0])
         for row in np.flatnonzero(alive).tolist()
-        for reading in readings(simulation.points[row], Limits(), config.rope)
+        for reading in readings(ropes.points[row], Limits(), config.rope)
         if reading.code.nx <= config.max_nx
     ]
 
@@ -279,15 +281,15 @@ class Played(NamedTuple):
 def play(unit: SearchUnit) -> Played:
     """Apply random macro-actions to the ropes of a unit."""
     config, count = unit.config, len(unit.indices)
-    simulation = simulation_of(count, config.rope)
-    simulation.restore(unit.states)
+    ropes = simulation_of(count, config.rope, config.engine)
+    ropes.restore(unit.states)
     rngs = [generator(Stream.SEARCH_ROPE, config.seed, unit.round, index) for index in unit.indices]
     controller = WaypointController(count, config.macro_actions)
     beads = np.zeros((count, config.steps), dtype=np.int16)
     forces = np.zeros((count, config.steps, 3), dtype=np.float32)
     taken = np.full(count, config.steps)
     alive = np.ones(count, dtype=bool)
-    last = label_many(simulation.points)
+    last = label_many(ropes.points)
     discoveries: list[Discovery] = []
     shifts = base_shifts(config.rope)
     recorders = [
@@ -295,30 +297,30 @@ def play(unit: SearchUnit) -> Played:
     ]
     for step in range(config.steps):
         # A macro-action may end by itself when its bead has arrived; only then is a new one drawn.
-        controller.advance(simulation.points)
+        controller.advance(ropes.points)
         for row in np.flatnonzero(controller.idle).tolist():
-            macro_action = propose(simulation.points[row], rngs[row], config.macro_actions)
+            macro_action = propose(ropes.points[row], rngs[row], config.macro_actions)
             controller.begin(row, macro_action)
-            recorders[row].set_out(find_crossings(simulation.points[row]), macro_action)
-        controller.advance(simulation.points)
+            recorders[row].set_out(find_crossings(ropes.points[row]), macro_action)
+        controller.advance(ropes.points)
         beads[:, step] = controller.beads
-        forces[:, step] = controller.forces(simulation.points)
-        _, held = step_ropes(simulation, beads[:, step], forces[:, step])
+        forces[:, step] = controller.forces(ropes.points)
+        _, held = step_ropes(ropes, beads[:, step], forces[:, step])
         taken[alive & ~held] = step  # the failed action itself doesn't count
         alive &= held
-        controller.advance(simulation.points)
+        controller.advance(ropes.points)
         ended = controller.idle | (step == config.steps - 1)
-        codes = label_many(simulation.points)
+        codes = label_many(ropes.points)
         for row in np.flatnonzero(alive).tolist():
             # States are offered when the code changes and at the end of every macro-action.
             is_new = codes[row] != last[row]
             if is_new:
-                recorders[row].show(find_crossings(simulation.points[row]))
+                recorders[row].show(find_crossings(ropes.points[row]))
             if codes[row].nx <= config.max_nx and (is_new or ended[row]):
-                state = simulation.states([row])[0]
+                state = ropes.states([row])[0]
                 discoveries += [
                     Discovery(unit.indices[row], step + 1, reading, state)
-                    for reading in readings(simulation.points[row], Limits(), config.rope)
+                    for reading in readings(ropes.points[row], Limits(), config.rope)
                 ]
         last = codes
     discoveries.sort(key=_place)  # the archive depends on the order of the offers

@@ -91,6 +91,7 @@ def states_of(recipe: StateRecipe) -> States:
             "knotgym": knotgym.__version__,
             "mujoco": mujoco.__version__,
             "rope": RopeConfig().fingerprint,
+            "engine": config.engine,
             "config": json.dumps(as_json(config), sort_keys=True),
         },
     )
@@ -185,17 +186,18 @@ def write_demonstrations(recipe: StateRecipe, states: States, folder: Path, carr
         if not rows:
             continue
         shard, knot = folder / f"nx{nx}.h5", type_of(recipe.knot)
-        with EpisodeWriter(shard, demonstration_task(nx, name, knot)) as writer:
+        engine = recipe.config.engine
+        with EpisodeWriter(shard, demonstration_task(nx, name, knot, engine)) as writer:
             for row in rows:
                 made = recipe.demonstration(slots[row])
                 assert made is not None
                 goal = GaussCode.parse(str(states.gauss_code[row]))
                 writer.add(made.episode(states.points[row], goal))
-        publish_demonstrations(nx, name, knot, [shard], len(rows), folder, carried)
+        publish_demonstrations(nx, name, knot, engine, [shard], len(rows), folder, carried)
         shard.unlink()
 
 
-def demonstration_task(nx: int, split: str, knot: str) -> TaskConfig:
+def demonstration_task(nx: int, split: str, knot: str, engine: str) -> TaskConfig:
     """Return the task of the demonstrations for states with nx crossings in a split."""
     # Plain loops have nothing to tie, so their task is unknot, with the goal reached at the start.
     return TaskConfig(
@@ -205,6 +207,7 @@ def demonstration_task(nx: int, split: str, knot: str) -> TaskConfig:
         observation="both",
         horizon=HORIZON,
         states=demonstrations_id(nx, split, knot),
+        engine=engine,
     )
 
 
@@ -212,6 +215,7 @@ def publish_demonstrations(
     nx: int,
     split: str,
     knot: str,
+    engine: str,
     sources: Sequence[Any],
     count: int,
     root: Path,
@@ -227,9 +231,9 @@ def publish_demonstrations(
         algorithm_name=POLICY,
         description=(
             f"Action sequences to the Gauss codes of {count} rope states with {nx} crossings, those"
-            f" of the {split} split, found by random and scripted play and by planning. An episode"
-            " ends where the rope first shows the code of its goal; the goal itself, another"
-            " configuration of that code, is in general not reached."
+            f" of the {split} split, engine {engine}, found by random and scripted play and by"
+            " planning. An episode ends where the rope first shows the code of its goal; the goal"
+            " itself, another configuration of that code, is in general not reached."
         ),
     )
     publish(
@@ -238,5 +242,5 @@ def publish_demonstrations(
         root,
         concatenate=True,
         states=states,
-        task=demonstration_task(nx, split, knot),
+        task=demonstration_task(nx, split, knot, engine),
     )

@@ -186,7 +186,9 @@ class StateRecipe:
         if not self.shard.is_whole:
             seed = derived_seed(Stream.SHARD, seed, self.shard.number)
         most = max(*self.config.nx, self.start.code.nx)
-        return SearchConfig(**vars(self.config.search), max_nx=most, seed=seed)
+        return SearchConfig(
+            **vars(self.config.search), max_nx=most, seed=seed, engine=self.config.engine
+        )
 
     def request(self) -> dict[str, Any]:
         curve = Path(self.config.knot)
@@ -204,8 +206,9 @@ class StateRecipe:
         self.archive = Archive.load(self.given) if self.given else fresh
         if _origin(self.archive) != _origin(fresh):
             raise InvalidGenerateConfig(
-                f"the action sequences of {self.given} start from another curve or move another"
-                f" rope than those of knot {self.config.knot} here"
+                f"the action sequences of {self.given} start from another curve, move another rope"
+                f" or were made with another engine than those of knot {self.config.knot} with"
+                f" engine {self.config.engine} here"
             )
 
     def has_ways(self, nx: int) -> bool:
@@ -434,7 +437,8 @@ class StateRecipe:
         """Return the demonstration of a slot with a state; for a plain loop, its own actions."""
         if slot[0] == 0 and self.config.demonstrations:
             state = self.states[slot]
-            return acted_out(simulation_of(1, RopeConfig()), state.start_qpos, state.actions)
+            simulation = simulation_of(1, RopeConfig(), self.config.engine)
+            return acted_out(simulation, state.start_qpos, state.actions)
         return self.demonstrations.get(slot)
 
     def steps(self) -> int:
@@ -591,11 +595,12 @@ def _require_possible(config: GenerateConfig, knot: str) -> None:
 
 
 def _origin(archive: Archive) -> str:
-    """Return the start and the rope of an archive's sequences as JSON.
+    """Return the start, the rope and the engine of an archive's sequences as JSON.
 
     JSON makes the settings of a file, with lists, comparable to those of a search, with tuples.
     """
-    return json.dumps([archive.settings.get("start"), archive.settings.get("rope")], sort_keys=True)
+    known = [archive.settings.get(name) for name in ("start", "rope", "engine")]
+    return json.dumps(known, sort_keys=True)
 
 
 def _columns(

@@ -1,0 +1,118 @@
+"""Action views: what an agent's action is, and the pulls that carry it out.
+
+    "pull"    float32 (6,): x, y, z, fx, fy, fz in [-1, 1], see `actions`; one pull
+    "bead"    int (4,): the bead, and choices of fx, fy, fz, see `actions`; one pull
+    "macro"   int (3,): the bead to lead, the bead whose strand it passes, and 0 for under or 1 for
+              over; as many pulls as it takes
+
+A macro-action is `macro_actions.pass_straight`, carried out by the `WaypointController` until the
+bead has reached its last waypoint, the rope shows another code, or MACRO_PULLS pulls were made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from knotgym.rope.actions import CHOICES, choices, chosen_forces
+from knotgym.rope.macro_actions import MacroActionConfig, WaypointController, pass_straight
+from knotgym.rope.simulation import InvalidAction, Simulation
+from knotgym.topology.gauss import GaussCode
+
+MACRO_PULLS = 10
+
+
+class ActionView:
+    """Carries out agents' actions on the ropes of a simulation, pull by pull.
+
+    Attributes:
+        busy: bool (count,), whether a rope's action has pulls left.
+        pulls: int64 (count,), pulls of each rope's current or last action.
+        macros: int64 (count, 3), the current or last macro-action: bead, target, side (+1 over, -1
+            under).
+    """
+
+    def __init__(self, view: str, simulation: Simulation) -> None:
+        self._view, self._simulation = view, simulation
+        count, beads = simulation.points.shape[:2]
+        self._counts = choices(view, beads) if view in CHOICES else None
+        self._actions: NDArray[np.float64] = np.zeros((count, 6))
+        self._codes: list[GaussCode | None] = [None] * count  # where the macro-action began
+        self._config = MacroActionConfig()
+        self._controller = WaypointController(count, self._config)
+        self.busy = np.zeros(count, dtype=bool)
+        self.pulls = np.zeros(count, dtype=np.int64)
+        self.macros = np.zeros((count, 3), dtype=np.int64)
+
+    def check(self, actions: ArrayLike, ids: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return the actions of the ropes `ids` as float64 (n, 6), (n, 4) or (n, 3).
+
+        Raises:
+            InvalidAction: they have another shape, or a number is out of range.
+        """
+        a = np.asarray(actions, dtype=np.float64)
+        if self._counts is None:
+            self._simulation.read_actions(a, ids)
+            return a
+        if a.shape != (len(ids), len(self._counts)):
+            raise InvalidAction(
+                f"an action of the view {self._view!r} is {len(self._counts)} whole numbers; got"
+                f" shape {a.shape} for {len(ids)} ropes"
+            )
+        bad = ~((a == np.rint(a)) & (a >= 0) & (a < self._counts)).all(axis=1)
+        if bad.any():
+            raise InvalidAction(
+                f"an action of the view {self._view!r} is whole numbers below"
+                f" {self._counts.tolist()}, got {a[bad][0].tolist()}"
+            )
+        return a
+
+    def reset(self, index: int) -> None:
+        """Drop the action of a rope whose episode begins."""
+        self.busy[index], self.pulls[index] = False, 0
+
+    def begin(self, actions: ArrayLike, ids: NDArray[np.int64], codes: Sequence[GaussCode]) -> None:
+        """Start actions on the ropes `ids`; `codes` has the current code of every rope.
+
+        Raises:
+            InvalidAction: as in `check`; no rope's action has changed.
+        """
+        chosen = self.check(actions, ids)
+        self.busy[ids], self.pulls[ids] = True, 0
+        if self._view != "macro":
+            self._actions[ids, : chosen.shape[1]] = chosen
+            return
+        self.macros[ids] = chosen
+        self.macros[ids, 2] = 2 * self.macros[ids, 2] - 1
+        for index in ids.tolist():
+            self._codes[index] = codes[index]
+            points, (bead, target, side) = self._simulation.points[index], self.macros[index]
+            macro_action = pass_straight(points, int(bead), int(target), int(side), self._config)
+            self._controller.begin(index, macro_action)
+
+    def next_pulls(self, ids: NDArray[np.int64]) -> NDArray[np.floating]:
+        """Return the next pull, (n, 6), of each of the ropes `ids`, which are busy."""
+        if self._view == "pull":
+            return self._actions[ids]
+        if self._view == "bead":
+            beads = self._actions[ids, 0].astype(np.int64)
+            forces = chosen_forces(self._actions[ids, 1:4])
+        else:
+            self._controller.advance(self._simulation.points)
+            beads = self._controller.beads[ids]
+            forces = self._controller.forces(self._simulation.points)[ids]
+        return self._simulation.actions(beads, self._simulation.max_force * forces, ids)
+
+    def pulled(
+        self, ids: NDArray[np.int64], codes: Sequence[GaussCode], ended: NDArray[np.bool_]
+    ) -> None:
+        """Record that the ropes `ids` made a pull, and whether it `ended` their episodes."""
+        self.pulls[ids] += 1
+        self.busy[ids] = False
+        if self._view == "macro":
+            self._controller.advance(self._simulation.points)
+            same = np.array([codes[index] == self._codes[index] for index in ids], dtype=bool)
+            spent = self._controller.idle[ids] | (self.pulls[ids] >= MACRO_PULLS)
+            self.busy[ids] = same & ~spent & ~ended

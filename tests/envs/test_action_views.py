@@ -1,0 +1,244 @@
+"""Actions as pulls, as beads and bins, or as macro-actions: one rope, one data set, three views."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from knotgym.control.policies import PolicyConfig, make_policy
+from knotgym.control.policy import InvalidPolicy
+from knotgym.control.rollouts import rollout
+from knotgym.datasets.episode_writer import EpisodeWriter
+from knotgym.envs.environment import KnotEnv, KnotVectorEnv
+from knotgym.envs.episode_batch import EpisodeBatch
+from knotgym.envs.tasks import InvalidSetting, TaskConfig
+from knotgym.loaders import NoLabels, NoMacroActions, Transitions, arrays
+from knotgym.rope.action_views import MACRO_PULLS
+from knotgym.rope.actions import FORCE_BINS, FORCE_CHOICES, chosen_forces, force_choices
+from knotgym.rope.simulation import InvalidAction
+
+VIEWS = ("bead", "macro")
+
+
+@pytest.fixture(scope="module")
+def task(states_path: str) -> TaskConfig:
+    return TaskConfig(
+        task="tie", nx=3, states=states_path, observation="state", action="macro", horizon=24
+    )
+
+
+@pytest.fixture(scope="module")
+def played(task: TaskConfig, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Episodes of random macro-actions."""
+    path = tmp_path_factory.mktemp("macro") / "episodes.h5"
+    with EpisodeWriter(path, task) as writer:
+        for one in rollout(task, make_policy(PolicyConfig()), range(4), 0):
+            writer.add(one.episode, one.number)
+    return path
+
+
+def settings(task: TaskConfig, **changes: Any) -> dict[str, Any]:
+    return {"nx": task.nx, "states": task.states, "observation": "state", **changes}
+
+
+@pytest.mark.parametrize(
+    "view, size", [("bead", [100, *3 * [FORCE_CHOICES]]), ("macro", [100, 100, 2])]
+)
+def test_a_view_has_its_space_and_survives_in_a_spec(
+    view: str, size: list[int], task: TaskConfig
+) -> None:
+    env = gym.make("knotgym/Tie-v0", **settings(task, action=view))
+    assert env.spec is not None
+    again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
+    for one in (env, again):
+        assert isinstance(one.action_space, gym.spaces.MultiDiscrete)
+        assert one.action_space.nvec.tolist() == size
+    many = gym.make_vec("knotgym/Tie-v0", num_envs=2, **settings(task, action=view))
+    assert many.action_space.sample().shape == (2, len(size))
+
+
+def test_an_unknown_view_is_refused() -> None:
+    with pytest.raises(InvalidSetting, match="no action 'force'; there is pull, bead, macro"):
+        TaskConfig(task="tie", action="force")
+
+
+def test_bins_have_a_zero_and_lie_on_the_grid_of_quantized_pulls() -> None:
+    forces = chosen_forces(np.arange(FORCE_CHOICES))
+    assert forces[FORCE_CHOICES // 2] == 0 and forces[[0, -1]].tolist() == [-1, 1]
+    assert np.array_equal(np.rint(forces * FORCE_BINS), forces * FORCE_BINS)
+    assert force_choices(forces).tolist() == list(range(FORCE_CHOICES))
+
+
+def test_a_bead_action_pulls_that_bead(task: TaskConfig) -> None:
+    env = KnotEnv("tie", **settings(task, action="bead"))
+    env.reset(seed=0)
+    *_, info = env.step(np.array([42, 0, 5, 10]))
+    assert info["bead"] == 42 and "macro_pulls" not in info
+    largest = env.episodes.simulation.max_force
+    assert info["force"] == pytest.approx(info["applied_share"] * largest * np.array([-1, 0, 1]))
+
+
+def test_a_macro_action_ends_at_a_new_code_or_its_last_waypoint_or_after_ten_pulls(
+    task: TaskConfig,
+) -> None:
+    env = KnotEnv("tie", **settings(task, action="macro", horizon=500))
+    env.action_space.seed(0)
+    _, info = env.reset(seed=0)
+    assert info["macro_pulls"] == 0
+    used = []
+    for _ in range(15):
+        before, steps = info["gauss_code_chiral"], int(env.episodes.steps[0])
+        _, _, terminated, _, info = env.step(env.action_space.sample())
+        used.append(info["macro_pulls"])
+        assert used[-1] == env.episodes.steps[0] - steps
+        arrived = bool(env.episodes.view._controller.idle[0])
+        assert arrived or info["gauss_code_chiral"] != before or used[-1] == MACRO_PULLS
+        if terminated:
+            _, info = env.reset()
+    assert min(used) >= 1 and max(used) == MACRO_PULLS and len(set(used)) > 2
+
+
+def test_the_horizon_counts_pulls(task: TaskConfig) -> None:
+    env = KnotEnv("tie", **settings(task, action="macro", horizon=3))
+    env.reset(seed=0)
+    # the far side of the rope is more than three pulls away
+    _, reward, terminated, truncated, info = env.step(np.array([0, 50, 1]))
+    assert (reward, terminated, truncated, info["macro_pulls"]) == (-5.0, False, True, 3)
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_ropes_of_a_vector_environment_act_as_single_ones(view: str, task: TaskConfig) -> None:
+    made = settings(task, action=view, horizon=12)
+    many, single = KnotVectorEnv("tie", 2, **made), [KnotEnv("tie", **made) for _ in range(2)]
+    many.action_space.seed(1)
+    many.reset(seed=5)
+    for number, env in enumerate(single):
+        env.reset(seed=5 + number)
+    ended = [False, False]
+    for _ in range(6):
+        actions = many.action_space.sample()
+        states, rewards, _, _, infos = many.step(actions)
+        for number, env in enumerate(single):
+            reward, terminated, truncated = 0.0, False, False
+            if ended[number]:
+                state, info = env.reset()
+            else:
+                state, reward, terminated, truncated, info = env.step(actions[number])
+            assert np.array_equal(states[number], state) and rewards[number] == reward
+            assert all(np.array_equal(infos[name][number], info[name]) for name in info)
+            ended[number] = terminated or truncated
+
+
+@pytest.mark.parametrize(
+    "view, action, told",
+    [
+        ("bead", [100, 0, 0, 0], "whole numbers below"),
+        ("bead", [0.5, 0, 0, 0], "whole numbers below"),
+        ("bead", [0, 0, 0], "is 4 whole numbers"),
+        ("macro", [0, 0, 2], "whole numbers below"),
+        ("macro", [0, -1, 0], "whole numbers below"),
+        ("macro", [np.nan, 0, 0], "whole numbers below"),
+        ("macro", [0.0] * 6, "is 3 whole numbers"),
+    ],
+)
+def test_an_invalid_action_leaves_the_rope_alone(
+    view: str, action: list[float], told: str, task: TaskConfig
+) -> None:
+    env = KnotEnv("tie", **settings(task, action=view))
+    before, _ = env.reset(seed=0)
+    with pytest.raises(InvalidAction, match=told):
+        env.step(np.array(action))
+    assert np.array_equal(env.episodes.state(0), before) and env.episodes.steps[0] == 0
+
+
+def test_an_episode_of_macro_actions_is_its_pulls(task: TaskConfig) -> None:
+    (one,) = rollout(task, make_policy(PolicyConfig()), [3], 0)
+    episode = one.episode
+    pulls = EpisodeBatch(replace(task, action="pull"))
+    pulls.begin(0, np.random.default_rng(episode.seed))
+    for step, action in enumerate(episode.actions):
+        rewards, *_ = pulls.step(action[None], np.array([0]))
+        assert np.array_equal(pulls.simulation.points[0], episode.points[step + 1])
+        assert rewards[0] == episode.rewards[step]
+    assert episode.macro_start is not None and episode.macro_bead is not None
+    assert not episode.macro_start[0] and episode.macro_start[1]
+    assert np.array_equal(episode.macro_bead[1:], episode.bead[1:])
+
+
+def test_one_dataset_has_the_transitions_of_every_view(played: Path) -> None:
+    pull, bead, macro = (arrays(played, action=view) for view in ("pull", *VIEWS))
+    assert np.array_equal(arrays(played)["actions"], macro["actions"])  # the environment's view
+    assert np.array_equal(bead["actions"][:, 1:], force_choices(pull["actions"][:, 3:]))
+    for name in ("observations", "rewards", "terminals"):
+        assert np.array_equal(bead[name], pull[name])
+    stops = np.cumsum(macro["pulls"])
+    starts = stops - macro["pulls"]
+    assert stops[-1] == len(pull["actions"]) and macro["pulls"].max() <= MACRO_PULLS
+    assert np.array_equal(macro["actions"][:, 0], bead["actions"][starts, 0])
+    assert np.array_equal(macro["observations"], pull["observations"][starts])
+    assert np.array_equal(macro["next_observations"], pull["next_observations"][stops - 1])
+    assert macro["rewards"].sum() == pull["rewards"].sum()
+    for name in ("rewards", "terminals", "timeouts"):
+        assert np.array_equal(macro[name], pull[name][stops - 1])
+    assert (macro["terminals"] | macro["timeouts"]).sum() == 4
+
+
+def test_a_batch_of_macro_actions_is_rows_of_the_whole(played: Path, tmp_path: Path) -> None:
+    whole, rows = arrays(played, action="macro"), [5, 0, 3]
+    batch = Transitions(played, action="macro").batch(rows)
+    for name, values in batch.items():
+        assert np.array_equal(values, whole[name][rows]), name
+    seen: dict[str, Any] = {"action": "macro", "observation": "pixels"}
+    cached = Transitions(played, cache=tmp_path, **seen).batch(rows)
+    drawn = Transitions(played, **seen).batch(rows)
+    assert all(np.array_equal(cached[name], drawn[name]) for name in drawn)
+
+
+def test_hindsight_cuts_macro_actions_where_the_goal_is_reached(played: Path) -> None:
+    macro, pull = (Transitions(played, action=view, relabel="all") for view in ("macro", "pull"))
+    assert macro.segments == pull.segments > 0
+    assert macro.rewards.sum() == pull.rewards.sum() and macro.terminals.sum() == macro.segments
+    assert macro.codes(0) == [
+        pull.codes(0)[end] for end in [0, *np.cumsum(macro.pulls[: len(macro.codes(0)) - 1])]
+    ]
+
+
+def test_pulls_before_the_first_macro_action_and_after_the_last_are_accounted_for(
+    task: TaskConfig, tmp_path: Path
+) -> None:
+    (one,) = rollout(task, make_policy(PolicyConfig()), [0], 0)
+    start = np.zeros(len(one.episode) + 1, dtype=bool)
+    start[[3, 8]] = True  # begun in states 2 and 7
+    with EpisodeWriter(tmp_path / "noisy.h5", task) as writer:
+        writer.add(replace(one.episode, macro_start=start))
+        writer.add(replace(one.episode, macro_start=np.zeros_like(start)))  # none at all
+    noisy = Transitions(tmp_path / "noisy.h5", action="macro")
+    assert noisy.segments == 1 and noisy.pulls.tolist() == [5, len(one.episode) - 7]
+    assert np.array_equal(
+        noisy.observations(0)[:, :300],
+        one.episode.points[[2, 7, -1]].reshape(3, 300).astype(np.float32),
+    )
+    assert (noisy.terminals | noisy.timeouts).tolist() == [False, True]
+
+
+def test_a_dataset_without_macro_actions_is_refused(
+    task: TaskConfig, played: Path, tmp_path: Path
+) -> None:
+    pulls = replace(task, action="pull", horizon=2)
+    with EpisodeWriter(tmp_path / "pulls.h5", pulls) as writer:
+        writer.add(rollout(pulls, make_policy(PolicyConfig()), [0], 0)[0].episode)
+    with pytest.raises(NoMacroActions, match="doesn't record macro-actions: use action 'pull'"):
+        arrays(tmp_path / "pulls.h5", action="macro")
+    with pytest.raises(NoLabels, match="the expert's actions are pulls"):
+        arrays(played, labels=True)
+    with pytest.raises(InvalidSetting, match="no action 'force'"):
+        arrays(played, action="force")
+
+
+def test_a_policy_that_chooses_pulls_refuses_other_views(task: TaskConfig) -> None:
+    assert make_policy(PolicyConfig(policy="random")).suited(task) == task
+    with pytest.raises(InvalidPolicy, match="its action must be 'pull', got 'macro'"):
+        make_policy(PolicyConfig(policy="constant")).suited(task)
