@@ -29,6 +29,7 @@ from knotgym.rope.model import Array
 
 FRAMES = 30  # shown per second
 _LIFT = 0.03  # metres above or below the rope's middle height at which a drag leads a bead
+_FARTHEST = 100.0  # scene units from the origin at which a drag is read
 _WALK = 25.0  # beads per second of the walker
 _MOST_TABS = 16  # ropes at a time
 _TRIES = 5  # wrong tokens before a tab is left alone
@@ -150,17 +151,15 @@ class Player:
 
     def _dragging(self, lift: float | None) -> Callable[[Any], None]:
         def drag(event: Any) -> None:
-            bead = event.instance_index
-            if event.phase == "end" or not isinstance(bead, int):
+            bead, place = event.instance_index, event.end_position
+            if event.phase == "end" or type(bead) is not int or len(place) != 3:
                 self._drag = None
                 return
-            target = np.asarray(event.end_position, dtype=np.float64) / SCALE
-            if target.shape != (3,) or not np.isfinite(target).all():
-                return
+            target = np.array([number(one, _FARTHEST) for one in place]) / SCALE
             points = self.session.points
-            height = self._lift.value if lift is None else lift
+            height = number(self._lift.value, 1.0) if lift is None else lift
             if height:
-                target[2] = points[:, 2].mean() + _LIFT * float(height)
+                target[2] = points[:, 2].mean() + _LIFT * height
             self._drag = bead % len(points), target
 
         return drag
@@ -243,7 +242,8 @@ class Player:
             self._recorder.finish(session.number, [] if session.helped else session.actions)
 
     def _change(self, tasks: Any, sizes: Any) -> None:
-        task = replace(self.session.task, task=str(tasks.value), nx=int(sizes.value))
+        nx = int(number(sizes.value, 4.0))
+        task = replace(self.session.task, task=str(tasks.value), nx=nx)
         if task == self.session.task:
             return
         if self._recorder is not None:
@@ -385,6 +385,19 @@ class Page:
             player = self.players.pop(number, None)
         if player is not None:
             player.close()
+
+
+def number(value: object, most: float) -> float:
+    """Read a number that a browser sent: 0 for anything else, clipped to [-most, most].
+
+    >>> number("0.5", 1.0), number(7, 1.0), number("x", 1.0), number(float("nan"), 1.0)
+    (0.5, 1.0, 0.0, 0.0)
+    """
+    try:
+        read = float(str(value)[:40])
+    except ValueError:
+        return 0.0
+    return min(max(read, -most), most) if read == read else 0.0
 
 
 def require_port(host: str, port: int) -> None:

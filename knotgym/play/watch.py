@@ -7,7 +7,7 @@ import time
 from typing import Any
 
 from knotgym.datasets.episode_reader import EpisodeReader
-from knotgym.play.page import FRAMES, Page, PlayConfig
+from knotgym.play.page import FRAMES, Page, PlayConfig, number
 from knotgym.play.scene import RopeScene
 from knotgym.rendering.diagram import draw_diagram
 
@@ -46,17 +46,19 @@ class Viewer:
         while not self._closed.wait(1 / FRAMES):
             now = time.monotonic()
             elapsed, before = now - before, now
-            number = min(int(self._number.value), len(self._reader) - 1)
-            if number != self._opened:
-                self._open(number)
-            if self._playing.value and self._time.value < len(self._episode):
-                pulls = elapsed * float(self._speed.value) / self._lasts
-                self._time.value = min(float(len(self._episode)), self._time.value + pulls)
-            self._show(float(self._time.value))
+            wanted = abs(int(number(self._number.value, len(self._reader) - 1)))
+            if wanted != self._opened:
+                self._open(wanted)
+            last = float(len(self._episode))
+            place = abs(number(self._time.value, last))
+            if self._playing.value and place < last:
+                place = min(last, place + elapsed * number(self._speed.value, 4.0) / self._lasts)
+                self._time.value = max(0.0, place)
+            self._show(place)
 
-    def _open(self, number: int) -> None:
-        self._opened, self._shown = number, -1
-        self._episode = self._reader.episode(number)
+    def _open(self, wanted: int) -> None:
+        self._opened, self._shown = wanted, -1
+        self._episode = self._reader.episode(wanted)
         self._goal.image = draw_diagram(self._episode.goal_points, 192)
         self._time.value, self._time.max = 0.0, float(len(self._episode))
         self._scene.look_from_above(self._episode.points[0])
