@@ -21,6 +21,7 @@ from knotgym.cli.dataset_commands import dataset_app
 from knotgym.cli.demo_commands import compile_kernels, demo
 from knotgym.cli.learning_commands import train
 from knotgym.cli.options import DerivedCommand
+from knotgym.cli.play_command import play
 from knotgym.cli.policy_commands import collect, evaluate
 from knotgym.cli.prompt_commands import prompt
 from knotgym.cli.run_commands import generate, images
@@ -68,7 +69,7 @@ dataset_app.command()(split)
 dataset_app.command()(delete)
 dataset_app.command("import")(import_curves)
 app.add_typer(dataset_app, name="dataset", cls=Group, **_HELP)
-for _command in (demo, generate, collect, suite, train, evaluate, images, prompt):
+for _command in (demo, generate, collect, suite, train, evaluate, play, images, prompt):
     app.command(cls=Command)(_command)
 app.command("compile", cls=Command)(compile_kernels)
 for _listed in dataset_app.registered_commands:

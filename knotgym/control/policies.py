@@ -15,6 +15,7 @@ FOLDER          a learner that `knotgym train` wrote; `pretrained` for the one t
 FILE            a model that takes observations: .zip (Stable-Baselines3; FILE.zip:SAC selects an
                 algorithm other than PPO), .onnx, or .pt (TorchScript)
 prompt:FILE     replays the actions in the transcripts of `knotgym prompt`
+recorded:DATASET  repeats the actions of a dataset's episodes, see `recorded_policy`
 
 `register_policy` adds a single name. A `PolicyFamily` handles every name of some form; packages
 provide families through the entry-point group `knotgym.policies`, and FOLDER and prompt:FILE are
@@ -49,6 +50,8 @@ from knotgym.control.own_policies import OwnPolicy, load_own, module_files
 from knotgym.control.pass_counts import PASSES
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policy import Choice, Effort, InvalidPolicy, Policy
+from knotgym.control.recorded_policy import PREFIX as RECORDED
+from knotgym.control.recorded_policy import load_recording, recording_files
 from knotgym.control.transition_graph import TRANSITIONS
 
 __all__ = [
@@ -195,7 +198,7 @@ def _family(name: str) -> PolicyFamily:
     """The first family whose form a name has. Entry points are read only if they are needed."""
     if _REGISTERED.matches(name):
         return _REGISTERED
-    families = (*_entry_point_families(), _MODEL_FILE, _OWN_CODE)
+    families = (_RECORDED, *_entry_point_families(), _MODEL_FILE, _OWN_CODE)
     for family in families:
         if family.matches(name):
             return family
@@ -252,6 +255,12 @@ _REGISTERED = PolicyFamily(
     matches=lambda name: name in _constructors,
     make=lambda config: _constructors[config.policy](config),
     files=lambda name: {path.name: path for path in _files[name]},
+)
+_RECORDED = PolicyFamily(
+    form=f"{RECORDED}DATASET",
+    matches=lambda name: name.startswith(RECORDED),
+    make=lambda config: load_recording(config.policy),
+    files=recording_files,
 )
 _MODEL_FILE = PolicyFamily(
     form="a .zip, .onnx or .pt file", matches=_is_model_file, make=_model, files=_model_files

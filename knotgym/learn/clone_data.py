@@ -19,9 +19,11 @@ from knotgym.control.demonstrator import RANDOM
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.datasets.trajectory import MACRO_INFOS, Episode
 from knotgym.envs.marked import Marked, mark
-from knotgym.learn.imagination import BEADS, MAX_FORCE
-from knotgym.learn.training_data import InvalidTraining, require_trainable
+from knotgym.learn.imagination import BEADS
+from knotgym.learn.train_config import InvalidTraining
+from knotgym.learn.training_data import require_trainable
 from knotgym.rope.actions import force_choices
+from knotgym.rope.model import RopeConfig
 from knotgym.topology.gauss import GaussCode
 
 
@@ -230,7 +232,7 @@ def _pulls(episode: Episode, number: int) -> Decisions:
         episode.points[:-1].astype(np.float32),
         np.full(count, episode.goal_gauss_code),
         macros,
-        (episode.force[1:] / MAX_FORCE).astype(np.float32),
+        (episode.force[1:] / RopeConfig().max_force).astype(np.float32),
         np.full(count, number, dtype=np.int64),
         np.ones(count, dtype=bool),
     )
