@@ -69,7 +69,7 @@ def evaluation_settings(given: argparse.Namespace, task: TaskConfig) -> dict[str
     """Return the settings of the evaluation after training; None if there is none.
 
     Raises:
-        InvalidSetting, InvalidEvaluation: a setting is invalid or its states are missing.
+        InvalidSetting, InvalidConfig: a setting is invalid or its states are missing.
     """
     state_origins(task)
     if given.episodes == 0:

@@ -150,10 +150,11 @@ def told_transitions(path: Path) -> Told:
 
 def told_settings(path: Path) -> Told:
     """What --settings makes of a file that a user wrote; there is no checksum of it."""
-    from knotgym.cli.options import with_settings
+    from knotgym.cli.options import read_settings
+    from knotgym.common.configuration import from_json
     from knotgym.generate.states.generate_config import GenerateConfig
 
-    with_settings(GenerateConfig(), path)
+    from_json(GenerateConfig, read_settings(path))
     return [], {}
 
 

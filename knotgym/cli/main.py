@@ -20,6 +20,7 @@ from typer.core import TyperCommand, TyperGroup
 from knotgym.cli.dataset_commands import dataset_app
 from knotgym.cli.demo_commands import compile_kernels, demo
 from knotgym.cli.learning_commands import train
+from knotgym.cli.options import DerivedCommand
 from knotgym.cli.policy_commands import collect, evaluate
 from knotgym.cli.prompt_commands import prompt
 from knotgym.cli.run_commands import generate, images
@@ -29,7 +30,7 @@ from knotgym.runs.pools import LostWorkers
 from knotgym.runs.run_options import NotEnough
 
 
-class Command(TyperCommand):
+class Command(DerivedCommand):
     """A command whose --help shows flags without a type and keeps square brackets."""
 
     def get_params(self, ctx: Any) -> Any:

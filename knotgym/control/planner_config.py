@@ -14,7 +14,7 @@ class PlannerConfig:
     """Settings of the planner, see `planner` for the search that they control.
 
     Attributes:
-        budget: most actions simulated for one episode, over all its plans. A search restarts after
+        budget: simulated actions per episode for expert planning. A search restarts after
             `planner.ANEW` of them.
         batch_size: copies of the rope simulated side by side.
         guided: share of macro-actions that imitate counted ones, where there are any; the rest are

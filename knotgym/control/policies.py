@@ -71,9 +71,12 @@ class PolicyConfig:
     """Which policy acts, and its settings.
 
     Attributes:
-        policy: a name in one of the forms listed at the top of this module.
-        noise: probability that an action of the noisy expert is random.
-        shares: weights of random, scripted, noisy-expert and expert in a mixed policy.
+        policy: policy: random, constant, scripted, expert, noisy-expert, mixed or pretrained; a
+            folder written by `knotgym train`; a .zip (SB3), .onnx or .pt file; prompt:FILE, to
+            score transcripts of `knotgym prompt`; or module:name for your own code: a function of
+            (observation) or (observation, info, generator), or an object with reset and act.
+        noise: probability that noisy-expert takes a random action instead of its own.
+        shares: shares of random, scripted, noisy-expert and expert episodes in mixed.
         planner: settings of the experts; the scripted policy uses its macro-actions.
     """
 

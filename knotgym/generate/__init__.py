@@ -13,14 +13,15 @@ if __name__ == "generate":
 
 if TYPE_CHECKING:
     from knotgym.common.atomic_files import Occupied
-    from knotgym.generate.episodes.collect import CollectConfig, InvalidCollection, collect
-    from knotgym.generate.episodes.evaluate import EvaluateConfig, InvalidEvaluation
+    from knotgym.common.configuration import InvalidConfig
+    from knotgym.generate.episodes.collect import CollectConfig, collect
+    from knotgym.generate.episodes.evaluate import EvaluateConfig
     from knotgym.generate.episodes.evaluate import run as evaluate
-    from knotgym.generate.episodes.suite import InvalidSuite, SuiteConfig, make_suite
+    from knotgym.generate.episodes.suite import SuiteConfig, make_suite
     from knotgym.generate.episodes.suite_scores import InvalidScores
     from knotgym.generate.images.image_recipe import make_images
-    from knotgym.generate.images.images_config import ImagesConfig, InvalidImagesConfig
-    from knotgym.generate.states.generate_config import GenerateConfig, InvalidGenerateConfig
+    from knotgym.generate.images.images_config import ImagesConfig
+    from knotgym.generate.states.generate_config import GenerateConfig
     from knotgym.generate.states.random_walk import RandomWalkConfig
     from knotgym.generate.states.random_walk_recipe import walk_states
     from knotgym.generate.states.state_recipe import generate as make_states
@@ -35,13 +36,9 @@ __all__ = [
     "EvaluateConfig",
     "GenerateConfig",
     "ImagesConfig",
-    "InvalidCollection",
-    "InvalidEvaluation",
-    "InvalidGenerateConfig",
-    "InvalidImagesConfig",
+    "InvalidConfig",
     "InvalidRun",
     "InvalidScores",
-    "InvalidSuite",
     "NotEnough",
     "Occupied",
     "RandomWalkConfig",

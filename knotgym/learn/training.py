@@ -8,7 +8,6 @@ import json
 import shutil
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,14 +21,15 @@ from torch import Tensor
 
 import knotgym
 from knotgym.common.atomic_files import atomic_write, move_into_place, remove, require_output
-from knotgym.common.configuration import as_json, check_numbers, differences, read_json
+from knotgym.common.configuration import as_json, differences, read_json
 from knotgym.common.errors import one_line
 from knotgym.common.hdf5_files import require_regular
 from knotgym.common.streams import Stream, generator
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.learn.checkpoint import CARD, Learned, load_policy, read_card, save_policy
 from knotgym.learn.reader_training import ReaderTraining
-from knotgym.learn.training_data import InvalidTraining, TrainingData, read_training_data
+from knotgym.learn.train_config import InvalidTraining, TrainConfig
+from knotgym.learn.training_data import TrainingData, read_training_data
 from knotgym.runs.progress import Progress, Status
 from knotgym.runs.run_options import REFUSE_EXISTING, Existing
 from knotgym.runs.staging import (
@@ -44,33 +44,6 @@ from knotgym.runs.staging import (
 UNDER_WAY, REQUEST = "training.safetensors", "training.json"
 _SEAL = "seal"  # name of the array that holds the digest of the others
 _CURVE_WINDOW = 50  # steps averaged in each row of the learning curve
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrainConfig:
-    """Settings of a training.
-
-    Attributes:
-        steps: optimizer steps of the reader.
-        batch: pictures per step.
-        places: start positions of episodes that are kept, at most.
-        save_every: steps between checkpoints.
-        seed: seed of all random draws.
-    """
-
-    steps: int = 3000
-    batch: int = 48
-    places: int = 512
-    save_every: int = 200
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        check_numbers(
-            self,
-            counts=("steps", "batch", "places", "save_every"),
-            whole=("seed",),
-            error=InvalidTraining,
-        )
 
 
 def train(

@@ -9,14 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.errors import KnotgymError
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.learn.imagination import BEADS
+from knotgym.learn.train_config import InvalidTraining
 from knotgym.rope.model import RopeConfig
-
-
-class InvalidTraining(KnotgymError, ValueError):
-    """A training that can't run: its settings, its datasets or what it resumes are invalid."""
 
 
 class TrainingData(NamedTuple):

@@ -20,7 +20,8 @@ import mujoco
 
 import knotgym
 from knotgym.common.errors import install_command
-from knotgym.runs.pools import AHEAD, InvalidExecutor, LostWorkers, Promise, ordered
+from knotgym.runs.pools import AHEAD, LostWorkers, Promise, ordered
+from knotgym.runs.run_options import InvalidRun
 
 CONNECT = 10.0  # seconds to wait for the scheduler
 WAIT = 60.0  # seconds to wait for a first worker, and for a new one when all are gone
@@ -94,7 +95,7 @@ def cluster(scheduler: str) -> Iterator[Cluster]:
     try:
         from distributed import Client
     except ModuleNotFoundError as error:
-        raise InvalidExecutor(
+        raise InvalidRun(
             "--executor dask needs Dask distributed, which isn't installed; install it with:"
             f" {install_command('dask')}"
         ) from error
@@ -104,7 +105,7 @@ def cluster(scheduler: str) -> Iterator[Cluster]:
     try:
         client = Client(scheduler, timeout=CONNECT, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise InvalidExecutor(
+        raise InvalidRun(
             f"no Dask scheduler answers at {scheduler}: start one with `dask scheduler`, or check"
             " the address"
         ) from error
@@ -112,13 +113,13 @@ def cluster(scheduler: str) -> Iterator[Cluster]:
         try:
             client.wait_for_workers(1, timeout=WAIT)
         except TimeoutError as error:
-            raise InvalidExecutor(
+            raise InvalidRun(
                 f"the cluster at {scheduler} has no worker: start some with `dask worker"
                 f" {scheduler} --nthreads 1`"
             ) from error
         threads = client.nthreads()
         if max(threads.values()) > 1:
-            raise InvalidExecutor(
+            raise InvalidRun(
                 f"a worker at {scheduler} has {max(threads.values())} threads, but must have one:"
                 f" start workers with `dask worker {scheduler} --nthreads 1 --nworkers CORES`"
             )
@@ -142,7 +143,7 @@ def _call(function: Callable[[Any], Any], piece: Any, folder: str, about: tuple[
 
     here = knotgym.__version__, mujoco.__version__
     if here != about:
-        raise InvalidExecutor(
+        raise InvalidRun(
             f"a worker has knotgym {here[0]} and MuJoCo {here[1]}, but the run has {about[0]} and"
             f" {about[1]}: results could differ"
         )

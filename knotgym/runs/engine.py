@@ -12,6 +12,7 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -77,13 +78,12 @@ class Recipe(Protocol):
     """One kind of run. Its methods run in the main process, only `Batch.work` runs on workers.
 
     `flexible` names the fields of the configuration that may change when a run is resumed.
+    `engine` is the simulation engine, whose kernels are compiled before the workers start.
+    `begin`, `load` and `save` do nothing by default, for recipes whose units write their own files.
     """
 
     flexible: tuple[str, ...] = ()
-
-    @property
-    def engine(self) -> str:
-        """The simulation engine, whose kernels are compiled before the workers start."""
+    engine: str
 
     def request(self) -> dict[str, Any]:
         """Return the configuration and sources as JSON: `{"config": {...}, "source": ...}`."""
@@ -113,8 +113,24 @@ class Recipe(Protocol):
         """Return a one-line description of the output."""
 
 
-def run(recipe: Recipe, out: Path, options: RunOptions, progress: Progress | None = None) -> Path:
-    """Execute a recipe and return the new folder `out`.
+def run(
+    recipe: Recipe,
+    out: Path,
+    options: RunOptions,
+    progress: Progress | None = None,
+    *,
+    is_folder: bool = True,
+    made_by: Callable[[Path], dict[str, Any] | None] | None = None,
+) -> Path:
+    """Execute a recipe and return its output.
+
+    Args:
+        recipe: what to make.
+        out: folder or file to make.
+        options: how to execute it.
+        progress: where to show progress; a new display by default.
+        is_folder: whether `out` is a folder.
+        made_by: path of an output -> the request of its run, or None; by default `request_of`.
 
     Raises:
         Occupied: the output exists, another run holds its staging folder, or that was removed.
@@ -124,21 +140,19 @@ def run(recipe: Recipe, out: Path, options: RunOptions, progress: Progress | Non
     """
     if progress is None:
         with Progress(options.quiet) as progress:
-            return run(recipe, out, options, progress)
+            return run(recipe, out, options, progress, is_folder=is_folder, made_by=made_by)
     began = time.perf_counter()
     request = whole_request(recipe.request(), options.shard)
-    if is_finished(out, request, options, recipe.flexible):
+    if is_finished(out, request, options, recipe.flexible, made_by):
         discard(out)  # left if the run was killed after moving its output into place
         progress.say(f"{out} is finished already")
         return out
-    require_output(out, folder=True, overwrite=options.overwrite)
+    require_output(out, folder=is_folder, overwrite=options.overwrite)
     require_startable(out, request, options, recipe.flexible, progress)
     compile_first(progress, recipe.engine)
     if not (options.resume and recipe.load(staging_folder(out))):
         recipe.begin()
-    with staging(out, options) as folder:
-        with atomic_write(folder / REQUEST) as temporary:
-            temporary.write_text(json.dumps(request, indent=1, sort_keys=True), encoding="utf-8")
+    with _staging(out, options, request) as folder:
         lock = os.stat(folder / "lock")
         with executor(options.workers, options.scheduler) as pool:
             for batch in recipe.batches(folder):
@@ -163,21 +177,39 @@ def run(recipe: Recipe, out: Path, options: RunOptions, progress: Progress | Non
     return out
 
 
+@contextmanager
+def _staging(out: Path, options: RunOptions, request: dict[str, Any]) -> Iterator[Path]:
+    """Hold the staging folder with a request in it; remove it after a failure without any work."""
+    with staging(out, options) as folder:
+        with atomic_write(folder / REQUEST) as temporary:
+            temporary.write_text(json.dumps(request, indent=1, sort_keys=True), encoding="utf-8")
+        try:
+            yield folder
+        except BaseException:
+            if folder.is_dir() and {path.name for path in folder.iterdir()} <= {"lock", REQUEST}:
+                shutil.rmtree(folder)
+            raise
+
+
 def is_finished(
-    out: Path, asked: dict[str, Any], existing: Existing, flexible: tuple[str, ...] = ()
+    out: Path,
+    asked: dict[str, Any],
+    existing: Existing,
+    flexible: tuple[str, ...] = (),
+    made_by: Callable[[Path], dict[str, Any] | None] | None = None,
 ) -> bool:
     """Whether `out` is already the finished output of the run to resume.
 
     Raises:
         InvalidRun: it is the output of another request, and `existing` doesn't overwrite it.
     """
-    made_by = request_of(out) if may_be_finished(out, existing) else None
-    if made_by is None:
+    there = (made_by or request_of)(out) if may_be_finished(out, existing) else None
+    if there is None:
         return False
     if not existing.overwrite:
-        require_same(made_by, asked, flexible, out)
+        require_same(there, asked, flexible, out)
         return True
-    return not differing(made_by, asked, flexible)
+    return not differing(there, asked, flexible)
 
 
 def require_startable(

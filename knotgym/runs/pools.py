@@ -10,10 +10,6 @@ from knotgym.common.errors import KnotgymError
 AHEAD = 8  # pieces in progress per worker, so that one slow piece doesn't leave others idle
 
 
-class InvalidExecutor(KnotgymError, ValueError):
-    """The requested executor can't be used."""
-
-
 class LostWorkers(KnotgymError, RuntimeError):
     """Work stopped because no worker is left."""
 

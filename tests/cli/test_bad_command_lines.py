@@ -4,11 +4,10 @@ status 2, and writes nothing.
 
 from __future__ import annotations
 
-import inspect
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
 import pytest
 import typer
@@ -115,17 +114,13 @@ def lines() -> Iterator[tuple[str, ...]]:
         if name.startswith("dataset"):
             yield words
             yield from ((*words, bad, *base[1:]) for bad in (*NO_INPUT, "../x", ".."))
-        hints = {
-            one: get_args(hint) or (hint,)
-            for one, hint in get_type_hints(inspect.unwrap(command.callback)).items()
-        }
         for parameter in command.params:
             option = max((one for one in parameter.opts if one.startswith("--")), default="")
             if not option or parameter.is_flag:
                 continue
             yield (*words, *base, option)
-            kind = hints.get(parameter.name, ())
-            numbers = NOT_WHOLE if int in kind else NOT_REAL if float in kind else ()
+            kind = parameter.type_descriptor.annotation
+            numbers = {int: NOT_WHOLE, float: NOT_REAL}.get(kind, ())
             others = _without(base, option)
             for bad in dict.fromkeys(
                 (*numbers, *(() if option in FREE else WORDS.get(option, ())))

@@ -96,7 +96,7 @@ def test_a_configuration_comes_back_from_json(config: Any) -> None:
 
 
 def test_a_value_without_a_field_is_refused() -> None:
-    with pytest.raises(InvalidConfig, match="ArchiveConfig has no field 'mood'"):
+    with pytest.raises(InvalidConfig, match="ArchiveConfig: no field 'mood'; there is kept, fair"):
         from_json(ArchiveConfig, {"kept": 2, "mood": 1})
 
 

@@ -154,7 +154,7 @@ def test_a_finished_suite_is_left_alone_and_shows_evaluations_that_came_since(
         (("--policies", "mixed"), "the suite's policies must be among random, scripted"),
         (("--episodes", "expert:3"), "--episodes takes a number, or one per policy"),
         (("--episodes", "dreamer=3"), "episodes are set for random, scripted"),
-        (("--episodes", "0"), "episodes must be at least 1, got 0"),
+        (("--episodes", "0"), "episodes must be a whole number of at least 1, got 0"),
         (("--observation", "smell"), "no observation 'smell'"),
         (("--scores", "pyproject.toml"), "pyproject.toml isn't a file of `knotgym evaluate"),
     ],

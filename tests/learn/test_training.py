@@ -160,7 +160,7 @@ def test_changed_arrays_are_not_gone_on_with(tmp_path: Path) -> None:
     import torch
 
     from knotgym.learn import training
-    from knotgym.learn.training_data import InvalidTraining
+    from knotgym.learn.train_config import InvalidTraining
 
     path = tmp_path / training.UNDER_WAY
     (tmp_path / training.REQUEST).write_text("{}")

@@ -19,8 +19,8 @@ from typing import Any
 
 import knotgym
 from knotgym.common.atomic_files import Occupied, atomic_write, require_output, sha256
-from knotgym.common.configuration import read_json
-from knotgym.common.errors import KnotgymError, one_line
+from knotgym.common.configuration import InvalidConfig, read_json
+from knotgym.common.errors import one_line
 from knotgym.control.planner_config import PlannerConfig
 from knotgym.control.policies import PolicyConfig
 from knotgym.datasets.cards.citation import code_span, filled, plain
@@ -32,8 +32,8 @@ from knotgym.generate.episodes.collect import (
     EpisodeRecipe,
     collect,
     plain_id,
-    reference_scores,
 )
+from knotgym.generate.episodes.results import reference_scores
 from knotgym.generate.episodes.suite_scores import SUITE, read_scores, score_tables
 from knotgym.rope.engines import ENGINES, MUJOCO
 from knotgym.runs.engine import is_finished, request_of, require_resumable, whole_request
@@ -49,23 +49,23 @@ _FORMAT = "knotgym-suite"
 _CARD = ("suite.json", "README.md")
 
 
-class InvalidSuite(KnotgymError, ValueError):
-    """The requested benchmark, or part of it, can't be made."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class SuiteConfig:
     """Which part of the benchmark to make; all of it by default, see `data/suite.toml`.
 
     Attributes:
-        tasks, nx: every task is combined with every number of crossings.
-        policies: a subset of POLICIES.
-        states: a subset of STATES.
+        tasks: tasks, comma-separated: unknot, tie, convert.
+        nx: numbers of crossings, from 2 to 4: 3 or 2,3.
+        policies: policies, comma-separated: random, scripted, noisy-expert, expert.
+        states: sets of states, comma-separated: readable, random-walk.
         episodes: policy -> episodes per setup and set of states.
-        engine: see `TaskConfig`; other engines than MuJoCo have ids of their own.
-        observation: stored observation, see `TaskConfig`.
-        budget: simulated actions per episode for expert planning, see `PlannerConfig`.
-        seed: random seed of every dataset.
+        engine: simulation engine: mujoco, the reference, or chain, which is many times as fast.
+            Every engine but MuJoCo has ids of its own.
+        observation: observation to store: pixels, state, both or symbolic. Pictures can be drawn
+            from any of them.
+        budget: simulated actions per episode for expert planning.
+        seed: random seed of every dataset; not 0, the default of `evaluate`, whose episodes on the
+            train split would then start like those of the datasets.
     """
 
     tasks: tuple[str, ...] = tuple(SUITE["tasks"])
@@ -83,12 +83,12 @@ class SuiteConfig:
             some, known = getattr(self, name), SUITE[name]
             wrong = [one for one in some if one not in known]
             if wrong or not some:
-                raise InvalidSuite(
+                raise InvalidConfig(
                     f"the suite's {name} must be among {', '.join(map(str, known))}; got"
                     f" {', '.join(map(str, wrong)) or 'none'}"
                 )
         if unknown := [one for one in self.episodes if one not in POLICIES]:
-            raise InvalidSuite(
+            raise InvalidConfig(
                 f"episodes are set for {', '.join(POLICIES)}; got {', '.join(unknown)}"
             )
         object.__setattr__(self, "episodes", {**SUITE["episodes"], **self.episodes})
@@ -145,7 +145,7 @@ def make_suite(
     Raises:
         Occupied: a dataset, a card or an interrupted run is in the way.
         InvalidRun: an existing dataset was made by another request.
-        InvalidSuite, InvalidScores: an existing dataset or an evaluation can't be read.
+        InvalidConfig, InvalidScores: an existing dataset or an evaluation can't be read.
     """
     if progress is None:
         with Progress(options.quiet) as progress:
@@ -246,7 +246,7 @@ def describe_set(made: Path) -> dict[str, Any]:
             "versions": said["versions"],
         }
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InvalidSuite(
+        raise InvalidConfig(
             f"{made} is none of the suite's sets ({one_line(error)}); remove it"
         ) from error
 

@@ -16,14 +16,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import as_json
+from knotgym.common.configuration import InvalidConfig, as_json
 from knotgym.common.streams import Stream, generator
 from knotgym.datasets.image_folder import finish
 from knotgym.datasets.image_rows import Row, TableFile, write_table_file
 from knotgym.datasets.image_table import arrow, shard_name
 from knotgym.generate.images.images_config import (
     ImagesConfig,
-    InvalidImagesConfig,
     held_out,
     quotas,
 )
@@ -62,7 +61,7 @@ def make_images(
 
     Raises:
         Occupied, InvalidRun: as in `runs.engine.run`.
-        InvalidImagesConfig, NoSeedStates: such pictures can't be made.
+        InvalidConfig, NoSeedStates: such pictures can't be made.
         NotEnough: walks from the states don't reach enough different configurations.
     """
     arrow()
@@ -78,6 +77,7 @@ class ImageRecipe(Recipe):
 
     def __init__(self, config: ImagesConfig, options: RunOptions, start: SeedStates) -> None:
         self.config, self.shard, self.start = config, options.shard, start
+        self.engine = config.engine
         codes = {
             nx: sorted(
                 {code for knot in start.knots for code in codes_of(knot, nx)},
@@ -87,14 +87,12 @@ class ImageRecipe(Recipe):
         }
         for nx in config.nx:
             if not codes[nx]:
-                raise InvalidImagesConfig(
-                    f"no diagram of {' or '.join(start.knots)} has {nx} crossings"
-                )
+                raise InvalidConfig(f"no diagram of {' or '.join(start.knots)} has {nx} crossings")
         quota = quotas(config, {nx: len(codes[nx]) for nx in codes})
         shares = {key: self.shard.share(count) for key, count in quota.items()}
         self.wanted = {key: len(share) for key, share in shares.items() if share}
         if not self.wanted:
-            raise InvalidImagesConfig(
+            raise InvalidConfig(
                 f"shard {self.shard} has no picture to make: split the run into fewer shards"
             )
         self.split = splits_of(config, start, set(quota))
@@ -111,10 +109,6 @@ class ImageRecipe(Recipe):
         self.frames = 0
         self.table = Path()
         self.written: list[Path] = []
-
-    @property
-    def engine(self) -> str:
-        return self.config.engine
 
     def request(self) -> dict[str, Any]:
         return {"config": as_json(self.config), "source": self.start.source}

@@ -4,8 +4,9 @@ import itertools
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
+from knotgym.common.configuration import InvalidConfig
 from knotgym.common.streams import Stream, generator
-from knotgym.generate.states.generate_config import GenerateConfig, InvalidGenerateConfig
+from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.runs.shards import Shard
 from knotgym.topology.gauss import GaussCode
 from knotgym.topology.knot_table import based_diagrams, diagram_of, type_of
@@ -42,7 +43,7 @@ class CodeOrder:
             self.wanted = len(shard.share(config.count))
             return
         if not self.listed:
-            raise InvalidGenerateConfig(f"no diagram of {config.knot} has {nx} crossings")
+            raise InvalidConfig(f"no diagram of {config.knot} has {nx} crossings")
         order = generator(Stream.CODE_ORDER, config.seed, nx).permutation(len(self.listed))
         each = config.every_code or -(-config.count // len(self.listed))
         # first copies of all codes come before second copies; shards take slots in turn
@@ -77,6 +78,6 @@ class CodeOrder:
             code = uniform_code(self._nx, self._rng)
             if shows(code, self._knot):
                 return code
-        raise InvalidGenerateConfig(
+        raise InvalidConfig(
             f"none of {_RARE} random codes with {self._nx} crossings shows {self._knot}"
         )

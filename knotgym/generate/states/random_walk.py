@@ -13,9 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from knotgym.common.configuration import check_numbers, check_nx
+from knotgym.common.configuration import InvalidConfig, check_numbers, check_nx
 from knotgym.common.streams import Stream, generator, key
-from knotgym.generate.states.generate_config import InvalidGenerateConfig
 from knotgym.quality.measures import Quality, measure, noise_survival
 from knotgym.rope.actions import drawn_actions
 from knotgym.rope.engines import MUJOCO, require_engine, simulation_of
@@ -105,14 +104,13 @@ class RandomWalkConfig:
             counts=("count", "every", "longest", "attempts", "batch", "wave"),
             whole=("loops", "seed", "burn_in"),
             shares=("train_share",),
-            error=InvalidGenerateConfig,
         )
-        check_nx(self.nx, LISTED_NX, InvalidGenerateConfig)
+        check_nx(self.nx, LISTED_NX)
         require_engine(self.engine)
         if self.start not in STARTS:
-            raise InvalidGenerateConfig(f"no start {self.start!r}; there is {', '.join(STARTS)}")
+            raise InvalidConfig(f"no start {self.start!r}; there is {', '.join(STARTS)}")
         if self.longest < self.burn_in + 1:
-            raise InvalidGenerateConfig(
+            raise InvalidConfig(
                 f"longest must be above burn_in, {self.burn_in}, got {self.longest}"
             )
 

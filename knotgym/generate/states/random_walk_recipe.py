@@ -67,13 +67,10 @@ class RandomWalkRecipe(Recipe):
 
     def __init__(self, config: RandomWalkConfig) -> None:
         self.config = config
+        self.engine = config.engine
         self.walked = 0  # ropes
         self.accepted: list[WalkState] = []
         self.rejected: dict[int, Counter[str]] = {nx: Counter() for nx in config.nx}
-
-    @property
-    def engine(self) -> str:
-        return self.config.engine
 
     def request(self) -> dict[str, Any]:
         return {"config": as_json(self.config), "source": RANDOM_WALK}

@@ -27,7 +27,7 @@ import numpy as np
 
 import knotgym
 from knotgym.common.atomic_files import sha256
-from knotgym.common.configuration import as_json
+from knotgym.common.configuration import InvalidConfig, as_json
 from knotgym.common.errors import MissingFile
 from knotgym.common.streams import Stream, derived_seed, key
 from knotgym.generate.packed_records import (
@@ -49,7 +49,7 @@ from knotgym.generate.states.demonstrations import (
     demonstrate,
 )
 from knotgym.generate.states.drawn_states import DrawnOnes, DrawnUnit, MadeState, draw_states
-from knotgym.generate.states.generate_config import GenerateConfig, InvalidGenerateConfig
+from knotgym.generate.states.generate_config import GenerateConfig
 from knotgym.generate.states.planned_sequences import Found, Target, reach
 from knotgym.generate.states.search import SearchConfig, new_archive, replays, search_round
 from knotgym.rope.engines import simulation_of
@@ -98,7 +98,7 @@ def generate(
 
     Raises:
         Occupied, InvalidRun: as in `runs.engine.run`.
-        InvalidGenerateConfig: such states can't be made.
+        InvalidConfig: such states can't be made.
         NotEnough: `config.attempts` or `config.searches` were used up.
     """
     recipe = StateRecipe(config, options.shard, archive)
@@ -122,6 +122,7 @@ class StateRecipe(Recipe):
         if archive is not None and not archive.is_file():
             raise MissingFile(f"no archive at {archive}")
         self.config, self.shard, self.given = config, shard or Shard(), archive
+        self.engine = config.engine
         self._start: Start | None = None
         self.knot = config.knot if _is_tabled(config.knot) else self.start.knot
         if type_of(self.knot) == UNKNOT:
@@ -131,7 +132,7 @@ class StateRecipe(Recipe):
         self.codes = {nx: CodeOrder(config, self.knot, self.shard, nx) for nx in config.nx}
         self.wanted = sum(codes.wanted for codes in self.codes.values())
         if not self.wanted:
-            raise InvalidGenerateConfig(
+            raise InvalidConfig(
                 f"shard {self.shard} has no state to make: split the run into fewer shards"
             )
         self.archive = Archive()  # states and sequences found by play and by the planner
@@ -167,10 +168,6 @@ class StateRecipe(Recipe):
             **vars(self.config.search), max_nx=most, seed=seed, engine=self.config.engine
         )
 
-    @property
-    def engine(self) -> str:
-        return self.config.engine
-
     def request(self) -> dict[str, Any]:
         curve = Path(self.config.knot)
         source = {
@@ -186,7 +183,7 @@ class StateRecipe(Recipe):
         fresh = new_archive(self.search, None if is_loop else self.start.points)
         self.archive = Archive.load(self.given) if self.given else fresh
         if _origin(self.archive) != _origin(fresh):
-            raise InvalidGenerateConfig(
+            raise InvalidConfig(
                 f"the action sequences of {self.given} start from another curve, move another rope"
                 f" or were made with another engine than those of knot {self.config.knot} with"
                 f" engine {self.config.engine} here"
@@ -554,11 +551,11 @@ def _require_possible(config: GenerateConfig, knot: str) -> None:
     least = diagram_of(knot).nx
     for nx in config.nx:
         if nx < least:
-            raise InvalidGenerateConfig(
+            raise InvalidConfig(
                 f"no diagram of {config.knot} has {nx} crossings; it has at least {least}"
             )
         if config.demonstrations and nx > max(LISTED_NX, least):
-            raise InvalidGenerateConfig(
+            raise InvalidConfig(
                 f"action sequences are limited to {LISTED_NX} crossings, got nx {nx};"
                 " --no-demonstrations makes states without them"
             )
@@ -566,7 +563,7 @@ def _require_possible(config: GenerateConfig, knot: str) -> None:
         if not shows(code, knot):
             seen = knot_type(code)
             other_hand = " (handedness differs)" if seen == type_of(knot) else ""
-            raise InvalidGenerateConfig(
+            raise InvalidConfig(
                 f"the code {str(code)!r} shows the knot {seen}, not {config.knot}{other_hand}"
             )
 

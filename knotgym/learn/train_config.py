@@ -1,0 +1,43 @@
+"""The configuration of `knotgym train`, which can be read without torch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from knotgym.common.configuration import check_numbers
+from knotgym.common.errors import KnotgymError
+
+
+class InvalidTraining(KnotgymError, ValueError):
+    """A training that can't run: its settings, its datasets or what it resumes are invalid."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainConfig:
+    """Settings of a training.
+
+    Attributes:
+        steps: training steps of the reader, the perception model.
+        batch: pictures per step.
+        stretches: episode beginnings to which the rope model is fitted, at most.
+        tries: candidates for the rope model's shared parameters, in each of two searches.
+        places: start positions of episodes that are kept, at most.
+        save_every: steps between checkpoints.
+        seed: random seed; the same seed and data give the same weights.
+    """
+
+    steps: int = 3000
+    batch: int = 48
+    stretches: int = 100
+    tries: int = 150
+    places: int = 512
+    save_every: int = 200
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        check_numbers(
+            self,
+            counts=("steps", "batch", "stretches", "tries", "places", "save_every"),
+            whole=("seed",),
+            error=InvalidTraining,
+        )
