@@ -151,6 +151,5 @@ def test_scores_of_macro_actions_never_stand_beside_published_ones(tmp_path: Pat
     pulls, macros = page[:own], page[own:]
     assert any("published" in line for line in pulls)
     assert not any("published" in line for line in macros)
-    assert [line.split(" | ")[:2] for line in macros if "random" in line] == [
-        ["| random", 'action="macro"']
-    ]
+    (line,) = [line for line in macros if "random" in line]
+    assert line.startswith('| random | action="macro"')
