@@ -132,9 +132,7 @@ def examples(decisions: Decisions) -> Examples:
     )
 
 
-def read_decisions(
-    datasets: Sequence[Any], config: CloneConfig
-) -> Decisions:
+def read_decisions(datasets: Sequence[Any], config: CloneConfig) -> Decisions:
     """Read the decisions of datasets, given as ids or folders.
 
     Args:
@@ -174,7 +172,7 @@ def read_decisions(
 
 def none() -> Decisions:
     """Return no decisions."""
-    return gathered([], [], GaussCode(), 0)
+    return gathered([], [], GaussCode(), 0, CloneConfig())
 
 
 def join(parts: Sequence[Decisions]) -> Decisions:
@@ -198,7 +196,7 @@ def gathered(
     asked: Sequence[Step],
     goal: GaussCode,
     number: int,
-    config: CloneConfig = CloneConfig(),
+    config: CloneConfig,
 ) -> Decisions:
     """Return the decisions of an episode that are worth learning.
 

@@ -25,6 +25,9 @@ from knotgym.runs.progress import Progress, Status
 from knotgym.topology.crossings import label
 from knotgym.topology.gauss import GaussCode
 
+# a goal and the way to it: empty if none was found, None if random passes led there already
+_Found = tuple[GaussCode, list[Decision] | None]
+
 
 def demonstrated_tasks(config: DemonstrationsConfig) -> list[TaskConfig]:
     """Return the tasks that are demonstrated."""
@@ -63,18 +66,19 @@ def demonstrate(
     for place, task in enumerate(tasks):
         rng = generator(Stream.DEMONSTRATION_STARTS, clone.seed, place)
         starts = draw_starts(task, config.starts, rng)
-        ways = dict[int, tuple[GaussCode, list[Decision]]]()
+        ways = dict[int, _Found]()
         searches = _searches(values, starts, demonstrator, clone, place)
         for episode, found in lanes.run(searches):
             ways[episode], done = found, done + 1
             progress.show(status)
         for episode, (goal, way) in sorted(ways.items()):
-            steps = [_step(decision) for decision in way]
+            steps = [_step(decision) for decision in way or []]
             parts.append(gathered(steps, steps, goal, number + episode, clone))
         number += config.episodes
-        ranks = np.array([decision.rank for _, way in ways.values() for decision in way])
+        asked = [way for _, way in ways.values() if way is not None]
+        ranks = np.array([decision.rank for way in asked for decision in way])
         told[f"{task.task} {task.nx}"] = {
-            "reached": float(np.mean([bool(way) for _, way in ways.values()])),
+            "reached": float(np.mean([bool(way) for way in asked])),
             "decisions": len(ranks),
             "first_choices": float(np.mean(ranks == 1)) if len(ranks) else None,
         }
@@ -88,7 +92,7 @@ def _searches(
     demonstrator: DemonstratorConfig,
     clone: CloneConfig,
     place: int,
-) -> Iterator[Search[tuple[GaussCode, list[Decision]]]]:
+) -> Iterator[Search[_Found]]:
     for episode in range(clone.demonstrations.episodes):
         rng = generator(Stream.DEMONSTRATION, clone.seed, place, episode)
         row, goal = starts.draw(rng)
@@ -104,19 +108,17 @@ def _way(
     points: Array,
     wander: int,
     rng: np.random.Generator,
-) -> Search[tuple[GaussCode, list[Decision]]]:
-    """Find a way after some random passes; none if they reach the goal."""
+) -> Search[_Found]:
+    """Find a way after some random passes."""
     for _ in range(wander):
         landing: Landing = yield Trial(state, random_pass(len(points), rng), goal)
         state, points = landing.state, landing.points
     if label(points).matches(goal):
-        return goal, []
+        return goal, None
     way, _ = yield from find_way(values, goal, config, state, points)
     return goal, way
 
 
 def _step(decision: Decision) -> Step:
-    points, landed = (
-        one.astype(np.float32) for one in (decision.points, decision.landing.points)
-    )
+    points, landed = (one.astype(np.float32) for one in (decision.points, decision.landing.points))
     return Step(points, landed, decision.code, decision.landing.code, tuple(decision.move))

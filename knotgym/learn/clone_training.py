@@ -28,7 +28,6 @@ from knotgym.common.streams import Stream, generator
 from knotgym.datasets.episode_reader import EpisodeReader
 from knotgym.envs.tasks import TaskConfig
 from knotgym.learn.clone_config import CloneConfig
-from knotgym.learn.clone_demonstrations import demonstrate, demonstrated_tasks
 from knotgym.learn.clone_data import (
     Decisions,
     Examples,
@@ -38,6 +37,7 @@ from knotgym.learn.clone_data import (
     read_decisions,
     save_decisions,
 )
+from knotgym.learn.clone_demonstrations import demonstrate, demonstrated_tasks
 from knotgym.learn.clone_network import CloneNetwork, Macros, inputs
 from knotgym.learn.clone_play import play
 from knotgym.learn.clone_policy import ClonePolicy, load_clone, save_clone
