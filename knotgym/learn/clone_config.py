@@ -21,6 +21,8 @@ class DemonstrationsConfig:
         split: split of their starts and goals: train or train-code.
         starts: resets of each task that they begin from.
         wander: random passes before a demonstration, at most.
+        budget: actions simulated for a demonstration, at most; what needs more is given up, and is
+            no example of what is done at first sight.
         lanes: demonstrations side by side; makes no difference to them.
     """
 
@@ -30,12 +32,13 @@ class DemonstrationsConfig:
     split: str = "train"
     starts: int = 512
     wander: int = 2
+    budget: int = 400
     lanes: int = 128
 
     def __post_init__(self) -> None:
         check_numbers(
             self,
-            counts=("starts", "lanes"),
+            counts=("starts", "budget", "lanes"),
             whole=("episodes", "wander"),
             error=InvalidTraining,
         )

@@ -55,7 +55,7 @@ def demonstrate(
         the share of decisions for the first pass of the fixed order.
     """
     config, values = clone.demonstrations, shipped_values()
-    demonstrator = DemonstratorConfig()
+    demonstrator = DemonstratorConfig(budget=config.budget)
     lanes = MacroLanes(config.lanes, demonstrator.macro_actions)
     parts, told = [none()], dict[str, Any]()
     tasks, done = demonstrated_tasks(config), 0
