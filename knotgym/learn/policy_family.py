@@ -1,4 +1,4 @@
-"""Names of learners as policies: a folder that `knotgym train` wrote, or one that ships with the package.
+"""Names of learners as policies: a folder that `knotgym train` wrote, or one that ships.
 
 `knotgym.control.policies` finds this module through the entry point `learner`. It must stay light:
 torch is imported when a policy is made or its files are read, not when a name is checked.

@@ -98,6 +98,14 @@ def test_both_views_give_the_same_episode(clone: Path, task: TaskConfig) -> None
     assert np.array_equal(both[0][0].episode.actions, both[1][0].episode.actions)
 
 
+def test_the_one_that_ships_reaches_easy_goals() -> None:
+    config = PolicyConfig(policy="pretrained-clone")
+    task = TaskConfig(task="tie", nx=2, split="test", action="macro", engine="chain")
+    policy = make_policy(config)
+    played = rollout(policy.suited(task), policy, range(8), seed=0)
+    assert sum(bool(one.episode.terminations[-1]) for one in played) >= 5
+
+
 def test_pictures_are_enough(clone: Path, task: TaskConfig) -> None:
     policy = make_policy(PolicyConfig(policy=str(clone)))
     task = policy.suited(replace(task, action="macro", observation="pixels", engine="chain"))
