@@ -65,6 +65,7 @@ class Stream(IntEnum):
     LEARN_PICTURES = 50  # step of training the reader
     LEARN_ROPE = 51  # fitting the rope model
     LEARN_PLACES = 52  # the start positions of ropes that are kept
+    SAMPLED_GOALS = 70  # 0, or a draw of torch's: the goals of a loader's transitions
 
 
 def key(stream: Stream, seed: int, *counters: int) -> tuple[int, ...]:

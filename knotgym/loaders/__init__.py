@@ -18,6 +18,8 @@ train split). The other arguments are
     cache           a folder, or a `FrameCache` with a size limit, for uncompressed pictures. They
                     are written on first use and make random batches fast. The pictures are the
                     same, byte for byte
+    window          a `Window`: n-step returns, chunks of actions, stacks of observations, a history
+                    of actions, and goals sampled as in OGBench (`GoalSampling`)
 
 Torch, d3rlpy and TensorDict are imported only by the loaders that need them, and the names below
 only when first used.
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
     from knotgym.loaders.perception import images
     from knotgym.loaders.rows import arrays
     from knotgym.loaders.transitions import NoLabels, NoMacroActions, Transitions
+    from knotgym.loaders.windows import GoalSampling, InvalidWindow, Window
 else:
     from knotgym.common.lazy_exports import lazy_exports
 
@@ -44,11 +47,14 @@ else:
         __name__,
         {
             "FrameCache": "knotgym.loaders.frame_cache",
+            "GoalSampling": "knotgym.loaders.windows",
+            "InvalidWindow": "knotgym.loaders.windows",
             "MissingExtra": "knotgym.common.errors",
             "NoCache": "knotgym.loaders.frame_cache",
             "NoLabels": "knotgym.loaders.transitions",
             "NoMacroActions": "knotgym.loaders.transitions",
             "Transitions": "knotgym.loaders.transitions",
+            "Window": "knotgym.loaders.windows",
             "arrays": "knotgym.loaders.rows",
             "images": "knotgym.loaders.perception",
             "to_d3rlpy": "knotgym.loaders.converters",
@@ -59,11 +65,14 @@ else:
 
 __all__ = [
     "FrameCache",
+    "GoalSampling",
+    "InvalidWindow",
     "MissingExtra",
     "NoCache",
     "NoLabels",
     "NoMacroActions",
     "Transitions",
+    "Window",
     "arrays",
     "images",
     "to_d3rlpy",

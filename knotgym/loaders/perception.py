@@ -1,7 +1,5 @@
 """Load perception tables as a torch Dataset or a Hugging Face Dataset."""
 
-from __future__ import annotations
-
 import os
 from typing import Any
 

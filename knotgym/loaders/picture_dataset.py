@@ -1,7 +1,5 @@
 """A torch dataset over a perception table. Importing this module needs torch."""
 
-from __future__ import annotations
-
 import os
 from typing import Any
 

@@ -7,6 +7,7 @@ rendered on demand.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -19,6 +20,7 @@ from knotgym.datasets.trajectory import MACRO_INFOS, codes_in_bounds, goal_steps
 from knotgym.envs.reward import success_at_last
 from knotgym.envs.tasks import ACTIONS, InvalidSetting
 from knotgym.loaders.frame_cache import CachedFrames, FrameCache, NoCache, goal_axis
+from knotgym.loaders.windows import InvalidWindow, Window, other_codes, returns
 from knotgym.rope.actions import CHOICES, decode_actions, force_choices
 
 _CACHED_SEGMENTS = 256  # segments whose codes stay in memory
@@ -67,13 +69,13 @@ class Transitions:
     def __init__(
         self,
         dataset: Any,
-        *,
         observation: str | None = None,
         picture: Any = None,
         action: str | None = None,
         relabel: str | None = None,
         labels: bool = False,
         cache: Any = None,
+        window: Window | None = None,
     ) -> None:
         """Open a dataset.
 
@@ -90,8 +92,12 @@ class Transitions:
             labels: use the actions that an expert would have taken (`collect --labels expert`)
                 instead of those taken; they don't lead to the next observation.
             cache: a folder, or a `FrameCache`, for uncompressed pictures; see `knotgym.loaders`.
+            window: steps, chunks, stacks, histories and sampled goals of `batch`; None for single
+                transitions.
 
         Raises:
+            InvalidWindow: goals are sampled in a dataset with relabel or labels, or chunks are made
+                of labels.
             NoCache: the observations have no pictures, or the cache has no room for them.
             NoLabels: labels are requested together with relabel or the view "macro", or the
                 dataset has none.
@@ -118,6 +124,11 @@ class Transitions:
             raise NoLabels(
                 f"{self._reader.path} has no expert actions: collect it with --labels expert"
             )
+        self.window = window
+        if window is not None and window.goals is not None and (labels or relabel is not None):
+            raise InvalidWindow("sampled goals replace the episodes': leave out relabel and labels")
+        if window is not None and window.chunk is not None and labels:
+            raise InvalidWindow("the expert's actions don't follow one another: leave out chunk")
         self._seen: dict[str, Any] = {"observation": observation or "", "picture": picture}
         self._relabelled = relabel is not None
         self._frames = None if cache is None else self._cached(cache)
@@ -142,6 +153,10 @@ class Transitions:
         parts = [parts[row] for row in kept]
         self.episode, self.goal_step = np.array(parts, dtype=np.int64).reshape(-1, 2).T
         self.starts: NDArray[np.int64] = np.cumsum([0, *(len(own) - 1 for own in self._states_of)])
+
+        # per state of all segments, N + S of them; a transition's state is its row + its segment
+        self._segment_of = np.repeat(np.arange(self.segments), np.diff(self.starts) + 1)
+        self._step_of = np.concatenate([np.empty(0, np.int64), *self._states_of])
 
     @property
     def _shown(self) -> str:
@@ -174,6 +189,34 @@ class Transitions:
     def pulls(self) -> NDArray[np.int64]:
         """int64 (N,), pulls of each transition."""
         return np.concatenate([np.empty(0, np.int64), *map(np.diff, self._states_of)])
+
+    @cached_property
+    def _taken(self) -> NDArray[Any]:
+        """The actions that were taken, where `actions` are the expert's."""
+        if not self._labels:
+            return self.actions
+        own = zip(self.episode.tolist(), self._states_of, strict=True)
+        return np.concatenate([self._actions(index, ends, taken=True) for index, ends in own])
+
+    @cached_property
+    def _codes_held(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Per state: its code as a number, -1 where none counts; and for how many steps it held."""
+        codes, steps = [], []
+        for index in self.episode.tolist():
+            shown = self._reader.column(index, "gauss_code")
+            valid = ~self._reader.column(index, "simulation_failed")
+            valid[len(self._codes_in_bounds(index)) :] = False
+            codes.append(np.where(valid, shown, "-"))
+            steps.append(np.arange(len(shown)))
+        step = np.concatenate([np.empty(0, np.int64), *steps])
+        names, number = np.unique(np.concatenate([np.empty(0, str), *codes]), return_inverse=True)
+        number[names[number] == "-"] = -1
+        # the state of a reset isn't a step, so that the first step begins to hold a code
+        begins = np.append(True, number[1:] != number[:-1]) | (step <= 1)
+        row = np.arange(len(step))
+        held = row - np.maximum.accumulate(np.where(begins, row, 0)) + (step > 0)
+        kept = self._step_of + np.flatnonzero(step == 0)[self._segment_of]
+        return number[kept], held[kept]
 
     def _ends(self, index: int, length: int) -> NDArray[np.int64]:
         """Return the states of an episode's first `length` pulls that transitions lead between."""
@@ -214,17 +257,17 @@ class Transitions:
             )
         return self._read[segment]
 
-    def _actions(self, index: int, ends: NDArray[np.int64]) -> NDArray[Any]:
+    def _actions(self, index: int, ends: NDArray[np.int64], *, taken: bool = False) -> NDArray[Any]:
         """Return the actions that lead from each of the states `ends` of an episode to the next."""
-        reader, length = self._reader, int(ends[-1])
+        reader, length, labels = self._reader, int(ends[-1]), self._labels and not taken
         if self.action == "macro":
             led = (reader.column(index, name)[ends[:-1] + 1] for name in MACRO_INFOS[1:])
             bead, target, side = led
             return np.stack([bead, target, (side + 1) // 2], axis=1)
-        pulls = reader.column(index, "expert_action" if self._labels else "actions")[:length]
+        pulls = reader.column(index, "expert_action" if labels else "actions")[:length]
         if self.action == "pull":
             return pulls
-        if self._labels:
+        if labels:
             points = reader.column(index, "points")[:length]
             beads = decode_actions(pulls, points, reader.task.rope)[0]
         else:
@@ -272,37 +315,55 @@ class Transitions:
             uint8 (n, views * size, 2 size, 3 or 4), float32 (n, 6 beads), a dict of both, or int16
             (n, 2, symbols).
         """
-        goal = int(self.goal_step[segment])
-        states = self._states_of[segment][start:stop]
-        # HDF5 reads a range many times faster than a list
-        steps = states if self.action == "macro" else slice(states[0], states[-1] + 1)
-        episode, goal_step = int(self.episode[segment]), None if goal < 0 else goal
+        steps = self._states_of[segment][start:stop]
+        return self._read_states(segment, steps, self._own_goal(segment))
+
+    def _own_goal(self, segment: int) -> tuple[int, int] | None:
+        """Return the episode and step of a segment's goal; None for the episode's own goal."""
+        step = int(self.goal_step[segment])
+        return None if step < 0 else (int(self.episode[segment]), step)
+
+    def _read_states(
+        self, segment: int, steps: NDArray[np.int64], goal: tuple[int, int] | None
+    ) -> Any:
+        """Return the observations at some steps of a segment's episode, in increasing order."""
+        episode = int(self.episode[segment])
+        goal_episode, goal_step = (None, None) if goal is None else goal
+        named = {"goal_episode": goal_episode, "goal_step": goal_step}
         if self._frames is None:
-            return self._reader.observations(episode, steps, goal_step=goal_step, **self._seen)
-        ropes = self._frames.offsets[episode] + states
-        goals = self._frames.goal(self.episode[[segment]], self.goal_step[[segment]])
+            return self._reader.observations(episode, steps, **named, **self._seen)
+        goals = self._frames.goal(*np.array([goal or (episode, -1)]).T)
+        ropes = self._frames.offsets[episode] + steps
         pictures = self._frames.pictures(ropes, np.broadcast_to(goals, ropes.shape))
         if self._shown == "pixels":
             return pictures
-        state = self._reader.observations(episode, steps, goal_step=goal_step, observation="state")
+        state = self._reader.observations(episode, steps, **named, observation="state")
         return {"pixels": pictures, "state": state}
 
-    def batch(self, rows: ArrayLike, *, apart: bool = False) -> dict[str, Any]:
+    def batch(
+        self,
+        rows: ArrayLike,
+        *,
+        apart: bool = False,
+        rng: np.random.Generator | None = None,
+    ) -> dict[str, Any]:
         """Return n transitions, such as a random batch. A `cache` of pictures makes this fast.
 
         Args:
             rows: int (n,), indices of transitions.
             apart: return rope and goal in separate arrays, the goal once for both states, which
                 copies half as much.
+            rng: generator of the goals, if the window samples them.
 
         Returns:
             As `arrays`, n rows: observations, actions, rewards, next_observations, terminals,
-            timeouts. With `apart` the observations are of the rope only, uint8 (n, views * size,
-            size, 3 or 4), float32 (n, 3 beads), a dict of both, or int16 (n, 1, symbols), and
-            `goals` has the same shape.
+            timeouts, and what the window adds. With `apart` the observations are of the rope only,
+            uint8 (n, views * size, size, 3 or 4), float32 (n, 3 beads), a dict of both, or int16
+            (n, 1, symbols), and `goals` has the same shape.
 
         Raises:
             IndexError: rows is empty or not one-dimensional, or an index is out of range.
+            InvalidWindow: goals are sampled, and there is no generator; or no other goal exists.
         """
         wanted = np.asarray(rows, dtype=np.int64)
         if wanted.ndim != 1 or not len(wanted):
@@ -311,48 +372,189 @@ class Transitions:
             raise IndexError(
                 f"indices {wanted.min()} to {wanted.max()} are outside a dataset of {len(self)}"
             )
-        wanted = wanted % len(self)
-        seen = self._observed(wanted, apart)
-        return {
+        return self.gather(wanted % len(self), apart=apart, rng=rng)
+
+    def sample_goals(self, rows: ArrayLike, rng: np.random.Generator) -> NDArray[np.int64]:
+        """Draw the goals of transitions, as `batch` does first with the same generator.
+
+        Returns:
+            int64 (n,), indices of the N + S states of all segments, see `frame_place`.
+
+        Raises:
+            InvalidWindow: the window samples no goals.
+        """
+        if self.window is None or self.window.goals is None:
+            raise InvalidWindow("there are no goals to sample: open with window=Window(goals=...)")
+        wanted = np.asarray(rows, dtype=np.int64)
+        segments = self._segments(wanted)
+        last = self.starts[segments + 1] + segments
+        return self.window.goals.draw(
+            wanted + segments, last, len(self._step_of), self.window.discount, rng
+        )
+
+    def outcomes(
+        self, rows: NDArray[np.int64], n_step: int, goals: NDArray[np.int64] | None = None
+    ) -> tuple[NDArray[Any], ...]:
+        """Return what happened in n_step transitions from each of n on.
+
+        Args:
+            rows: (n,), the first transitions.
+            n_step: how many from each.
+            goals: (n,), states that are their goals; None for those of the segments.
+
+        Returns:
+            rewards, terminals, timeouts, pulls, and whether the transition belongs to the segment,
+            (n, n_step) each.
+        """
+        end = self.starts[self._segments(rows) + 1][:, None]
+        following = rows[:, None] + np.arange(n_step)
+        inside = following < end
+        at = np.minimum(following, end - 1)
+        if goals is None:
+            ends = self.terminals[at], self.timeouts[at]
+            return self.rewards[at], *ends, self.pulls[at], inside
+        assert self.window is not None and self.window.goals is not None
+        codes, held = self._codes_held
+        after = at + self._segments(rows)[:, None] + 1
+        wanted = codes[goals][:, None]
+        success = (codes[after] == wanted) & (wanted >= 0) & (held[after] >= self._reader.task.hold)
+        rewards = success - float(self.window.goals.gc_negative)
+        return rewards, success, (at == end - 1) & ~success, self.pulls[at], inside
+
+    def _segments(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+        return np.searchsorted(self.starts, rows, side="right") - 1
+
+    def gather(
+        self,
+        rows: NDArray[np.int64],
+        *,
+        apart: bool = False,
+        rng: np.random.Generator | None = None,
+    ) -> dict[str, Any]:
+        """Return what `batch` does, for any number of rows in [0, N), which aren't checked."""
+        window = self.window or Window()
+        segments, goals = self._segments(rows), None
+        if window.goals is not None:
+            if rng is None:
+                raise InvalidWindow("goals are drawn: hand a generator in, batch(rows, rng=...)")
+            goals = self.sample_goals(rows, rng)
+        found = returns(*self.outcomes(rows, window.n_step, goals), discount=window.discount)
+        states = rows + segments
+        seen = self._observed(
+            [self._stack(states, segments), self._stack(states + found.steps, segments)],
+            goals,
+            apart,
+        )
+        batch = {
             "observations": seen[0],
-            "actions": self.actions[wanted],
-            "rewards": self.rewards[wanted],
+            "actions": self.actions[rows],
+            "rewards": found.rewards,
             "next_observations": seen[1],
-            "terminals": self.terminals[wanted],
-            "timeouts": self.timeouts[wanted],
+            "terminals": found.terminals,
+            "timeouts": found.timeouts,
             **({"goals": seen[2]} if apart else {}),
         }
+        if self.window is None:
+            return batch
+        batch |= {"discounts": found.discounts, "pulls": found.pulls}
+        if window.chunk is not None:
+            batch["actions"], batch["action_mask"] = self.chunk(rows, segments)
+        if window.history is not None:
+            for name, ends in (("", rows), ("next_", rows + found.steps)):
+                past = ends[:, None] + np.arange(-window.history, 0)
+                kept = past >= self.starts[segments][:, None]
+                batch[f"{name}history"] = _masked(self._taken, past, kept)
+                batch[f"{name}history_mask"] = kept
+        if goals is not None and window.goals is not None and window.goals.negatives:
+            codes = self._codes_held[0]
+            assert rng is not None
+            others = other_codes(codes, codes[goals], window.goals.negatives, rng)
+            (flat, _) = self._observed([others.ravel()], None, apart=True)
+            batch["negatives"] = _each(flat, lambda one: one.reshape(*others.shape, *one.shape[1:]))
+        return batch
 
-    def _observed(self, wanted: NDArray[np.int64], apart: bool) -> tuple[Any, ...]:
-        """Return the observations before and after transitions; if apart, their goals too."""
-        segments = np.searchsorted(self.starts, wanted, side="right") - 1
-        steps = wanted - self.starts[segments]
+    def chunk(
+        self, rows: NDArray[np.int64], segments: NDArray[np.int64]
+    ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Return the window's chunks of actions from n transitions on, and their masks."""
+        assert self.window is not None
+        following = rows[:, None] + np.arange(self.window.chunk or 1)
+        kept = following < self.starts[segments + 1][:, None]
+        return _masked(self.actions, following, kept), kept
+
+    def _stack(self, states: NDArray[np.int64], segments: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Return the states that are shown at each of n states: (n,), or (n, stack)."""
+        if self.window is None or self.window.stack is None:
+            return states
+        first = self.starts[segments] + segments
+        return np.maximum(states[:, None] + np.arange(1 - self.window.stack, 1), first[:, None])
+
+    def _observed(
+        self, shown: list[NDArray[np.int64]], goals: NDArray[np.int64] | None, apart: bool
+    ) -> list[Any]:
+        """Return the observations of n transitions.
+
+        Args:
+            shown: states, (n,) or (n, k) each; those of a row belong to one segment.
+            goals: (n,), states; None for the goals of the segments.
+            apart: return ropes only, and the goals (n,) after them.
+        """
+        one = shown[0]
+        segments = self._segment_of[one if one.ndim == 1 else one[:, 0]]
+        if goals is None:
+            goal = self.episode[segments], self.goal_step[segments]
+        else:
+            goal = self.episode[self._segment_of[goals]], self._step_of[goals]
         if self._frames is not None and self._shown == "pixels":
-            episodes = self.episode[segments]
-            places = zip(segments.tolist(), steps.tolist(), strict=True)
-            ends = np.array([self._states_of[k][step : step + 2] for k, step in places])
-            before, after = (self._frames.offsets[episodes] + one for one in ends.T)
-            goals = self._frames.goal(episodes, self.goal_step[segments])
+            frames = self._frames
+            offsets = frames.offsets[self.episode]
+            ropes = [offsets[self._segment_of[one]] + self._step_of[one] for one in shown]
+            ends = frames.goal(*goal)
             if apart:
-                return tuple(self._frames.frames[rows] for rows in (before, after, goals))
-            return tuple(self._frames.pictures(rows, goals) for rows in (before, after))
-        pairs = [
-            self.observations(segment, step, step + 2)
-            for segment, step in zip(segments.tolist(), steps.tolist(), strict=True)
-        ]
-        if self._shown != "both":
-            return self._states(self._shown, pairs, apart)
-        each = [self._states(kind, [pair[kind] for pair in pairs], apart) for kind in pairs[0]]
-        return tuple(dict(zip(pairs[0], kinds, strict=True)) for kinds in zip(*each, strict=True))
+                return [frames.frames[one] for one in (*ropes, ends)]
+            both = [
+                frames.pictures(one.ravel(), np.repeat(ends, one.size // len(ends)))
+                for one in ropes
+            ]
+            return [
+                seen.reshape(*one.shape, *seen.shape[1:])
+                for one, seen in zip(ropes, both, strict=True)
+            ]
+        filled: dict[str, list[NDArray[Any]]] = {}
+        # rows with the same segment and goal are read at once, each state once
+        alike = segments if goals is None else segments * len(self._step_of) + goals
+        order = np.argsort(alike, kind="stable")
+        for rows in np.split(order, np.flatnonzero(np.diff(alike[order])) + 1):
+            if not len(rows):  # of an empty dataset
+                break
+            segment = int(segments[rows[0]])
+            own = goal[0][rows[0]], goal[1][rows[0]]
+            parts = [one[rows] for one in shown]
+            states, where = np.unique(
+                np.concatenate([one.ravel() for one in parts]), return_inverse=True
+            )
+            places = np.split(where, np.cumsum([one.size for one in parts])[:-1])
+            target = None if own[1] < 0 else (int(own[0]), int(own[1]))
+            seen = self._read_states(segment, self._step_of[states], target)
+            for name, array in {"": seen}.items() if not isinstance(seen, dict) else seen.items():
+                halves = self._halves(name, array) if apart else [array]
+                if name not in filled:
+                    filled[name] = [
+                        np.empty((*one.shape, *halves[0].shape[1:]), halves[0].dtype)
+                        for one in (*shown, *([segments] if apart else []))
+                    ]
+                for out, part, place in zip(filled[name], parts, places, strict=False):
+                    out[rows] = halves[0][place].reshape(*part.shape, *halves[0].shape[1:])
+                if apart:
+                    filled[name][-1][rows] = halves[1][0]
+        if [*filled] in ([], [""]):
+            return filled.get("", [{}, {}, {}])
+        return [dict(zip(filled, each, strict=True)) for each in zip(*filled.values(), strict=True)]
 
-    def _states(self, kind: str, pairs: list[NDArray[Any]], apart: bool) -> tuple[Any, ...]:
-        """Stack n pairs of observations into (n, ...) before and after; if apart, goals too."""
-        both = np.stack(pairs)
-        if not apart:
-            return both[:, 0], both[:, 1]
-        axis = goal_axis(self._reader.task.layout) if kind == "pixels" else 1
-        rope, goal = np.split(both, 2, axis=axis + 1)  # axis 1 of both: before and after
-        return rope[:, 0], rope[:, 1], goal[:, 0]
+    def _halves(self, name: str, seen: NDArray[Any]) -> list[NDArray[Any]]:
+        """Split observations into rope and goal."""
+        pixels = (name or self._shown) == "pixels"
+        return np.split(seen, 2, axis=goal_axis(self._reader.task.layout) if pixels else 1)
 
     def codes(self, segment: int) -> list[str]:
         """Return the Gauss codes of a segment's states; recent segments are cached."""
@@ -362,3 +564,19 @@ class Transitions:
             codes = self._reader.column(int(self.episode[segment]), "gauss_code")
             self._codes[segment] = codes[self._states_of[segment]].tolist()
         return self._codes[segment]
+
+
+def _masked(
+    actions: NDArray[Any], rows: NDArray[np.int64], kept: NDArray[np.bool_]
+) -> NDArray[Any]:
+    """Gather actions; those not kept are zeros."""
+    found = actions[np.where(kept, rows, 0)]
+    found[~kept] = 0
+    return found
+
+
+def _each(seen: Any, change: Callable[[NDArray[Any]], Any]) -> Any:
+    """Apply a function to an observation's array, or to each of its arrays."""
+    if isinstance(seen, dict):
+        return {name: change(array) for name, array in seen.items()}
+    return change(seen)
